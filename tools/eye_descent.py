@@ -169,7 +169,7 @@ def drawn_of(mouth: CascadedRegression, clip: Clip, clips: Sequence[Clip]) -> tu
 
 def patches(model: EyeRegression, one: Drawn, off: Array) -> Array:
     """phi (2, WIDTH) of both eyes, whose corners are found `off` (2,)."""
-    found = views(HEAD, model.corners(one.seen, one.parts) + off)
+    found = views(HEAD, (model.corners(one.seen, one.parts) + off).reshape(2, 2, 2).mean(axis=1))
     return np.array(
         [phi(view.read_grey(one.frame, eyes.SIDE)[:, ::way]) for view, way in zip(found, (1, -1), strict=True)]
     )
@@ -193,7 +193,7 @@ def train(mouth: CascadedRegression, clips: Sequence[tuple[list[Drawn], list[Dra
     for one in free:
         off = rng.normal(0, JITTER * EYES, 2)
         looks.append(patches(model, one, off))
-        found = views(HEAD, model.corners(one.seen, one.parts) + off)
+        found = views(HEAD, (model.corners(one.seen, one.parts) + off).reshape(2, 2, 2).mean(axis=1))
         for eye, view, way in zip(SIDES, found, (1, -1), strict=True):
             wanted.append((view.to_stabilized(HEAD.to_frame(one.true[eye])) - MIDDLE) * (way, 1))
     opening = openings(np.array([one.true for one in free]))

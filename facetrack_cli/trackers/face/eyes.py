@@ -14,12 +14,10 @@ All matrices are ridge regressions, trained on real faces by `tools/eye_descent.
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,8 +26,8 @@ from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.trackers.face.cascaded_regression import AROUND, CORNER, GRID, PlacedPoints
-from facetrack_cli.trackers.face.image_kernels import DIRECTIONS, read, run_stages, smoothed_channels
-from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity, slope
+from facetrack_cli.trackers.face.image_kernels import DIRECTIONS, grey_channels, run_stages
+from facetrack_cli.trackers.face.stabilized import EYES, Similarity, slope
 
 KIND = Kind("facetrack-eyes", 1, "eye descent", "python tools/eye_descent.py")
 DEFAULT = "eye_descent.npz"
@@ -39,6 +37,8 @@ CORNERS: Final = [0, 1, 4, 5]
 """Which of them are corners: from left to right."""
 SIDES: Final = ([0, 1, 2, 3], [5, 4, 6, 7])
 """Of the left and the right eye: outer and inner corner, upper and lower lid."""
+_BOTH: Final = np.array(SIDES)
+_WAYS: Final = np.array([1, -1])  # in which patches show them
 ZOOM: Final = 2.0  # of a patch
 SIDE: Final = 48  # of a patch, pixels
 CELL: Final = 4  # pixels between the points of its grid
@@ -74,15 +74,17 @@ class EyeRegression(NamedTuple):
 
         Both are in the stabilized image.
         """
-        at, odds = np.empty((len(POINTS), 2)), np.empty(len(POINTS))
-        for eye, view, way in zip(SIDES, views(head, self.corners(seen, parts)), (1, -1), strict=True):
-            output = phi(view.read_grey(frame, SIDE)[:, ::way]) @ self.lids
-            off = output[:-1].reshape(-1, 2).astype(np.float64) * (way, 1)
-            narrow = math.hypot(*(off[0] - off[1])) / (ZOOM * EYES) - NARROW  # turned away
-            small = head.scale * EYES / SMALL - 1
-            at[eye] = head.to_stabilized(view.to_frame(MIDDLE + off))
-            odds[eye] = output[-1] + min(STEEP * narrow, 0.0) + min(STEEP * small, 0.0)
-        return PlacedPoints(at, odds)
+        middles = self.corners(seen, parts).reshape(2, 2, 2).mean(axis=1)
+        patches = [view.read_grey(frame, SIDE)[:, ::way] for view, way in zip(views(head, middles), _WAYS, strict=True)]
+        outputs = np.array([phi(patch) @ self.lids for patch in patches], np.float64)
+        off, odds = outputs[:, :-1].reshape(2, -1, 2), outputs[:, -1]
+        narrow = np.hypot(*(off[:, 0] - off[:, 1]).T) / (ZOOM * EYES) - NARROW  # turned away
+        small = head.scale * EYES / SMALL - 1
+        odds = odds + np.minimum(STEEP * narrow, 0.0) + min(STEEP * small, 0.0)
+        off[..., 0] *= _WAYS[:, None]
+        at, turned = np.empty((len(POINTS), 2)), Similarity(np.zeros(2), 1 / ZOOM, slope(middles)).matrix
+        at[_BOTH] = middles[:, None] + (off.reshape(-1, 2) @ turned.T).reshape(off.shape)
+        return PlacedPoints(at, odds.repeat(off.shape[1]))
 
     def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
         """The corners (4, 2), as the cascade has them."""
@@ -97,22 +99,20 @@ class EyeRegression(NamedTuple):
 
 def openings(at: Array) -> Array:
     """(..., 2) how far eyes (..., 8, 2) are open: the distance of their lids over that of their corners."""
-    each = at[..., np.array(SIDES), :]
+    each = at[..., _BOTH, :]
     apart = np.hypot(*np.moveaxis(each[..., [0, 2], :] - each[..., [1, 3], :], -1, 0))
     return np.asarray(apart[..., 1] / np.maximum(apart[..., 0], 1e-9))
 
 
-def views(head: Similarity, corners: Array) -> list[Similarity]:
-    """Those of the patches around both eyes, whose `corners` (4, 2) are known in the stabilized image."""
-    middles = corners.reshape(2, 2, 2).mean(axis=1)
+def views(head: Similarity, middles: Array) -> list[Similarity]:
+    """The maps of the patches around both eyes, whose `middles` (2, 2) are in the stabilized image."""
     angle = head.angle + slope(middles)
     return [Similarity(at, head.scale / ZOOM, angle) for at in head.to_frame(middles)]
 
 
 def phi(patch: Image) -> NDArray[np.float32]:
     """(WIDTH,) of a patch in grey (SIDE, SIDE)."""
-    seen = smoothed_channels(np.asarray(cv2.blur(patch.astype(np.float32), (3, 3)), np.float32))
-    return np.append(read(seen, np.zeros((1, 2)), _GRID).ravel(), np.float32(1))
+    return np.append(grey_channels(patch, _GRID).ravel(), np.float32(1))
 
 
 @lru_cache(maxsize=8)

@@ -43,19 +43,45 @@ def _looks(image, greys, colours, out):
             out[1, y, x] = colours[r] - colours[g]
 
 
-def smoothed_channels(image: Image | Single) -> Single:
-    """(C, H, W + 8): channels of an image, smoothed down it, with a border on the left and on the right.
+def smoothed_channels(image: Image) -> Single:
+    """Channels (C, H, W + 8) of colours (H, W, 3), smoothed down the image, with a border on the left and on the right.
 
-    In each direction the square of a gradient's share along it, over its length and the usual length. Of colours
-    (H, W, 3) then redness, brightness and the slope of redness down the image; all is relative to what is around. Of
-    grey levels (H, W) then brightness; all is relative to the whole image. H and W are 24 or more; the border reflects.
+    In each direction the square of a gradient's share along it, over its length and the usual length; then redness,
+    brightness and the slope of redness down the image. All is relative to what is around. H and W are 24 or more; the
+    border reflects.
     """
-    whole = image.ndim == 3
-    seen = looks(np.asarray(image, np.uint8)) if whole else _GREY[np.rint(8 * image).astype(np.intp)][None]
+    seen = looks(np.asarray(image, np.uint8))
     height, width = seen.shape[1:]
-    out = np.empty((DIRECTIONS + (3 if whole else 1), height, width + 2 * _REACH), np.float32)
-    _channels(seen, _WAYS, whole, np.empty((9, height, width), np.float32), out)
+    out = np.empty((DIRECTIONS + 3, height, width + 2 * _REACH), np.float32)
+    _channels(seen, _WAYS, True, np.empty((9, height, width), np.float32), out)
     return out
+
+
+def grey_channels(image: Image, at: Array) -> Single:
+    """(G, C): the channels of grey levels (H, W) at the pixels nearest to G places `at` (G, 2).
+
+    The image is smoothed by means over 3 x 3 pixels first. Channels are as those of colours, without redness, and
+    relative to the whole image.
+    """
+    out = np.empty((1, len(at), DIRECTIONS + 1), np.float32)
+    _grey_channels(np.ascontiguousarray(image), _GREY, _WAYS, at, out)
+    return out[0]
+
+
+@fast
+def _grey_channels(image, greys, ways, at, out):
+    height, width = image.shape
+    seen, scratch = np.empty((1, height, width), np.float32), np.empty((9, height, width), np.float32)
+    channels = np.empty((len(ways) + 1, height, width + 2 * _REACH), np.float32)
+    for y in range(height):
+        above, here, below = image[abs(y - 1)], image[y], image[height - 1 - abs(height - 2 - y)]
+        for x in range(width):
+            left, right, total = abs(x - 1), width - 1 - abs(width - 2 - x), np.int32(0)
+            for row in (above, here, below):
+                total += np.int32(row[left]) + np.int32(row[x]) + np.int32(row[right])
+            seen[0, y, x] = greys[(16 * total + 9) // 18]  # eighths of the mean of nine
+    _channels(seen, ways, False, scratch, channels)
+    _read(channels, np.zeros((1, 2)), at, 1.0, out)
 
 
 @fast
