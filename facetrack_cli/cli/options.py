@@ -153,7 +153,7 @@ def figure_file(default: str) -> Decorator:
 
 def array_file(what: str) -> Decorator:
     """--out of an .npz file that holds a `what`, as a gallery."""
-    return option("-o", "--out", type=types.array(what), default=f"{what}.npz", help=f"Where the {what} goes.")
+    return option("-o", "--out", type=types.NPZ, default=f"{what}.npz", help=f"Where the {what} goes.")
 
 
 def jobs(text: str) -> Decorator:

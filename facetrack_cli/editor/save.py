@@ -5,12 +5,12 @@ and its corrections are what its rows say is by hand. Saved, its rows take their
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
 from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.engine.corrected import all_or, correctable_parts
@@ -104,13 +104,22 @@ def _check(run: Run) -> None:
         raise OutputError(f"{run.folder / CORRECTED}: is a folder, where a file is to be; move it away, and save again")
 
 
-def keep(fixer: Fixer) -> Path | None:
-    """Write the corrections that are not saved, so that the next session goes on with them. None if there are none."""
-    path = fixer.run.folder / UNSAVED
-    if not fixer.changed:
+def keep(fixer: Fixer, drafted: Iterable[Correction] = ()) -> Path | None:
+    """Write the corrections that are not saved, so that the next session goes on with them. None if there are none.
+
+    Those that are `drafted` are not tracked yet; of them those are written that fit the run.
+    """
+    path, new = fixer.run.folder / UNSAVED, dict[tuple[int, str], Correction]()
+    for one in drafted:
+        with contextlib.suppress(FacetrackError):
+            fixer.check(one, beyond=True)
+            new[one.frame, one.target] = one
+    if not (fixer.changed or new):
         forget(fixer.run)
         return None
-    write_init(path, fixer.start, clip=fixer.run.clip.name, overwrite=True)
+    others = (one for one in fixer.corrections if (one.frame, one.target) not in new)
+    start = replace(fixer.start, corrections=(*others, *new.values()))
+    write_init(path, start, clip=fixer.run.clip.name, overwrite=True)
     return path
 
 
