@@ -47,10 +47,10 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     if run.film:
         lines = _save_track(run, rows, video=video, report=report, stop=stop)
         forget(run)
-        fixer.saved()
+        fixer.saved(rows)
         return lines
     files: dict[Path, Write] = {}
-    if "smoothed" in rows.header or run.recipe.later:
+    if is_tracked_again(run):
         filtered, rows = _tracked_again(fixer, report, stop)
         if filtered is not None:
             files[folder / FILTERED] = partial(write_rows, "csv", rows=filtered)
@@ -66,8 +66,13 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     notes += past_end(fixer.corrections, run.last, str(folder / CORRECTED))
     if run.video is not None and not video:
         notes.append(f"{run.video}: left as it was, it shows the track of before")
-    fixer.saved()
+    fixer.saved(rows)
     return [*(f"{path}: written" for path in written), *notes, *outdated(folder)]
+
+
+def is_tracked_again(run: Run) -> bool:
+    """Whether the whole clip is tracked again to save a corrected run."""
+    return "smoothed" in run.rows.header or bool(run.recipe.later)
 
 
 def _tracked_again(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Trajectory | None, Trajectory]:
@@ -92,7 +97,7 @@ def _tracked_again(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Traject
                 beliefs[name].append(() if target.beliefs is None else target.beliefs())
             report(done, total)
     rows = as_written(collected.trajectory(header=run.rows.header, path=run.rows.path))
-    return (rows, given_all(rows, beliefs)) if kept else (None, rows)
+    return (rows, as_written(given_all(rows, beliefs))) if kept else (None, rows)
 
 
 def _check(run: Run) -> None:

@@ -14,7 +14,7 @@ from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.editor.history import Fixer, merged
-from facetrack_cli.editor.save import keep, save
+from facetrack_cli.editor.save import is_tracked_again, keep, save
 from facetrack_cli.editor.web.pick_session import requirement
 from facetrack_cli.editor.web.session import Answer, Draft, Json, Proposer, RefusedError, Route, Session
 from facetrack_cli.engine.corrected import correctable_parts
@@ -54,6 +54,7 @@ class FixSession(Session):
             "requirements": [_requirement(name, parts) for name, parts in self._parts.items()],
             "free": False,
             "saves_to": str(run.folder),
+            "again": is_tracked_again(run),
             "learns": not isinstance(run.recipe, OpenCvRecipe),  # OpenCV's trackers always learn again
         }
         proposer, draft = Proposer(frames, run.recipe, run.recipe.points), Draft(run.first, {})
@@ -235,7 +236,7 @@ class FixSession(Session):
     def _write(self, report: Report) -> None:
         messages = save(self.fixer, video=self.video, report=report, stop=self.stopping.is_set)
         with self.lock:
-            self.saved, self.saves = messages, self.saves + 1
+            self.saved, self.saves, self.rows_revision = messages, self.saves + 1, self.rows_revision + 1
 
     def state(self) -> Json:
         with self.lock:
