@@ -179,32 +179,26 @@ def _rate(value: str) -> Fraction:
     raise click.BadParameter(f"{value!r}: give frames per second as 25, 29.97 or 30000/1001")
 
 
-def _figure(value: str) -> Path:
-    if Path(value).suffix[1:].lower() not in FIGURES:
-        raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
-    return Path(value)
-
-
-def array(what: str) -> Text:
-    """An .npz file that holds a `what`, as a gallery."""
+def _file(metavar: str, *endings: str) -> Text:
+    """A file to write, whose kind the end of its name says."""
+    listed = " or".join(", ".join(f".{ending}" for ending in endings).rsplit(",", 1))
 
     def parse(value: str) -> Path:
-        if Path(value).suffix != ".npz":
-            raise UsageError(f"{value}: a {what} is an .npz file; let its name end so")
+        if Path(value).suffix[1:].lower() not in endings:
+            raise UsageError(f"{value}: cannot tell the kind of file; let its name end in {listed}")
         return Path(value)
 
-    return Text("FILE", parse, _files)
+    return Text(metavar, parse, _files, f"a file that ends in {listed}")
 
 
 FILE, INPUT = Text("FILE", Path, _files, "a file"), Text("INPUT", Path, _files)
-PNG, NPZ = Text("FILE.png", Path, _files, "a file"), Text("FILE.npz", Path, _files, "a file")
+PNG, NPZ, FIGURE = _file("FILE.png", "png"), _file("FILE.npz", "npz"), _file("FILE", *FIGURES)
 FOLDER, PROJECT = Text("DIR", Path, _folders, "a folder"), Text("PROJECT", Path, _folders)
 RUN = Text("RUN_DIR", Path, _runs)
 TRAJECTORY = Text("TRAJECTORY", Path, lambda ctx, incomplete: _files(ctx, incomplete) + _runs(ctx, incomplete)[1:])
 FILE_OR_DASH = Text("FILE", complete=_files, what="a file, or - for standard output")
 FOLDER_OR_DASH = Text("DIR", complete=_folders, what="a folder, or - for standard output")
 GALLERY = Text("FILE", complete=_files, what="a gallery, as facetrack gallery fit writes it")
-FIGURE = Text("FILE", _figure, _files, "a file that ends in .png, .svg or .pdf")
 INIT = Text(
     "FILE", lambda value: value if value in ("haar", "yunet") else Path(value), _files,
     "an init file, or haar to look for a face",
@@ -353,7 +347,7 @@ def figure_file(default: str) -> Decorator:
 
 def array_file(what: str) -> Decorator:
     """--out of an .npz file that holds a `what`, as a gallery."""
-    return option("-o", "--out", type=array(what), default=f"{what}.npz", help=f"Where the {what} goes.")
+    return option("-o", "--out", type=NPZ, default=f"{what}.npz", help=f"Where the {what} goes.")
 
 
 def jobs(text: str) -> Decorator:

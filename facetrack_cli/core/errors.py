@@ -17,17 +17,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import functools
-import inspect
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
-from typing import Any, Final, TypeVar
-
-F = TypeVar("F", bound=Callable[..., Any])
+from typing import Final
 
 
 class ExitCode(IntEnum):
@@ -140,21 +136,20 @@ def needed(what: str, package: str, extra: str = "plot") -> Iterator[None]:
         raise UsageError(f"{package} cannot be loaded: {said}; install it again: {remedy}") from e
 
 
-def named_as_arguments(function: F) -> F:
-    """A decorator: the errors of a function for Python name its arguments in place of options of the command line."""
-    names = {f"--{name.replace('_', '-')}": name for name in inspect.signature(function).parameters}
-    names.setdefault("--box", "a box as init")
+_SAME = ("init", "start", "stop", "fps", "lag", "faces", "out", "overwrite", "media", "target", "clip")
+_OTHER = {"--box": "a box as init", "--init-frame": "start", "--config": "recipe", "--set": "overrides"}
+ARGUMENTS = {**{f"--{name}": name for name in _SAME}, **_OTHER}
 
-    @functools.wraps(function)
-    def call(*args: Any, **more: Any) -> Any:
-        try:
-            return function(*args, **more)
-        except FacetrackError as error:
-            message = re.sub(r"(?<!\S)--[a-z]+(-[a-z]+)*", lambda option: names.get(option[0], option[0]), str(error))
-            error.args = (message, *error.args[1:])
-            raise
 
-    return call  # type: ignore[return-value]
+@contextmanager
+def named_as_arguments() -> Iterator[None]:
+    """Around what is for Python: errors name its arguments in place of options of the command line."""
+    try:
+        yield
+    except FacetrackError as error:
+        message = re.sub(r"(?<!\S)--[a-z]+(-[a-z]+)*", lambda option: ARGUMENTS.get(option[0], option[0]), str(error))
+        error.args = (message, *error.args[1:])
+        raise
 
 
 LOG_FORMAT: Final = "FACETRACK_LOG_FORMAT"  # a variable, so that the processes of a batch know too

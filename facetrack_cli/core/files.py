@@ -32,14 +32,14 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _SECRET = secrets.token_hex(8)  # a file that lies there already under a name that was guessed is never written to
 
 
-def cannot_write(path: Path, error: OSError, remedy: str = "choose another place with --out") -> OutputError:
+def cannot_write(path: Path, error: OSError, remedy: str = "choose another place") -> OutputError:
     """The one line for a file that cannot be written."""
     full = f"the disk is full ({reason(error)}); free some space or {remedy}"
     return OutputError(f"{path}: {full if error.errno in FULL else f'cannot be written: {reason(error)}; {remedy}'}")
 
 
 @contextlib.contextmanager
-def writing(path: Path, remedy: str = "choose another place with --out") -> Iterator[None]:
+def writing(path: Path, remedy: str = "choose another place") -> Iterator[None]:
     """OutputError, in its one line, where the system refuses to write a path."""
     try:
         yield
@@ -353,7 +353,7 @@ def check_folder(path: Path, names: Sequence[str], *, overwrite: bool, inputs: S
         check_plain(path / name)
 
 
-def make_folder(path: Path, remedy: str = "choose another place with --out") -> list[Path]:
+def make_folder(path: Path, remedy: str = "choose another place") -> list[Path]:
     """Make a folder and return those that were made, the innermost first. OutputError if it cannot be written to."""
     with writing(path, remedy):
         made = [folder for folder in (path, *path.parents) if not folder.exists()]

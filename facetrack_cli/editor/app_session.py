@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, nullcontext, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field
@@ -29,9 +29,8 @@ from facetrack_cli.runs.batch import expand
 from facetrack_cli.runs.export import content, encoded
 from facetrack_cli.runs.people import film_of, people_in, rows_in
 from facetrack_cli.start.init_file import read_init
-from facetrack_cli.trajectory.formats import tables
+from facetrack_cli.trajectory.formats import EXPORTS, tables
 from facetrack_cli.trajectory.reader import UNSAVED, clip_of
-from facetrack_cli.trajectory.views import Around
 from facetrack_cli.video.seek import Frames
 
 LOOKS: Final = 5  # frames of a clip in which faces are sought, in its first seconds
@@ -43,29 +42,21 @@ EVENTS: Final = 20_000  # that are sent
 Ids = Annotated[list[int], Field(max_length=2000)]
 
 
-class Program(NamedTuple):
-    """What a file is for: its format, how its name ends, and whether it may be of `many` clips."""
-
-    name: str
-    form: str
-    ending: str
-    many: bool = False
-    box: Around | None = None
-
-
 PROGRAMS: Final = {
-    "excel": Program("Excel: a row for each frame", "csv-wide", "csv"),
-    "measures": Program("Excel: measures of faces and hands", "measures", "measures.csv", many=True),
-    "events": Program("Excel: events", "events", "events.csv", many=True),
-    "elan": Program("ELAN", "eaf", "eaf"),
-    "cvat": Program("CVAT", "cvat", "cvat.xml"),
-    "labelstudio": Program("Label Studio", "labelstudio", "labelstudio.json"),
-    "boris": Program("BORIS", "boris", "boris", many=True),
-    "subtitles": Program("Subtitles", "srt", "srt"),
-    "dlc": Program("DeepLabCut", "dlc", "dlc.csv"),
-    "openface": Program("OpenFace", "openface", "openface.csv"),
-    "coco": Program("COCO", "coco", "coco.json", box="points"),
+    "csv-wide": "Excel: a row for each frame",
+    "measures": "Excel: measures of faces and hands",
+    "events": "Excel: events",
+    "eaf": "ELAN",
+    "cvat": "CVAT",
+    "labelstudio": "Label Studio",
+    "boris": "BORIS",
+    "srt": "Subtitles",
+    "dlc": "DeepLabCut",
+    "openface": "OpenFace",
+    "coco": "COCO",
 }
+"""What a file is for, by its format."""
+OF_MANY: Final = tuple(form for form in PROGRAMS if "clips" in EXPORTS[form].takes)  # files of many clips
 BOM: Final = b"\xef\xbb\xbf"  # by which Excel knows that a CSV is UTF-8
 
 
@@ -120,7 +111,7 @@ class AppSession(Page):
                 "paused": project.paused,
                 "running": None if project.running is None else project.running.id,
                 "left_s": round(left / rate) if rate else None,
-                "programs": {name: {"name": program.name, "many": program.many} for name, program in PROGRAMS.items()},
+                "programs": {form: {"name": name, "many": form in OF_MANY} for form, name in PROGRAMS.items()},
                 "ended": self.ended,
             }
 
@@ -303,15 +294,15 @@ class AppSession(Page):
 
     def _export(self, program: str, clip: int | None = None) -> Answer:
         """A file for a program, of one clip or of all; it stays in exports/."""
-        programs = [name for name, program in PROGRAMS.items() if program.many or clip is not None]
-        if program not in programs:
-            raise RefusedError(400, f"{program}: choose among {', '.join(programs)}")
-        kind, project = PROGRAMS[program], self.project
+        known = OF_MANY if clip is None else (*PROGRAMS,)
+        if program not in known:
+            raise RefusedError(400, f"{program}: choose among {', '.join(known)}")
+        project = self.project
         name, runs = project.folder.name, sorted({path.parent for path in project.folder.glob("runs/*/trajectory.*")})
         if clip is not None:
             chosen = project.find(clip)
             name, runs = chosen.name, [project.run_of(chosen)]
-        path = project.folder / "exports" / f"{name}.{kind.ending}"
+        path = project.folder / "exports" / f"{name}.{EXPORTS[program].ending}"
         make_folder(path.parent, "free some space")
         try:
             clips = []
@@ -322,11 +313,11 @@ class AppSession(Page):
                     clips.append(tables.Clip(where.name if where else run.name, table))
             if not clips:
                 raise InputError("no run can be read yet")
-            data = encoded(content(clips, kind.form, path, box=kind.box, many=clip is None))
+            data = encoded(content(clips, program, path, box="points", many=clip is None))
         except FacetrackError as e:
             raise UsageError(flat(str(e))) from None  # 422: the page says why
         with self._exporting, writing(path, "close what uses it"):
-            path.write_bytes(BOM * kind.name.startswith("Excel") + data)
+            path.write_bytes(BOM * PROGRAMS[program].startswith("Excel") + data)
         saved_as = re.sub(r'[^ -~]|["\\]', "_", path.name)
         headers = (("Content-Disposition", f'attachment; filename="{saved_as}"'),)
         return Answer(path, kind="application/octet-stream", headers=headers)

@@ -14,13 +14,13 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import numpy as np
 from pydantic import Field, StrictBool, StrictInt
 
-from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, flat
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.editor.history import Fixer, merged
 from facetrack_cli.editor.pick_session import requirement
-from facetrack_cli.editor.save import keep, save
+from facetrack_cli.editor.save import is_tracked_again, keep, save
 from facetrack_cli.editor.session import Answer, Draft, Json, Page, Proposer, RefusedError, Route, Session, jpeg
 from facetrack_cli.engine.corrected import correctable_parts
 from facetrack_cli.recipe.model import OpenCvRecipe
@@ -53,6 +53,7 @@ class FixSession(Session):
         self.fixer, self.video = fixer, video
         self.saved: list[str] = []  # a line on each file, of the last save
         self.saves = self.rows_revision = 0
+        self._resumed = unsaved  # until they are applied
         self._parts = run.parts
         about = {
             "clip": run.header.clip_name + f": {run.rows.targets[0]}" * run.film,
@@ -61,6 +62,7 @@ class FixSession(Session):
             "requirements": [_requirement(name, parts) for name, parts in self._parts.items()],
             "free": False,
             "saves_to": str(run.folder),
+            "again": is_tracked_again(run),
             "learns": not isinstance(run.recipe, OpenCvRecipe),  # OpenCV's trackers always learn again
         }
         proposer, draft = Proposer(frames, run.recipe, run.recipe.points), Draft(run.first, {})
@@ -131,16 +133,27 @@ class FixSession(Session):
         """Make the draft a correction of its frame. `learn` as of Correction; "keep" leaves that as it is."""
         draft = self.current(base)
         self.refuse_if_busy()
-        corrections = []
-        for name, target in draft.targets.items():
-            if not target.empty:
-                new = Correction(draft.frame, name, target.rounded(), absent=target.absent)
-                corrections.append(merged(new, self.fixer.find(draft.frame, name), self._parts[name]))
+        corrections = self._drafted(draft)
         if not corrections:
             raise RefusedError(422, f"nothing is corrected in frame {draft.frame}; move a part, or mark it as absent")
         return self._put(
             corrections if learn == "keep" else [replace(correction, learn=learn) for correction in corrections], draft
         )
+
+    def _drafted(self, draft: Draft) -> list[Correction]:
+        """What the draft says, over what is corrected there already."""
+        frame, each = draft.frame, [(name, target) for name, target in draft.targets.items() if not target.empty]
+        new = [Correction(frame, name, target.rounded(), absent=target.absent) for name, target in each]
+        return [merged(later, self.fixer.find(frame, later.target), self._parts[later.target]) for later in new]
+
+    def change(self, draft: Draft) -> None:
+        """Also keeps what it says, as if it were tracked already."""
+        with self.lock:
+            super().change(draft)
+            try:
+                keep(self.fixer, (*self._resumed, *self._drafted(draft)))
+            except OutputError as e:
+                self.message = flat(str(e))
 
     def _put(self, corrections: Sequence[Correction], draft: Draft | None = None) -> Answer:
         """Have corrections tracked; the draft that they are made of becomes empty."""
@@ -197,7 +210,7 @@ class FixSession(Session):
         folder = self.fixer.run.folder
         left = [f"{folder / UNSAVED}: corrections that are not saved; {self.fixer.run.fixed_by} goes on with them"]
         nothing = [f"{folder}: nothing was corrected, all is as it was"]
-        self.end(self.saved + left * self.fixer.changed or nothing, f"facetrack report {folder} --overwrite")
+        self.end(self.saved + left * (folder / UNSAVED).is_file() or nothing, f"facetrack report {folder} --overwrite")
         return self.state()
 
     def _undo(self) -> Answer:
@@ -212,7 +225,7 @@ class FixSession(Session):
             work(report=report, stop=self.stopping.is_set)
             with self.lock:
                 self.rows_revision += 1
-            keep(self.fixer)
+                keep(self.fixer, self._drafted(self.draft))
 
         self.start_job(what, job)
         return Answer({}, 202)
@@ -223,13 +236,15 @@ class FixSession(Session):
             self.fixer.apply(corrections, **options)
         except FacetrackError as e:
             raise InputError(f"the corrections of the last session were left out: {e}") from e
+        finally:
+            self._resumed = ()
         with self.lock:
             self.message = "the corrections of the last session, which were not saved, are applied; undo removes them"
 
     def _write(self, report: Report) -> None:
         messages = save(self.fixer, video=self.video, report=report, stop=self.stopping.is_set)
         with self.lock:
-            self.saved, self.saves = messages, self.saves + 1
+            self.saved, self.saves, self.rows_revision = messages, self.saves + 1, self.rows_revision + 1
 
     def state(self) -> Json:
         with self.lock:

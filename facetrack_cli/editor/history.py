@@ -189,9 +189,9 @@ class Fixer:
         if not correction.confirmed:
             tracker_for(run.recipe, replace(run.start, corrections=(correction,)), source.size, source.fps)
 
-    def saved(self) -> None:
-        """The run's files have the corrections of now."""
-        self._saved = self.corrections
+    def saved(self, rows: Trajectory) -> None:
+        """The run's files have the corrections of now, and these rows."""
+        self._saved, self.rows, self.now = self.corrections, rows, (self.corrections, rows)
         self.run = replace(self.run, files={form: (path, stamp(path)) for form, (path, _) in self.run.files.items()})
 
     def close(self) -> None:

@@ -5,12 +5,12 @@ and its corrections are what its rows say is by hand. Saved, its rows take their
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
 from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.engine.corrected import all_or, correctable_parts
@@ -47,10 +47,10 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     if run.film:
         lines = _save_track(run, rows, video=video, report=report, stop=stop)
         forget(run)
-        fixer.saved()
+        fixer.saved(rows)
         return lines
     files: dict[Path, Write] = {}
-    if "smoothed" in rows.header or run.recipe.later:
+    if is_tracked_again(run):
         filtered, rows = _tracked_again(fixer, report, stop)
         if filtered is not None:
             files[folder / FILTERED] = partial(write_rows, "csv", rows=filtered)
@@ -66,8 +66,13 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     notes += past_end(fixer.corrections, run.last, str(folder / CORRECTED))
     if run.video is not None and not video:
         notes.append(f"{run.video}: left as it was, it shows the track of before")
-    fixer.saved()
+    fixer.saved(rows)
     return [*(f"{path}: written" for path in written), *notes, *outdated(folder)]
+
+
+def is_tracked_again(run: Run) -> bool:
+    """Whether the whole clip is tracked again to save a corrected run."""
+    return "smoothed" in run.rows.header or bool(run.recipe.later)
 
 
 def _tracked_again(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Trajectory | None, Trajectory]:
@@ -92,7 +97,7 @@ def _tracked_again(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Traject
                 beliefs[name].append(() if target.beliefs is None else target.beliefs())
             report(done, total)
     rows = as_written(collected.trajectory(header=run.rows.header, path=run.rows.path))
-    return (rows, given_all(rows, beliefs)) if kept else (None, rows)
+    return (rows, as_written(given_all(rows, beliefs))) if kept else (None, rows)
 
 
 def _check(run: Run) -> None:
@@ -104,13 +109,22 @@ def _check(run: Run) -> None:
         raise OutputError(f"{run.folder / CORRECTED}: is a folder, where a file is to be; move it away, and save again")
 
 
-def keep(fixer: Fixer) -> Path | None:
-    """Write the corrections that are not saved, so that the next session goes on with them. None if there are none."""
-    path = fixer.run.folder / UNSAVED
-    if not fixer.changed:
+def keep(fixer: Fixer, drafted: Iterable[Correction] = ()) -> Path | None:
+    """Write the corrections that are not saved, so that the next session goes on with them. None if there are none.
+
+    Those that are `drafted` are not tracked yet; of them those are written that fit the run.
+    """
+    path, new = fixer.run.folder / UNSAVED, dict[tuple[int, str], Correction]()
+    for one in drafted:
+        with contextlib.suppress(FacetrackError):
+            fixer.check(one, beyond=True)
+            new[one.frame, one.target] = one
+    if not (fixer.changed or new):
         forget(fixer.run)
         return None
-    write_init(path, fixer.start, clip=fixer.run.clip.name, overwrite=True)
+    others = (one for one in fixer.corrections if (one.frame, one.target) not in new)
+    start = replace(fixer.start, corrections=(*others, *new.values()))
+    write_init(path, start, clip=fixer.run.clip.name, overwrite=True)
     return path
 
 

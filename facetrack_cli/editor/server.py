@@ -33,6 +33,13 @@ IDLE_S: Final = 60.0  # until a connection without requests is closed
 POLL_S: Final = 0.1
 PIECE_BYTES: Final = 1 << 18  # of a file that is sent
 KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+HEAD: Final = b"""<head>
+    <meta charset="utf-8">
+    <meta name="viewport" content="width=device-width, initial-scale=1, viewport-fit=cover">
+    <meta name="color-scheme" content="dark light">
+    <meta name="robots" content="noindex">
+    <link rel="icon" href="data:,">
+    <link rel="stylesheet" href="style.css">"""
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'",
@@ -52,7 +59,11 @@ _BODY = TypeAdapter(dict[str, Any])
 def assets() -> Mapping[str, Answer]:
     """The files of the page by name; no other file is ever served."""
     kinds = [(file, KINDS.get(file.suffix)) for file in Path(__file__).with_name("assets").iterdir()]
-    return {file.name: Answer(file.read_bytes(), kind=f"{kind}; charset=utf-8") for file, kind in kinds if kind}
+    return {
+        file.name: Answer(file.read_bytes().replace(b"<head>", HEAD), kind=f"{kind}; charset=utf-8")
+        for file, kind in kinds
+        if kind
+    }
 
 
 class Server(ThreadingHTTPServer):

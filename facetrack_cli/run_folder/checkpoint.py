@@ -26,7 +26,7 @@ FOLDER: Final = ".checkpoint"
 KIND: Final = Kind("facetrack-checkpoint", 1, "checkpoint of a run", "facetrack run")
 PIECE_FRAMES = 250  # of a piece of the video
 EVERY_S, EVERY_FRAMES = 30.0, 1000  # between two checkpoints, whichever is less
-_FILE: Final = "state.npz"
+STATE: Final = "state.npz"
 Steps: TypeAlias = Sequence[Callable[[], None]]  # that bring files to the disk, before a checkpoint relies on them
 
 
@@ -38,7 +38,7 @@ class Checkpoints:
 
     def __init__(self, out: Path, key: str, *, video: bool) -> None:
         self.folder, self._key, self._video = out / FOLDER, key, video
-        check_plain(self.folder, self.folder / _FILE)
+        check_plain(self.folder, self.folder / STATE)
         self._worker = ThreadPoolExecutor(1, "checkpoint")
         self._marked: dict[int, tuple[Arrays, Steps]] = {}  # by frames: what waits for the video
         self._ready: tuple[Arrays, Steps] | None = None
@@ -53,10 +53,10 @@ class Checkpoints:
             self._last_frames = int(stored.file["frames"])
             return read_value(stored, "run"), read_value(stored, "painted") if self._video else None
 
-        if (self.folder / _FILE).is_file():
+        if (self.folder / STATE).is_file():
             sweep(self.folder)
             with contextlib.suppress(InputError):  # a file that is damaged
-                return KIND.read(self.folder / _FILE, make)
+                return KIND.read(self.folder / STATE, make)
         return None
 
     def is_due(self, frames: int) -> bool:
@@ -94,7 +94,7 @@ class Checkpoints:
             for step in steps:
                 step()
             if arrays:
-                KIND.write(self.folder / _FILE, {"key": np.array(self._key), **arrays})
+                KIND.write(self.folder / STATE, {"key": np.array(self._key), **arrays})
 
     def end(self) -> None:
         """Wait until all is kept."""

@@ -136,7 +136,7 @@ class FolderLease:
     def _acquired(self) -> SoftFileLease:
         """The lease of the folder, which is made. Raises BusyError, OutputError, OSError."""
         path = self._folder / LOCK
-        remedy = "wait until it ends, or name another folder with --out"
+        remedy = "wait until it ends, or name another folder"
         busy = BusyError(f"{self._folder}: another facetrack is writing its results here; {remedy}")
         try:
             self._folder.mkdir(parents=True, exist_ok=True)

@@ -47,7 +47,7 @@ Init: TypeAlias = str | Path | Start | Box
 IMAGES = "the images"
 
 
-@named_as_arguments
+@named_as_arguments()
 def track_video(
     path: str | Path,
     recipe: str | Path | Recipe | None = None,
@@ -148,7 +148,8 @@ def track_frames(
     if lag:
         check_smoothing(tracker.recipe)
     results = tracker._follow(frames_of_images(images, clock or (lambda index: index / fps)))
-    yield from lagged(results, lag) if lag else results
+    with named_as_arguments():
+        yield from lagged(results, lag) if lag else results
 
 
 class Recording:
@@ -198,6 +199,7 @@ class Recording:
         chosen, self._rate = chosen_recipe(recipe, None, None), _rate(fps)
         self.job = Job(Path(clip), chosen, Path(out), formats=tuple(formats), video=video, overwrite=overwrite)
 
+    @named_as_arguments()
     def __enter__(self) -> Recording:
         with contextlib.ExitStack() as opened:
             folder = opened.enter_context(RunFolder(resolve(self.job)))
@@ -347,6 +349,7 @@ class Tracker:
         if state is not None:
             self._load(Path(state))
 
+    @named_as_arguments()
     def update(self, image: Image, time_s: float | None = None) -> FrameResult | None:
         """Track one image more.
 

@@ -29,7 +29,7 @@ from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.core.types import BOX, Box, Frame, Image
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.api import frames_of_images, track_frames
+from facetrack_cli.runs.api import Tracker, frames_of_images
 from facetrack_cli.runs.signals import never
 from facetrack_cli.start.presence import LOOK_FRAMES, MultiFaceTracker
 from facetrack_cli.trackers.face.detectors import detector
@@ -97,10 +97,8 @@ def follow(
 
     count = 0
     try:
-        if cast is None:
-            results = track_frames(counted(), recipe, init=init, clock=shown.pop)
-        else:
-            results = cast.follow(frames_of_images(counted(), shown.pop), recipe)
+        frames = frames_of_images(counted(), shown.pop)
+        results = Tracker(recipe, init=init)._follow(frames) if cast is None else cast.follow(frames, recipe)
         for result in results:
             at = came[result.frame.index]
             for index in [index for index in came if index <= result.frame.index]:

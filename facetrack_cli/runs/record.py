@@ -181,6 +181,7 @@ class RunFolder:
         assert plan.job.out is not None
         self.plan, self.path = plan, plan.job.out
         self.checkpoints: Checkpoints | None = None
+        self.anew = False  # although it has a checkpoint
         self.lease = FolderLease(self.path, stopped)
         self._run = Manifest(networks=plan.job.recipe.networks, host=here()[0])
 
@@ -208,6 +209,7 @@ class RunFolder:
         if last and len(marks) == len(sinks) and all(sink.fits(mark) for sink, mark in zip(sinks, marks, strict=True)):
             last[0].outcome.resumed = last[0].frame
             return last
+        self.anew = job.resume and not job.overwrite and (self.path / checkpoint.FOLDER / checkpoint.STATE).is_file()
         remove_checkpoints(self.path)
         return None
 

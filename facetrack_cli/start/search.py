@@ -66,8 +66,8 @@ class _Candidate:
     """A candidate for a face: boxes, points and contrast of the frames that show it, and where a track can begin.
 
     `change`: the largest change of the image in its first box since then, in grey levels; `deformed`: that of the first
-    `compared` of its `views`, each laid on the first one. `certain`: the regression has seen nose and mouth. `face`: as
-    it was found first.
+    `compared` of its `views`, each laid on the first one. `clear`: whether the regression has seen nose and mouth, in
+    each frame. `face`: as it was found first.
     """
 
     face: Detection
@@ -75,8 +75,8 @@ class _Candidate:
     points: list[dict[str, Point]] = field(default_factory=list)
     contrast: list[float] = field(default_factory=list)
     begins: dict[int, Start] = field(default_factory=dict)
+    clear: list[bool] = field(default_factory=list)
     features: bool = False
-    certain: bool = False
     patch: Image | None = None
     change: float = 0.0
     views: list[Image] = field(default_factory=list)
@@ -90,6 +90,10 @@ class _Candidate:
     @property
     def last(self) -> int:
         return self.boxes[-1][0]
+
+    @property
+    def certain(self) -> bool:
+        return any(self.clear)
 
     @property
     def size(self) -> float:
@@ -265,7 +269,7 @@ class _Search:
         candidate.points.append(points)
         candidate.contrast.append(float(grey.std()))
         candidate.see(frame, alone=len(self.candidates) < 2)
-        candidate.certain = candidate.certain or placed.log_odds > 0
+        candidate.clear.append(placed.log_odds > 0)
         candidate.features = candidate.features or face.sure or candidate.certain or shows_eye(frame.bgr, face.box)
         start = Start(frame.index, {"face": TargetStart(face.box, points)}, self.detector.name)
         try:
@@ -301,10 +305,13 @@ class _Search:
         return ALONE_S if any(candidate.lives for candidate in able) else STILL_S
 
     def start(self, chosen: Sequence[_Candidate], rivals: Sequence[_Candidate]) -> Start:
-        """The start of the chosen faces: the first frame in which the best face is well lit."""
+        """The start of the chosen faces: the first frame in which the best face is well lit and, if it ever is, clear:
+        a box around a face that something covers may be off.
+        """
         best = chosen[0]
-        lit = {frame for (frame, _), value in zip(best.boxes, best.contrast, strict=True) if value >= MIN_CONTRAST}
-        at = min(lit & set(best.begins) or set(best.begins))
+        each = zip(best.boxes, best.contrast, best.clear, strict=True)
+        lack = {frame: (value < MIN_CONTRAST, not clear, frame) for (frame, _), value, clear in each}
+        at = min(best.begins, key=lack.__getitem__)
         start, others = best.begins[at], [candidate for candidate in chosen[1:] if at in candidate.begins]
         targets = {}
         for name, target in start.targets.items():

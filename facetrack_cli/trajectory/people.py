@@ -185,10 +185,12 @@ def merge(tracks: Tracks, name: str, into: str) -> Tracks:
 
 
 def rename(tracks: Tracks, name: str, to: str) -> Tracks:
-    """With another name of a person. UsageError for a name that somebody has, or that is none."""
+    """With another name of a person. UsageError for a name that somebody has, that is none, or that no option takes."""
     _of(tracks, name)
     try:
         checked_name(to)
+        if {"=", "@"} & {*to}:
+            raise ValueError(f"{to!r} has = or @, by which options end a name; leave them out")
     except ValueError as e:
         raise UsageError(f"--rename {name}={to}: {e}") from None
     if any(track.person == to for _, track in tracks):

@@ -8,9 +8,10 @@ import types
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 
-from facetrack_cli import track_video
+from facetrack_cli import Recording, track_frames, track_video
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli import app as cli
 from facetrack_cli.core import __version__
@@ -167,6 +168,7 @@ def test_a_command_may_return_its_exit_code_or_leave_with_it(boom, code):
         (["--hlep"], "No such option"),
         (["smooth", "out"], 'no command "smooth"; it is facetrack run --smooth now'),
         (["recipes", "show"], "Missing argument 'RECIPE' (see facetrack recipes show --help)"),
+        (["people", "out", "--save", "p.txt"], "p.txt: cannot tell the kind of file; let its name end in .npz"),
         (["export", "run"], "Missing option '--to'. Choose from: csv-wide, pose,"),
         (["recipes", "show", "factorised"], '"factorised" is neither a file nor a shipped recipe; did you mean'),
     ],
@@ -331,9 +333,14 @@ def test_init_finds_all_faces_of_a_frame(tmp_path, capsys):
     assert "leave out --box" in capsys.readouterr().err
 
 
-def test_errors_for_python_name_its_arguments():
+def test_errors_for_python_name_its_arguments(tmp_path):
     with pytest.raises(InputError, match=r"change start or stop, or begin elsewhere with init or a box as init$"):
         track_video(FOLDER / "map.mp4", "mil", start=5, stop=9)
+    with pytest.raises(InputError, match=r"give its box with a box as init .*, an init file with init FILE"):
+        [*track_frames([np.zeros((60, 80, 3), np.uint8)], "face")]
+    (tmp_path / "out").write_text("")
+    with pytest.raises(OutputError, match=r"name another with out$"), Recording(tmp_path / "out", "sir"):
+        pass
 
 
 def test_a_project_is_a_folder(capsys):

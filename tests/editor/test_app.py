@@ -12,6 +12,7 @@ from facetrack_cli.editor.app_session import PROGRAMS, AppSession, likely_in
 from facetrack_cli.editor.project import Project
 from facetrack_cli.editor.server import serving
 from facetrack_cli.run_folder.manifest import read_manifest
+from facetrack_cli.trajectory.formats import EXPORTS
 from facetrack_cli.video.seek import Frames
 from tests.support.page_client import Client, drive, wait_for
 from tests.support.samples import FOLDER, cut
@@ -164,16 +165,16 @@ def test_a_clip_is_run_looked_at_and_exported(app, clips):
     [face] = look["targets"]
     assert face["name"] == "face" and "mouth_opening" in [curve["name"] for curve in face["curves"]]
     assert len(face["curves"][0]["values"]) == 30 and 0 <= face["curves"][0]["values"][3] <= 1
-    table = one.client.get("api/export/1?program=excel")
+    table = one.client.get("api/export/1?program=csv-wide")
     assert table.data.startswith(b"\xef\xbb\xbfframe,") and len(table.data.splitlines()) == 31
-    assert table.headers["Content-Disposition"] == 'attachment; filename="smile.csv"'
-    assert b"ANNOTATION_DOCUMENT" in one.client.get("api/export/1?program=elan").data
+    assert table.headers["Content-Disposition"] == 'attachment; filename="smile.wide.csv"'
+    assert b"ANNOTATION_DOCUMENT" in one.client.get("api/export/1?program=eaf").data
     assert {one.client.get(f"api/export/1?program={program}").status for program in PROGRAMS} == {200}
     assert one.client.get("api/export?program=measures").data.startswith(b"\xef\xbb\xbfclip,frame,")
-    assert one.client.get("api/export?program=elan").status == 400
+    assert one.client.get("api/export?program=eaf").status == 400
     assert one.client.get("api/export/1?program=word").status == 400
     made = {path.name for path in (one.session.project.folder / "exports").iterdir()}
-    assert made == {"project.measures.csv", *(f"smile.{program.ending}" for program in PROGRAMS.values())}
+    assert made == {"project.measures.csv", *(f"smile.{EXPORTS[program].ending}" for program in PROGRAMS)}
 
     url = one.post("open", clip=1, page="fix").json["url"]
     assert one.client.get(f"{url}api/session").json["mode"] == "fix" and b"app.js" in one.client.get(url).data
@@ -185,7 +186,7 @@ def test_a_clip_is_run_looked_at_and_exported(app, clips):
 
     assert one.post("remove", clip=1).status == 200
     assert [path.name for path in (one.session.project.folder / "removed").iterdir()] == ["smile-face"]
-    assert one.client.get("api/export/1?program=excel").status == 404
+    assert one.client.get("api/export/1?program=csv-wide").status == 404
     [again] = one.add(clips / "smile.mp4")
     assert again["state"] == "ready" and not again["start"], "what was made of it before is not taken for its own"
 

@@ -102,7 +102,7 @@ def test_from_clips_dropped_to_an_excel_table_and_an_elan_file(open_app, clips, 
     table = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"))))
     assert name == "study.measures.csv" and data.startswith(b"\xef\xbb\xbf")
     assert {row["clip"] for row in table} == {path.name for path in clips} and len(table) == 40
-    name, data = exported(window, "export-1", "elan")
+    name, data = exported(window, "export-1", "eaf")
     assert name == "expressions.eaf" and ET.fromstring(data).tag == "ANNOTATION_DOCUMENT"
 
     look_at(window)

@@ -33,6 +33,7 @@ from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 from tests.support.hands_run import hands_run
+from tests.support.page_client import fixing
 from tests.support.results import rows_of as objects_of
 from tests.support.samples import FOLDER
 
@@ -566,3 +567,9 @@ def test_a_signer_is_tracked_again_as_a_whole(more, tmp_path, monkeypatch):
         np.testing.assert_array_equal(ours.x, theirs.x)
         np.testing.assert_array_equal(ours.confidence, theirs.confidence)
     assert saved.find("right_hand", "box").x[6] == pytest.approx(224.5, abs=2)
+    with fixing(Path("out")) as (session, _):
+        assert session.about()["again"]
+        session.fixer.put([Correction(9, "right_hand", absent=True)])
+        save(session.fixer)
+        left, files = (rows.find("left_hand", "box") for rows in (session.fixer.rows, read_trajectory(Path("out"))))
+        np.testing.assert_array_equal(left.x, files.x, "the page shows what is saved")

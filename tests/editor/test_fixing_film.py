@@ -156,3 +156,19 @@ def test_the_export_of_a_film_comes_back_to_one_track(film, export, capsys):
     capsys.readouterr()
     assert main(["fix", str(film), *who]) == 3
     assert "has no track of person_1, but of nobody_1" in capsys.readouterr().err
+
+
+def test_segments_of_elan_are_taken_of_one_person(film, tmp_path, capsys):
+    file = tmp_path / "notes.eaf"
+    slots = "".join(f'<TIME_SLOT TIME_SLOT_ID="{time}" TIME_VALUE="{time}"/>' for time in (1000, 1400))
+    note = (
+        '<ANNOTATION><ALIGNABLE_ANNOTATION ANNOTATION_ID="a" TIME_SLOT_REF1="1000" TIME_SLOT_REF2="1400">'
+        "<ANNOTATION_VALUE>absent</ANNOTATION_VALUE></ALIGNABLE_ANNOTATION></ANNOTATION>"
+    )
+    tier = f'<TIER TIER_ID="absent@person_1" PARTICIPANT="person_1" LINGUISTIC_TYPE_REF="any">{note}</TIER>'
+    file.write_text(f'<ANNOTATION_DOCUMENT FORMAT="3.0"><TIME_ORDER>{slots}</TIME_ORDER>{tier}</ANNOTATION_DOCUMENT>')
+    assert main(["fix", str(film), "--import", str(file)]) == 0
+    assert "segments count with --person NAME@TIME" in capsys.readouterr().err
+    assert main(["fix", str(film), "--person", "person_1@0:00", "--import", str(file), "--no-video"]) == 0
+    nose = rows_in(film).find("person_1", "nose")
+    assert nose.frame[nose.status == "absent"].tolist() == [*range(25, 35)]

@@ -3,8 +3,10 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
@@ -117,14 +119,16 @@ def test_parts_that_no_correction_places_are_left_out_by_name(runs, capsys):
 @pytest.mark.parametrize("form", ["cvat", "elan"])
 def test_a_whole_face_is_absent_with_the_parts_that_no_correction_places(runs, form):
     run, notes = runs / "face", []
+    names = open_run(run).parts["face"]
     if form == "cvat":
-        names = open_run(run).parts["face"]
         labels = ["face" if part == "box" else f"face__{part}" for part in names]
         file = in_cvat(run, **{f"{label}_{frame}": {"outside": "1"} for label in labels for frame in (5, 6)})
     else:
         file = in_elan(run, ("absent@face", "face", [(200, 280, "absent")]))
     opened = open_run(run)
-    gone, back = imported_corrections(file, opened, opened.rows, notes.append)
+    eye = (opened.rows.frame == 5) & (opened.rows.which == names.index("eye_left_outer"))
+    rows = replace(opened.rows, status=np.where(eye, "lost", opened.rows.status))
+    gone, back = imported_corrections(file, opened, rows, notes.append)
     assert gone == Correction(5, "face", absent=True) and back.frame == 7 and not notes
     assert set(back.given.points) == {"nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower"}
     if form == "elan":

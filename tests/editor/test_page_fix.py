@@ -219,10 +219,13 @@ def test_save_writes_the_run_and_goes_on_until_done(page, out, monkeypatch):
     one.track(8, face=NOSE)
     assert (out / UNSAVED).is_file()
     assert {p.name: p.read_bytes() for p in out.iterdir() if p.name != UNSAVED} == before
-    one.client.put_draft(9, face=NOSE)
+    for nose, kept in (([950.0, 1.0], [8]), ([150.0, 130.5], [8, 9])):  # what was dragged is kept before it is tracked
+        one.client.put_draft(9, face={"points": {"nose": nose}})
+        assert [each.frame for each in read_init(out / UNSAVED).corrections] == kept
     got = one.client.save()
     assert got.status == 422 and "what was moved in frame 9 is not tracked yet" in got.json["error"]
     one.client.put_draft(9)
+    assert [each.frame for each in read_init(out / UNSAVED).corrections] == [8]
     with monkeypatch.context() as patch:
         patch.setattr(saving, "as_yaml", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "No space left")))
         assert one.client.save().status == 202

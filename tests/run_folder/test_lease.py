@@ -45,7 +45,7 @@ def is_refused(folder):
         with FolderLease(folder):
             return False
     except BusyError as e:
-        remedy = "wait until it ends, or name another folder with --out"
+        remedy = "wait until it ends, or name another folder"
         assert str(e) == f"{folder}: another facetrack is writing its results here; {remedy}"
         assert (folder / LOCK).read_bytes() == before and names(folder) == [LOCK, NOTE]
         return True

@@ -221,6 +221,14 @@ def test_a_face_that_lies_begins_as_it_lies(detector, degrees):
     assert (x + w / 2, y + h / 2, w) == pytest.approx((160, 120, 100), abs=25)
 
 
+def test_a_track_begins_where_nothing_covers_the_face():
+    frames = [*moving.clip([POSE] * 12)]
+    for frame in frames[:4]:
+        frame.bgr[115:] = 128  # a board before nose and mouth
+    start = search_start(frames, detector=Fake(lambda t: [(110, 70, 100)]))
+    assert start.frame == 4 and off(start.targets["face"].points, POSE) < 0.25
+
+
 def test_an_upright_face_is_looked_at_once():
     looks = []
 

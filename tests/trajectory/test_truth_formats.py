@@ -105,7 +105,7 @@ def test_shift_is_added_to_every_frame(tmp_path, form):
 @pytest.mark.parametrize(
     ("form", "text", "message"),
     [
-        ("auto", "\ufeff\r\n \r\n", "is empty"),
+        ("auto", "\ufeff\r\n \r\n", "is empty; name another file"),
         ("auto", b"\x00\x00\x01\xba mpeg", "is binary"),
         ("auto", b"1,2,3,4\n\xff\xfe", ":2: is not UTF-8 text; save it as UTF-8"),
         ("auto", "1,2,3,4\n".encode("utf-16"), "is UTF-16 text; save it as UTF-8"),

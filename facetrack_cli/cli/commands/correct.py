@@ -82,8 +82,8 @@ def fix_command(
 
     With --import, the corrections are what differs from the run in a file of an annotation tool, to which facetrack
     export --to cvat, labelstudio or eaf has brought it: parts that were moved, and parts that were marked as not
-    visible. Of ELAN's .eaf the segments of the tiers seen and absent count, and of a film the participants, who are the
-    names of its people.
+    visible. Of ELAN's .eaf the segments of the tiers seen and absent count, and of a film without --person the
+    participants, who are the names of its people.
 
     The video is drawn from the rows, which do not hold the particles: they are no longer in it.
 
@@ -113,7 +113,7 @@ def fix_command(
     )
     if file is not None:
         page.refuse(f"leave it or {'--init' if init else '--import'} out")
-    if imported is not None and imported.suffix.lower() == ".eaf" and (folder / PEOPLE).is_file():
+    if imported is not None and imported.suffix.lower() == ".eaf" and not person and (folder / PEOPLE).is_file():
         return _rename(folder, clip, imported, quiet, video=not no_video)
     opened = _track(folder, clip, *person) if person else open_run(folder, clip)
     with Frames(opened.clip, fps=opened.fps, stream=opened.header.source.stream) as frames:
@@ -184,7 +184,7 @@ def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: 
     at = clip or clip_of(rows_in(folder))
     names = renames(file, people_in(folder).names, at.name if at else "")
     if not names:
-        say(f"facetrack: {file} is as the run has it; nothing was written")
+        say(f"facetrack: {file}: the names are the run's, nothing was written; segments count with --person NAME@TIME")
         return ExitCode.DONE
     changes = [(f"rename {old}={name}", partial(rename, name=old, to=name)) for old, name in names.items()]
     with working(quiet, folder.name or str(folder), f"{folder} is as it was") as (stop, shown):

@@ -121,11 +121,9 @@ def eval_command(
     outputs = {"--json": json_file, "--csv": csv_file, "--plot": plot}
     files = {name: Path(file) for name, file in outputs.items() if file is not None and file != "-"}
     same = len({os.path.realpath(path) for path in files.values()}) < len(files)
-    other_form = plot is not None and plot.suffix.lower() != ".png"
     refuse(
         (json_file == csv_file == "-", "--json - and --csv - both name standard output; write one of them to a file"),
         (same, f"{' and '.join(files)} name the same file; name one for each"),
-        (other_form, f"--plot {plot}: the figure is a PNG; let its name end in .png"),
     )
     for path in files.values():
         check_new(path, overwrite=overwrite)

@@ -160,8 +160,6 @@ def _check_files(clip: Path, path: Path | None, preview: Path | None, overwrite:
 
     if path is not None and path.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
-    if preview is not None and preview.suffix.lower() != ".png":
-        raise OutputError(f"{preview}: the preview is a PNG; let its name end in .png")
     if pick and not overwrite and path is not None and path.is_file():
         begin = f"facetrack init {clip} --pick --overwrite begins with it"
         raise OutputError(f"{path}: exists already; {begin}, and replaces it; or name another file with --out")

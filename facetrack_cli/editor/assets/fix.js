@@ -4,7 +4,7 @@ import * as api from "./api.js";
 import { $, askToConfirm, capitalized, plural, readable, setText, Tabs, TOUCH } from "./dom.js";
 import { describe } from "./fix_list.js";
 import { isUncertain } from "./fix_store.js";
-import { Jobs } from "./jobs.js";
+import { again, Jobs } from "./jobs.js";
 import { Mode } from "./mode.js";
 import { Play } from "./playback.js";
 import { Review } from "./review.js";
@@ -156,7 +156,7 @@ export class Fix extends Mode {
     const yes = await askToConfirm(
       count ? `Save ${plural(count, "correction")}?` : "Save without corrections?",
       `In ${store.session.saves_to}, the trajectory, the annotated video and corrected.init.yaml are written. ` +
-        "They replace the files that are there now.",
+        `They replace the files that are there now.${again(store)}`,
       "Save",
     );
     if (!yes) return;

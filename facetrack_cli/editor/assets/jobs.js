@@ -25,6 +25,10 @@ export function changes(before, after) {
     .join("; ");
 }
 
+/** What Save does to the rows that are shown, if it is more than writing them. */
+export const again = ({ session }) =>
+  session.again ? " Save tracks the whole clip again, and its rows may differ a little from these." : "";
+
 export class Jobs {
   /** `corrections()` gives those that there are; `refreshed()` waits for the overview, and gives those of now. */
   constructor(store, sync, { say, corrections, refreshed }) {
@@ -78,7 +82,7 @@ export class Jobs {
     $("learn-box").checked = true; // the choice is for one correction
     const body = () => ({ base: this.sync.revision, learn });
     const done = await this.#run("track", body, [frame, this.#end(frame, targets)]);
-    if (done) this.say(`Tracked from frame ${frame}: ${names}.`);
+    if (done) this.say(`Tracked from frame ${frame}: ${names}.${again(store)}`);
   }
 
   // the last frame that is tracked again: each target is tracked up to its next correction

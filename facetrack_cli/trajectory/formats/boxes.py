@@ -54,7 +54,7 @@ _HEAD = re.compile(r"\s*version:\s*\S+\s+n_points:\s*(\d{1,4})\s*\{", re.IGNOREC
 
 def read_bytes(path: Path) -> bytes:
     """What is in a file. InputError if missing, a folder, a pipe, or larger than a table."""
-    with reading(path, "name a ground truth file"):
+    with reading(path, "name another file"):
         return read_bounded(path, MAX_TABLE_BYTES, "table of rows")
 
 
@@ -64,14 +64,14 @@ def read_text(path: Path) -> str:
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(f"{path}: is UTF-16 text; save it as UTF-8")
     if b"\0" in raw[:8192]:
-        raise InputError(f"{path}: is binary; name a ground truth file in UTF-8 text")
+        raise InputError(f"{path}: is binary; name a file of UTF-8 text")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as e:
         line = raw.count(b"\n", 0, e.start) + 1
-        raise InputError(f"{path}:{line}: is not UTF-8 text; save it as UTF-8, or name a ground truth file") from e
+        raise InputError(f"{path}:{line}: is not UTF-8 text; save it as UTF-8, or name another file") from e
     if not text.strip():
-        raise InputError(f"{path}: is empty; a ground truth file has a line a frame")
+        raise InputError(f"{path}: is empty; name another file")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
