@@ -1,4 +1,3 @@
-import json
 import os
 import re
 import signal
@@ -19,7 +18,7 @@ from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.recipe.load import TAKE, TASKS, default_recipe
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.video.source import open_source
-from tests.fuzz.test_fuzz import PEOPLE
+from tests.fuzz import guided
 from tests.support.media import write_pictures
 from tests.support.samples import FOLDER
 from tests.support.terminal import read_all
@@ -329,8 +328,8 @@ def test_a_project_is_a_folder(capsys):
 @pytest.fixture
 def film(tmp_path):
     """The folder of a run of everybody, by its rows and its list of people."""
-    (tmp_path / "people.json").write_text(json.dumps(PEOPLE))
-    rows = "".join(f"{t},{t / 25},face,box,50,50,20,20,tracked\n" for t in range(5))
+    (tmp_path / "people.json").write_bytes(next(guided.seeds("people")))
+    rows = "".join(f"{t},{t / 25},a,box,50,50,20,20,tracked\n" for t in range(9))
     (tmp_path / "trajectory.csv").write_text(f"frame,time_s,target,part,x,y,w,h,status\n{rows}")
     return tmp_path
 
@@ -346,6 +345,6 @@ def test_people_prints_its_table_unless_it_is_to_be_quiet(film, capsys):
 def test_people_saves_nothing_over_a_file_that_is_there(film, capsys):
     known = film / "known.npz"
     known.write_text("precious")
-    assert main(["people", str(film), "--rename", "face=Ann", "--save", str(known)]) == ExitCode.USAGE
+    assert main(["people", str(film), "--rename", "a=Ann", "--save", str(known)]) == ExitCode.USAGE
     assert "known.npz: exists already; replace it with --overwrite" in capsys.readouterr().err
     assert known.read_text() == "precious" and '"Ann"' not in (film / "people.json").read_text()

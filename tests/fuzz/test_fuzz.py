@@ -6,7 +6,6 @@ In commands IN is the folder of valid inputs, and @ the file that is damaged.
 import json
 import os
 import re
-import resource
 import shutil
 import struct
 import sys
@@ -28,6 +27,8 @@ from facetrack_cli.core.models import shipped_recipes
 from tests.fuzz import guided, hostile
 from tests.support.media import write_video
 from tests.support.samples import FOLDER, read_pictures
+
+resource = pytest.importorskip("resource", reason="tells how much memory a process takes")
 
 MOST_S, MOST_BYTES, MOST_LETTERS = 30, 1 << 30, 1000
 AT_NIGHT = 300  # cases of each kind
