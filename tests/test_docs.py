@@ -9,9 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
-from facetrack_cli.__main__ import main
 from facetrack_cli.cli.app import cli
-from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.seeds import variant
@@ -79,7 +77,11 @@ def shell_lines():
 
 def test_the_pages_that_the_site_makes_have_all_commands_and_keys():
     tool = from_tools("commands_doc")
-    assert "## facetrack run" in tool.commands_page() and "--help-all" in tool.commands_page()
+    page = tool.commands_page()
+    assert page.count("\n## facetrack") == len([*tool.commands()]) > 20
+    run = page.partition("\n## facetrack run\n")[2].partition("\n## ")[0]
+    assert "\n  --cluster WHERE " in run and "facetrack run 0 --live\n" in run and "Many clips and long clips:\n" in run
+    assert [line for line in run.splitlines() if len(line) > 100] == []
     assert "| `filter.particles` |" in tool.keys_page()
 
 
@@ -127,15 +129,6 @@ def test_command_lines_parse():
                 load_recipe(name, [text for text in (*params.get("overrides", ()), *own) if text != "KEY=VALUE"])
 
 
-def test_the_reference_of_commands_is_all_of_their_help():
-    tool = from_tools("commands_doc")
-    page = tool.commands_page()
-    assert page.count("\n## facetrack") == len([*tool.commands()]) > 20
-    run = page.partition("\n## facetrack run\n")[2].partition("\n## ")[0]
-    assert "\n  --cluster WHERE " in run and "facetrack run 0 --live\n" in run and "Many clips and long clips:\n" in run
-    assert [line for line in run.splitlines() if len(line) > 100] == []
-
-
 def test_scripts_named_are_there():
     for page in PAGES:
         for script in re.findall(r"\b(?:benchmarks|tests|tools)/[\w/]+\.py", page.read_text(encoding="utf-8")):
@@ -181,51 +174,6 @@ def test_the_annotated_recipe_is_the_shipped_one(tmp_path):
     path.write_text(blocks(ROOT / "docs" / "recipes.md", "yaml")[0], encoding="utf-8")
     written, own = (load_recipe(name).model_dump(exclude={"description"}) for name in (str(path), "factorized"))
     assert written == own
-
-
-# documented commands on the sample clips
-
-# what makes a run of each short; commands that are not here want what another one made, or have tests of their own
-SHORT = {
-    "run": ["--no-video", "--stop", "3", "--overwrite", "-q"],
-    "compare": ["--stop", "3", "--seeds", "1", "--no-plots", "--overwrite", "-q"],
-    "prior": ["--overwrite", "-q"],
-    "gallery": ["--overwrite", "-q"],
-    "export": ["--overwrite"],
-}
-
-
-def on_samples(arguments):
-    return arguments[:1] != [] and arguments[0] in SHORT and any("sample_videos/" in word for word in arguments)
-
-
-def sample_lines():
-    lines = {
-        tuple(arguments): page.name
-        for page in PAGES
-        for block in blocks(page, "sh", "bash", "console", "")
-        for arguments, _ in command_lines(block)
-        if on_samples(arguments)
-    }
-    return [(list(arguments), page) for arguments, page in lines.items()]
-
-
-def expanded(words):
-    """As a shell does it, in the current folder."""
-    return [path for word in words for path in (sorted(map(str, Path().glob(word))) if "*" in word else [word])]
-
-
-@pytest.mark.nightly
-def test_documented_commands_run_on_the_sample_clips(tmp_path, monkeypatch, capfd):
-    (tmp_path / "sample_videos").symlink_to(ROOT / "sample_videos")
-    monkeypatch.chdir(tmp_path)
-    lines = sample_lines()
-    assert len(lines) > 8 and {arguments[0] for arguments, _ in lines} == set(SHORT)
-    # a gallery is tracked with, and what exports write is measured against
-    for arguments, page in sorted(lines, key=lambda line: line[0][0] not in ("gallery", "export")):
-        code = main([*expanded(arguments), *SHORT[arguments[0]]])
-        contrib, said = {"csrt", "kcf", "mosse"} & set(arguments), capfd.readouterr().err
-        assert code == 0 or (code == ExitCode.BATCH and contrib), f"{page}: {arguments}: {said}"
 
 
 def test_findings_stand_in_their_table_and_pin_what_they_install():

@@ -195,7 +195,7 @@ def test_a_truth_is_moved_by_frames(facetrack):
     Path("moved.csv").write_text("\n".join([lines[0], *kept]) + "\n", encoding="utf-8")
     clip = FOLDER / "expressions.mp4"
     arguments = ["compare", clip, "--truth", "moved.csv", "--partial", "--config", "factorized:filter.particles=50"]
-    arguments += ["--seeds", "1", "--stop", "120", "--no-plots", "-q"]
+    arguments += ["--seeds", "1", "--stop", "60", "--no-plots", "-q"]
     code, out, _ = facetrack(*arguments, "--shift", "6", "--json")
     assert code == 0 and json.loads(out)["recipes"][0]["mean"]["points.mean_px"] < 2
 

@@ -47,20 +47,8 @@ def test_lines_of_several_clips_say_which(tmp_path, capfd):
     clips = [tmp_path / name for name in ("a.mp4", "b.mp4", "bad.mp4")]
     for clip in clips:
         clip.write_bytes(b"x" if clip.stem == "bad" else (FOLDER / "map.mp4").read_bytes())
-    words = [
-        "run",
-        *map(str, clips),
-        "-j",
-        "2",
-        "--box",
-        "100,60,80,80",
-        "--config",
-        "sir",
-        "--no-video",
-        "--stop",
-        "3",
-    ]
-    set_ = ["--set", "target.parts=[nose]", "--set", "filter.particles=5"]
+    words = ["run", *map(str, clips), "-j", "2", "--box", "100,60,80,80", "--config", "sir", "--no-video"]
+    set_ = ["--stop", "3", "--set", "target.parts=[nose]", "--set", "filter.particles=5"]
     assert main(["--log-format", "json", *words, *set_, "-o", str(tmp_path / "out")]) == 5
     said = objects(capfd.readouterr().err)
     for clip in clips:

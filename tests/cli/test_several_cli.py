@@ -2,10 +2,6 @@
 
 import csv
 import json
-import os
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -196,22 +192,6 @@ def test_fail_on_lost_has_its_exit_code(facetrack):
     assert run(facetrack, *options, "--fail-on-lost", "-o", "there")[0] == 0
     assert run(facetrack, *options, "--fail-on-lost", "-o", "gone", name="gone")[0] == 4
     assert "left_hand/box" in json.loads(Path("gone/trajectory.json").read_text())["lost_frames"]
-
-
-@pytest.mark.nightly
-def test_an_interrupted_stream_ends_in_whole_lines():
-    words = [sys.executable, "-m", "facetrack_cli", "run", FOLDER / "signing.mp4", "--config", "head_hands"]
-    with subprocess.Popen(
-        [*map(str, words), "--format", "jsonl", "-o", "-"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        begun = [process.stdout.readline() for _ in range(3)]  # the pipe is full long before the clip ends
-        os.kill(process.pid, signal.SIGINT)
-        rest, err = process.communicate(timeout=100)
-    lines = [json.loads(line) for line in [*begun, *rest.splitlines()]]
-    assert process.returncode == 130 and "interrupted" in err
-    assert [target["target"] for target in lines[1]["targets"]] == ALL
-    assert lines[-1]["complete"] is False and len(lines) < 252
 
 
 # --- facetrack init --------------------------------------------------------------------------------------------------

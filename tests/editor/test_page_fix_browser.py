@@ -264,48 +264,6 @@ def test_the_timeline_leads_to_frames_and_keys_to_what_is_corrected(page):
         assert window.get("frame") == frame
 
 
-@pytest.mark.nightly
-def test_what_was_moved_and_not_tracked_is_kept(page):
-    folder, session, _, window = page()
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    window.click_on("save")
-    window.until_message("There is nothing to save")
-    go_to(window, 12)
-    x, y = window.get("rows")[0][:2]
-    window.press("]", "ArrowRight", "Shift+ArrowUp", "Alt+ArrowRight")
-    assert np.allclose(window.face()["points"]["nose"], (x + 1.25, y - 10), atol=0.011)
-    draft = window.get("draft")
-    window.press("Escape", ".")
-    window.until_shown(13)
-    window.until("window.facetrack.rowsRevision !== null")
-    assert window.visible("elsewhere") and window.text("track-elsewhere").endswith("12")
-    window.drag(window.get("rows")[0][:2], (60, 60))
-    assert window.get("draft") == draft and "frame 12 is not tracked yet" in window.text("message")
-    window.click_on("save")
-    window.until_visible("problem")
-    assert "frame 12 is not tracked yet" in window.text("problem") and not window.visible("confirm")
-    window.click_on("go-back")
-    window.until_shown(12)
-    assert not window.visible("elsewhere")
-    window.press("Escape", ".")
-    window.until_shown(13)
-    window.click_on("discard-elsewhere")
-    assert window.get("draft.targets") == {} and window.get("frame") == 13 and not window.visible("elsewhere")
-    window.press("Control+z")
-    assert window.get("draft") == draft
-    go_to(window, 13)
-    window.click_on("track-elsewhere")
-    idle(window, 1)
-    assert [one["frame"] for one in window.get("corrections")] == [12]
-    window.press("Control+z")
-    idle(window, 2)
-    window.click_on("save")
-    assert window.text("message").startswith("There is nothing to save")
-    window.click_on("done")
-    window.until("window.facetrack.ended")
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before and session.first_error is None
-
-
 def through(window):
     """Has the page show each of its states; their names."""
     window.until("window.facetrack.review !== null")

@@ -18,7 +18,7 @@ from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.core.yaml_tree import MAX_BYTES, Source, YamlProblems, parse
 from facetrack_cli.recipe.load import check_recipe, in_frames, load_recipe, read_recipe, resolve_file
-from facetrack_cli.recipe.model import KINDS, OpenCvRecipe, ParticleRecipe, json_schema, to_dict
+from facetrack_cli.recipe.model import KINDS, OpenCvRecipe, json_schema, to_dict
 from facetrack_cli.recipe.sections import FactorizedSettings, IndependentSettings, Length, SirSettings
 from facetrack_cli.trackers.points.settings import ColourRatioSettings, PointsSettings
 
@@ -377,14 +377,6 @@ def test_excerpt_of_a_long_line_shows_the_place(write):
     assert under_caret(excerpt) == "Chin" and max(map(len, excerpt.splitlines())) < 120
 
 
-def test_a_billion_laughs(write):
-    bomb = "a: &a [lol, lol]\n" + "".join(
-        f"{new}: &{new} [{', '.join([f'*{old}'] * 9)}]\n" for old, new in zip("abcdefgh", "bcdefghi", strict=True)
-    )
-    line, _, said, _ = refused(write(bomb))
-    assert line == 1 and '"&a" is an anchor' in said and "more" not in said
-
-
 def test_all_errors_are_listed_in_the_order_of_the_text(write):
     text = GOOD.replace("0.05", "0").replace("10", "0").replace("  type: colour_ratio", "  type: colour_ratio\n  a: 1")
     path = write(text + "seed: x\n")
@@ -414,24 +406,6 @@ def test_any_text_is_a_tree_or_is_refused(text):
             assert str(problem).startswith("any:") and "^" in problem.span.excerpt()
     else:
         json.dumps(None if tree is None else tree.plain(), allow_nan=False)
-
-
-@given(data=st.data())
-def test_any_recipe_is_read_or_refused(data, write):
-    lines = GOOD.splitlines(keepends=True)
-    at = data.draw(st.integers(0, len(lines) - 1))
-    values = st.sampled_from(["1", "x", "[1]", "{a: 1}", "{type: sir}", "null", "", "{default: {}}", "[[]]", "1px"])
-    lines[at] = data.draw(
-        st.just("")
-        | st.builds(lambda key, value: f"{key}: {value}\n", st.just(lines[at].partition(":")[0]), values)
-        | st.builds(lambda line, value: f"{line}\n  sir: {value}\n", st.just(lines[at].rstrip()), values)
-    )
-    path = write("".join(lines))
-    try:
-        assert isinstance(load_recipe(path), ParticleRecipe)
-    except RecipeError as error:
-        assert str(error).startswith(f"{path}:")
-        assert "^" in error.excerpt
 
 
 # the schema

@@ -60,6 +60,10 @@ WRONG = [
     ("adaptive", "likelihood.template=[5,30]", "likelihood.template[1] must be at least 6, not 5"),
     ("adaptive", "filter.particles=500000", "particles of 26x30 points each"),
     ("adaptive", "filter.particles=5000 motion.velocity.samples=null", GREEDY),
+    ("adaptive", "target.parts=[nose]", '"parts" does not belong to target type "affine" but to points'),
+    ("adaptive", "motion.sigma={nose: 1}", "motion.sigma must be a length above 0"),
+    ("adaptive", "filter={type: factorized, particles: 9}", "write sir or auxiliary or adaptive"),
+    ("adaptive", "recognition=people.npz", "recognition must be a mapping of keys"),
     ("adaptive", "filter.particles=3000 motion.velocity.samples=2500", GREEDY),
     # several targets
     (HANDS, "targets.Foot=null", '"Foot" cannot be one of targets; a name has small letters'),

@@ -201,14 +201,11 @@ def test_a_worker_that_is_killed_while_it_asks_whether_to_stop_holds_up_no_other
 # --- one writer, one set ---
 
 
-@posix
-def test_of_two_runs_at_once_one_writes(clip, tmp_path):
-    command = [*FACETRACK, "run", clip, "-o", tmp_path, *SMALL, *TABLES]
-    both = [subprocess.Popen([*command, "--seed", str(seed)], stderr=subprocess.PIPE) for seed in (1, 2)]
-    said = [process.communicate()[1].decode() for process in both]
-    assert sorted(process.returncode for process in both) == [0, 2], said
-    [seed] = [seed for seed, process in zip((1, 2), both, strict=True) if process.returncode == 0]
-    assert read_run(tmp_path).header["seed"] == seed and not {LOCK, NOTE} & {*names(tmp_path)}
+def test_a_second_run_into_a_folder_is_refused(clip, tmp_path, capsys):
+    with FolderLease(tmp_path):
+        assert run(clip, "-o", tmp_path, *SMALL, *TABLES) == 2
+        assert {*names(tmp_path)} == {LOCK, NOTE}
+    assert "another facetrack is writing its results here" in capsys.readouterr().err
 
 
 def test_a_run_owns_all_its_outputs(clip, tmp_path):

@@ -232,7 +232,7 @@ def _take(folders, barrier, mine):
 
 
 def test_of_two_at_once_one_wins(tmp_path, soon):
-    kinds = ["here"] * 8 + ["elsewhere"] * 2 + ["nothing"] * 8
+    kinds = ["here"] * 4 + ["elsewhere"] + ["nothing"] * 4
     folders = [tmp_path / f"{i}" for i in range(len(kinds))]
     for folder, left in zip(folders, kinds, strict=True):
         folder.mkdir()

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import random
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -25,7 +22,6 @@ from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.start.init_file import read_init
 from tests.support.samples import FOLDER as SAMPLES
-from tests.support.sway import until
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 CLIPS = {"head_hands": "signing", "signer": "signing", "adaptive_recognition": "map"}
@@ -144,7 +140,7 @@ def test_without_resuming_it_begins_at_its_start(interrupted, tmp_path, how):
 
 
 def test_opencvs_trackers_and_a_lag_begin_anew(tmp_path):
-    for recipe, more in (("mil", {"box": (106.0, 74.0, 106.0, 106.0)}), ("factorized", {"lag": 3})):
+    for recipe, more in (("mil", {"box": (140.0, 120.0, 40.0, 40.0)}), ("factorized", {"lag": 3})):
         asked = job(recipe, tmp_path / recipe, video=True, **more)
         run(asked, 11)
         assert not (asked.out / FOLDER).exists() and run(asked).resumed is None
@@ -195,31 +191,6 @@ def test_a_disk_without_space_for_a_checkpoint_is_no_harm(tmp_path, monkeypatch)
     monkeypatch.setattr(Kind, "write", full)
     done = run(job("factorized", tmp_path / "out", video=True))
     assert not done.warnings and same(tmp_path / "out", tmp_path / "whole")
-
-
-@pytest.mark.nightly
-@posix
-def test_kills_at_random_moments(tmp_path):
-    """`benchmarks/resume.py` does the same a hundred times, with ten recipes."""
-    rng = random.Random(0)
-    code = "from facetrack_cli.run_folder import checkpoint as c; c.EVERY_FRAMES = c.PIECE_FRAMES = 25\n"
-    code += "import sys; from facetrack_cli.__main__ import main; sys.exit(main())"
-    words = [sys.executable, "-c", code, "run", SAMPLES / "expressions.mp4", "--config", "factorized", "--stop", "100"]
-    subprocess.run([*words, "-o", tmp_path / "whole", "-q"], check=True)
-    out = tmp_path / "out"
-    for frames in (rng.randrange(30, 60), rng.randrange(70, 90)):
-        process = subprocess.Popen([*words, "-o", out, "-q"])
-
-        def rows(process=process):
-            with contextlib.suppress(FileNotFoundError):  # what was recovered is renamed before it goes on
-                parts = out.glob(f".trajectory-{process.pid}-*.part.csv")
-                return max((one.read_bytes().count(b"\n") for one in parts), default=0)
-
-        until(lambda rows=rows, frames=frames: (rows() or 0) >= 5 * frames, process)
-        process.kill()
-        process.wait()
-    done = subprocess.run([*words, "-o", out], check=True, capture_output=True, text=True)
-    assert "went on from frame" in done.stderr and same(out, tmp_path / "whole")
 
 
 def test_parts_of_a_damaged_state_are_refused(tmp_path):

@@ -15,7 +15,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.evaluation.goldens import read_golden
-from facetrack_cli.recipe.load import check_recipe, load_recipe, with_gallery
+from facetrack_cli.recipe.load import load_recipe, with_gallery
 from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -171,37 +171,6 @@ def test_a_golden_holds_who_it_is_and_finds_its_gallery(tmp_path, capfd, monkeyp
     (folder / "people.npz").unlink()
     code, out = regress()
     assert code == ExitCode.REGRESSION and "people.npz is not there; put it back, or name another with --gallery" in out
-
-
-# --- recipes -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("recipe", "keys", "said"),
-    [
-        ("adaptive", ["motion.noise=null"], "filter.adapt follows motion.noise, which is null"),
-        ("adaptive", ["filter.least=5000000", "motion.velocity=null"], "5,000,000 particles of 26x30 points each"),
-        ("adaptive", ["filter.particles=5000000", "motion.velocity=null"], "particles of 26x30 points each"),
-        ("adaptive", ["target.scale=[1, 1]"], "with 1, the size at the start, between them"),
-        ("adaptive", ["likelihood.template=[5, 30]"], "likelihood.template[1] must be at least 6, not 5"),
-        ("adaptive", ["likelihood.template=[26]"], "must have 2 items, not 1"),
-        ("adaptive", ["likelihood.mixing={w: 0, s: 0, f: 0}"], "likelihood.mixing is all 0"),
-        ("adaptive", ["likelihood.sigma.s=0"], "likelihood.sigma.s must be at least 0.001"),
-        ("adaptive", ["motion.noise={least: 3, most: 2}"], "motion.noise.most is below least"),
-        ("adaptive", ["motion.velocty=null"], 'did you mean "velocity"'),
-        ("adaptive", ["target.parts=[nose]"], '"parts" does not belong to target type "affine" but to points'),
-        ("adaptive", ["motion.sigma={nose: 1}"], "motion.sigma must be a length above 0"),
-        ("adaptive", ["filter={type: factorized, particles: 9}"], "write sir or auxiliary or adaptive"),
-        ("adaptive", ["recognition.galery=x"], 'did you mean "gallery"'),
-        ("adaptive", ["recognition=people.npz"], "recognition must be a mapping of keys"),
-        ("factorized", ["filter={type: adaptive, particles: 9}"], '"adaptive" does not go with target type "points"'),
-        ("histogram", ["filter={type: adaptive, particles: 9}"], '"adaptive" does not go with target type "region"'),
-        ("skin", ["recognition={}"], 'recognition does not go with target type "region"'),
-    ],
-)
-def test_mistakes_in_a_recipe_of_an_affine_target(recipe, keys, said):
-    found = check_recipe(recipe, keys)
-    assert len(found) == 1 and said in str(found[0])
 
 
 # --- --gallery -----------------------------------------------------------------------------------------------------

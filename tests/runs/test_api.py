@@ -51,13 +51,6 @@ def test_every_example_of_the_page_runs(tmp_path, monkeypatch):
     assert session["image"].shape == (240, 320, 3) and (tmp_path / "frame.png").stat().st_size > 1000
 
 
-def test_the_example_of_readme_runs(monkeypatch, capsys):
-    monkeypatch.chdir(ROOT)
-    (block,) = blocks(ROOT / "README.md", "python")
-    exec(block, {})
-    assert capsys.readouterr().out.startswith("49 1")
-
-
 def test_a_video_gives_the_rows_of_the_command_line(tmp_path):
     few = ["--config", "sir", "--stop", "6", "--seed", "4", "--no-video", "-q"]
     assert main(["run", str(CLIP), *few, "-o", str(tmp_path / "out")]) == 0

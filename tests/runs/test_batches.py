@@ -78,7 +78,7 @@ def tracked(folder=Path("out")):
 
 
 @posix
-@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.nightly), 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_two_at_once_share_the_clips_and_do_none_twice(run, workers):
     command = [*FACETRACK, "run", "clips", "-o", "out", "-j", str(workers), *OPTIONS]
     both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
@@ -486,15 +486,6 @@ def test_gnu_parallel(folder):
     said = subprocess.run(["sh", "-ec", block("sh", "| parallel")], capture_output=True, text=True, check=False)
     assert said.returncode == 0, said.stderr
     assert done(folder) and re.search(rf"done +{CLIPS}\n", said.stdout)
-
-
-@pytest.mark.skipif(shutil.which("snakemake") is None, reason="Snakemake is not installed")
-def test_snakemake(folder):
-    Path("Snakefile").write_text(block("python", "rule track"))
-    words = ["snakemake", "--cores", "2"]
-    said = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert said.returncode == 0, said.stderr
-    assert done(folder) and len(list(Path("shards").iterdir())) == 4
 
 
 def test_a_slurm_array(folder):

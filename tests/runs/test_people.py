@@ -19,6 +19,8 @@ import facetrack_cli as facetrack
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.options import frame_at
 from facetrack_cli.core.errors import BusyError, ExitCode, InputError, UsageError
+from facetrack_cli.report import make as report
+from facetrack_cli.report.make import Image
 from facetrack_cli.run_folder import checkpoint
 from facetrack_cli.run_folder.lease import NOTE, FolderLease
 from facetrack_cli.runs import clip
@@ -114,9 +116,9 @@ def test_everybody_has_one_name_from_the_first_frame_to_the_last(ran):
 
 
 def test_one_face_is_followed_over_cuts_and_nobody_in_its_place(tmp_path):
-    assert main(["run", str(FILM), "--no-video", "--stop", "190", "-o", str(tmp_path / "out"), "-q"]) == 0
+    assert main(["run", str(FILM), "--no-video", "--stop", "125", "-o", str(tmp_path / "out"), "-q"]) == 0
     pairs, false, _ = matched(read_trajectory(tmp_path / "out" / "trajectory.json"))
-    there = sum(row["target"] == "collins" and int(row["frame"]) < 190 for row in read_rows("film"))
+    there = sum(row["target"] == "collins" and int(row["frame"]) < 125 for row in read_rows("film"))
     assert set(pairs) == {("collins", "face")} and pairs.total() > 0.95 * there and false < 0.03 * there
 
 
@@ -226,7 +228,13 @@ def test_what_is_no_cast_is_one_line(copy, capsys, key, value):
         assert said.count("\n") == 1 and "people.json" in said and "internal" not in said
 
 
-def test_a_picture_is_a_file_of_the_folder(ran, tmp_path, capsys):
+@pytest.fixture
+def no_plot(monkeypatch):
+    """The plots have their own tests, and take most of the time."""
+    monkeypatch.setattr(report, "_plot", lambda *_: Image(b"", (1, 1), "image/png"))
+
+
+def test_a_picture_is_a_file_of_the_folder(ran, tmp_path, capsys, no_plot):
     """A link in the place of a picture, or of the folder of pictures, is neither shown nor copied nor written to."""
     secret = tmp_path / "secret.jpg"
     secret.write_bytes(b"\xff\xd8 not yours")
@@ -309,7 +317,7 @@ def test_a_kill_between_two_files_of_a_correction(copy, monkeypatch, after):
     assert {f"people/{path.name}" for path in (copy / "people").iterdir()} == {one.still for one in found.people}
 
 
-def test_the_report_shows_the_cast_and_doubts_side_by_side(tracked, tmp_path, monkeypatch):
+def test_the_report_shows_the_cast_and_doubts_side_by_side(tracked, tmp_path, monkeypatch, no_plot):
     def unsure(tracks, known, fps):
         return replace(cast_of(tracks), doubts=(Doubt(0, 1, 0.4), Doubt(1, None, 0.3)))
 
@@ -352,7 +360,7 @@ def test_people_of_another_film_have_their_names(named, tmp_path, capsys):
     out, known = shutil.copytree(named, tmp_path / "out"), tmp_path / "people.npz"
     names = ["--rename", "person_1=Grace", "--rename", "person_2=Eileen", "--no-video", "--save", str(known), "-q"]
     assert main(["people", str(out), *names]) == 0
-    again = ["run", str(FILM), "--faces", "all", "--start", "100", "--stop", "165", "--no-video", "--gallery"]
+    again = ["run", str(FILM), "--faces", "all", "--start", "100", "--stop", "130", "--no-video", "--gallery"]
     assert main([*again, str(known), "-o", str(tmp_path / "named"), "-q"]) == 0
     pairs, _, _ = matched(read_trajectory(tmp_path / "named" / "trajectory.json"))
     assert set(pairs) == {("hopper", "Grace"), ("collins", "Eileen")}
@@ -371,9 +379,9 @@ def test_a_gallery_of_affine_faces_is_for_recipes_that_recognise_by_it(tmp_path,
 
 
 def test_a_film_in_python_is_that_of_the_command_line():
-    found = facetrack.track_video(FILM, faces="all", start=80, stop=115)
+    found = facetrack.track_video(FILM, faces="all", start=80, stop=105)
     assert found.targets == ("person_1", "person_2") and found.people.names == found.targets
-    assert found.people.seconds_together()["person_1", "person_2"] == pytest.approx(1.0, abs=0.1)
+    assert found.people.seconds_together()["person_1", "person_2"] == pytest.approx(0.6, abs=0.1)
     assert facetrack.track_video(FILM, start=80, stop=82).people is None
 
 
@@ -453,13 +461,6 @@ def test_moments():
     for odd in ("x", "1:x", "f", "1e999"):
         with pytest.raises(UsageError, match="is no time"):
             frame_at(odd, Clock(None, 25.0))
-
-
-@pytest.mark.nightly
-def test_threads_change_nothing(tmp_path):
-    for threads in (1, 2):
-        assert clip.run(job(tmp_path / f"{threads}", threads=threads), Stop()).error is None
-    assert (tmp_path / "1/trajectory.csv").read_bytes() == (tmp_path / "2/trajectory.csv").read_bytes()
 
 
 def seen(name, first, stop, x=100.0, side=50.0, shot=1):

@@ -196,13 +196,9 @@ def test_a_box_is_enough(run):
         (["--start", "9", "--stop", "9"], 2, "leaves no frame"),
         (["--start", "-1"], 2, "--start"),
         (["--start", "x"], 2, "'x' is not a valid whole number"),
-        (["--seed", "-1"], 2, "seed -1 is no whole number from 0"),
-        (["--seed", str(2**63)], 2, "is no whole number from 0 to 9223372036854775807"),
         (["-j", "0"], 2, "--jobs"),
         (["--threads", "0"], 2, "--threads"),
-        (["--config", "none"], 2, "neither a file nor a shipped recipe"),
         (["--config", ""], 2, '"" is neither a file nor a shipped recipe'),
-        (["--set", "filter.particles=0"], 2, "particles"),
         (["--set", "filter.particles=10000", "--config", "factorized_transition"], 2, "2,000 at most, not 10,000"),
         (["--set", "target.windows=1000px"], 2, "larger than the frame of 128x96; make it smaller"),
         (["--set", "motion.sigma=1e299px"], 2, "no more than a million"),
@@ -310,11 +306,7 @@ def test_what_is_in_the_way(run, clip):
     ):
         code, _, err = run(clip, "-o", out)
         assert code == 2 and said in one_line(err)
-
-
-def test_a_folder_that_must_not_be_written(run, clip):
-    """Its bits say nothing to root, and on some network shares."""
-    Path("locked").mkdir(mode=0o555)
+    Path("locked").mkdir(mode=0o555)  # its bits say nothing to root, and on some network shares
     code, _, err = run(clip, *SMALL, "--stop", 3, "-o", "locked")
     assert code == 0 if os.access("locked", os.W_OK) else (code == 2 and "Permission denied" in one_line(err))
 
@@ -722,7 +714,8 @@ def test_a_reader_that_leaves_ends_the_run_quietly(long_clip):
     ],
 )
 def test_streams_that_are_closed_or_full(clip, tmp_path, streams, args, said):
-    command = f'"{sys.executable}" -m facetrack_cli run "{clip}" --no-video {" ".join(SMALL)} {args} {streams}'
+    few = " ".join([*SMALL, "--stop 3 --no-video"])
+    command = f'"{sys.executable}" -m facetrack_cli run "{clip}" {few} {args} {streams}'
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     ended = subprocess.run(command, shell=True, cwd=tmp_path, capture_output=True, text=True, env=environment)
     assert ended.returncode == (2 if said else 0), ended.stderr

@@ -175,25 +175,3 @@ def test_the_init_file_beside_the_clip_goes_before_the_truth(tmp_path):
     ):
         start = request.find(recipe, table)
         assert start.origin == origin and {*start.targets["face"].points} == {*recipe.points}
-
-
-@pytest.mark.parametrize(
-    ("asked", "begins"),
-    [
-        ({"start": 3}, r"begins at frame 0, but frames from 3 on were asked for; change --start"),
-        (
-            {"box": BOX, "start": 3, "stop": 3},
-            r"--box begins at frame 3, but frames 3 to 2 were asked for; change --st",
-        ),
-        ({"stop": 1}, 0),
-        ({"stop": 200}, 0),
-        ({"box": BOX, "start": 3, "stop": 9}, 3),
-    ],
-)
-def test_a_start_outside_of_the_frames_asked_for_is_refused(asked, begins):
-    request, recipe = ClipRequest(CLIP, **asked), load_recipe("factorized")
-    if isinstance(begins, int):
-        assert request.find(recipe).frame == begins
-        return
-    with pytest.raises(InputError, match=begins):
-        request.find(recipe)

@@ -56,6 +56,6 @@ def host_here():
 
 
 def ended_process():
-    process = subprocess.Popen([sys.executable, "-c", ""])
+    process = subprocess.Popen([sys.executable, "-S", "-c", ""])
     process.wait(60)
     return process.pid
