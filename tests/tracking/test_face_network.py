@@ -233,8 +233,8 @@ def test_a_run_says_which_network_it_used_and_what_of_it_did_not_count(share, sa
 
 
 def test_runs_of_a_clip_are_smoothed_and_the_report_names_the_network(file, tmp_path, monkeypatch):
-    monkeypatch.setattr(targets, "Mesh", lambda path: FakeMesh([IN_CLIP] * 14, noise=0.6))
-    sets = ("--set", f"head.landmarks.network={file}", "--set", "filter.particles=100", "--stop", "14", "--no-video")
+    monkeypatch.setattr(targets, "Mesh", lambda path: FakeMesh([IN_CLIP] * 9, noise=0.6))
+    sets = ("--set", f"head.landmarks.network={file}", "--set", "filter.particles=100", "--stop", "9", "--no-video")
     tables = []
     for more in ((), ("-q", "--smooth")):
         out = tmp_path / f"run{len(more)}"
@@ -245,7 +245,7 @@ def test_runs_of_a_clip_are_smoothed_and_the_report_names_the_network(file, tmp_
         tables.append(read_trajectory(out / "trajectory.csv"))
         assert [part for _, part in tables[-1].names] == [*PARTS, BOX, *FEATURES]
     ahead, smooth = (np.stack([[one.x, one.y] for one in table.parts[6:]]).T for table in tables)
-    assert smooth.shape == (14, 2, 23) and jitter(smooth) < 0.8 * jitter(ahead)
+    assert smooth.shape == (9, 2, 23) and jitter(smooth) < 0.8 * jitter(ahead)
     if find_spec("matplotlib"):
         called("report", out)
         [page] = out.glob("*.html")

@@ -137,32 +137,6 @@ def test_both_ways_to_count_agree_to_the_last_bit_and_with_the_twin(seed, n, bin
     assert pixels == inside
 
 
-@pytest.mark.parametrize(("n", "chosen"), [(1, "match_direct"), (200, "match_integral")])
-def test_it_takes_the_cheaper_way(n, chosen, monkeypatch):
-    picture = scene()
-    likelihood, learned = learned_at_truth(picture)
-    x = states(np.array(TRUTH) + np.random.default_rng(0).normal(0, 5, (n, 2)))
-    expected = likelihood.score(learned, frame(picture), x)
-    used = []
-    for name in ("match_direct", "match_integral"):
-        work = getattr(kernel, name)
-        monkeypatch.setattr(kernel, name, lambda *a, name=name, work=work: used.append(name) or work(*a))
-    np.testing.assert_array_equal(likelihood.score(learned, frame(picture), x), expected)
-    assert used == [chosen]
-
-
-def test_what_lies_outside_matches_nothing_and_the_reference_is_of_what_lies_inside():
-    picture = colours(np.full((100, 100), 40))
-    likelihood = histogram((20.0, 20.0), regions=(1, 1))
-    inside = np.array([[[50, 50, 1.0, 0, 0, 0]]])
-    half = np.array([[[-0.5, 50, 1.0, 0, 0, 0]]])
-    whole = likelihood.init(frame(picture), inside[0])
-    assert likelihood.distances(whole, frame(picture), inside)[0, 0] == pytest.approx(0, abs=1e-3)
-    assert likelihood.distances(whole, frame(picture), half)[0, 0] ** 2 == pytest.approx(1 - np.sqrt(0.5), abs=1e-5)
-    cut = likelihood.init(frame(picture), half[0])
-    assert likelihood.distances(cut, frame(picture), inside)[0, 0] == pytest.approx(0, abs=1e-3)
-
-
 def grey_scene(noise=0):
     value = cv2.cvtColor(scene(), cv2.COLOR_BGR2GRAY)
     value = np.clip((value.astype(float) - 90) * 3, 60, 250)[..., None].repeat(3, axis=2)

@@ -121,12 +121,6 @@ def test_the_user_is_told_once_that_kernels_are_compiled(package):
     assert run().stdout == "2 2\n"
 
 
-def test_how_many_kernels_are_compiled_is_told():
-    told = []
-    precompile.compile_kernels(list(precompile.KERNELS)[:2], report=lambda *one: told.append(one))
-    assert told == [(0, 2, "compiling", "kernels"), (1, 2, "compiling", "kernels")]
-
-
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize(("suffix", "left"), [(".nbc", "half"), (".nbi", "zeros"), (".nbi", "nothing")])
 def test_files_that_power_loss_cuts_are_compiled_anew_with_one_warning(package, suffix, left):

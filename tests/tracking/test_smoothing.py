@@ -256,10 +256,10 @@ def jitter(rows):
 
 @pytest.mark.parametrize("name", ["factorized_robust", "correlation_filter"])
 def test_a_lag_is_the_smoother_of_the_frames_up_to_then(name, points):
-    results = points if name == "factorized_robust" else results_of(name, 70)
+    results = points if name == "factorized_robust" else results_of(name, 40)
     after = list(lagged(iter(results), 15))
     assert [one.frame.index for one in after] == [one.frame.index for one in results]
-    for t in (0, 1, 30, 50, 55, 69, 100, 111):
+    for t in (0, 1, 30, 39, 55, 100, 111):
         if t < len(results):
             some = results[: t + 16]
             exact = smoothed_rows(rows_of(some), beliefs_of(some)).at(results[t].frame.index)
@@ -342,16 +342,6 @@ def test_a_face_may_be_absent_for_a_while(absent):
         np.testing.assert_array_equal(np.isnan(after.x), np.isnan(before.x))
         np.testing.assert_array_equal(np.isnan(after.std_x), np.isnan(before.std_x))
         assert np.nanmax(np.abs(after.x - before.x)) < 8
-
-
-def test_an_affine_box_may_be_absent_for_a_while():
-    box = TargetStart(box=CLIP.start.targets["face"].box)
-    gone, back = Correction(3, "face", TargetStart(), absent=True), Correction(5, "face", box)
-    results = results_of("adaptive", 7, [gone, back])
-    before = rows_of(results)
-    after = smoothed_rows(before, beliefs_of(results))
-    np.testing.assert_array_equal(np.isnan(after.w), np.isnan(before.w))
-    assert after.diagnostics["face"].frame.tolist() == [0, 1, 2, 5, 6]
 
 
 def test_what_has_no_beliefs_stays():

@@ -107,13 +107,6 @@ def test_a_frame_that_lacks_hands_is_passed_over():
 SPECK = (24.0, 60.0, 11.0, 11.0)  # leftmost, and the smallest
 
 
-def test_hands_are_the_largest_regions_not_the_leftmost():
-    frame = Frame(0, 0.0, picture(HEAD, LEFT, RIGHT, SPECK))
-    found = name_targets(start(head=box(HEAD)), ALL, frame).targets
-    assert overlap(found["left_hand"].box, box(LEFT)) > 0.7
-    assert overlap(found["right_hand"].box, box(RIGHT)) > 0.7
-
-
 def test_a_hand_that_was_placed_where_no_skin_is_does_not_let_a_speck_take_the_others_place():
     frame = Frame(0, 0.0, picture(HEAD, RIGHT, SPECK))
     given = start(head=box(HEAD), left_hand=(120.0, 150.0, 28.0, 28.0))

@@ -5,7 +5,6 @@ import pytest
 
 from facetrack_cli.trackers.box.features import inverse, moved, spectrum
 from facetrack_cli.trackers.box.trained import UPSAMPLED, Trainer, peaks
-from tests.twins import cells as naive
 
 G, C = 8, 2
 BOX = (3.0, 2.0)
@@ -78,24 +77,6 @@ def test_enough_steps_solve_the_normal_equations(seed, box):
     np.testing.assert_allclose(inverse(known.filters, G), exact, atol=2e-3 * np.abs(exact).max())
 
 
-def test_a_memory_of_many_windows_is_their_weighted_sum():
-    one, rate = trainer(steps=60), 0.1
-    windows = [channels(seed) for seed in range(12)]
-    known = one.begin(spectrum(windows[0]))
-    for x in windows[1:]:
-        known = one.learn(known, spectrum(x), rate)
-    weights = [(1 - rate) ** 11, *(rate * (1 - rate) ** (11 - k) for k in range(1, 12))]
-    assert sum(weights) == pytest.approx(1.0)
-    z = [naive.complexes(spectrum(x)) for x in windows]
-    whole = sum(pi * np.einsum("if,jf->fij", a, a.conj()) for pi, a in zip(weights, z, strict=True))
-    np.testing.assert_allclose(naive.matrices(known.matrices, C), whole, atol=1e-4 * np.abs(whole).max())
-    y = np.fft.rfft2(wanted()).ravel()
-    right = sum(pi * a * y.conj() for pi, a in zip(weights, z, strict=True))
-    np.testing.assert_allclose(naive.complexes(known.target), right, atol=1e-4 * np.abs(right).max())
-    exact = dense(windows, weights, one.wall.astype(float), wanted())
-    np.testing.assert_allclose(inverse(known.filters, G), exact, atol=0.01 * np.abs(exact).max())
-
-
 @pytest.mark.parametrize("cells", [14, 16, 32])
 @pytest.mark.parametrize("shape", [(1.0, 1.0), (0.6, 1.6), (1.8, 0.5)])
 def test_the_response_to_what_was_learned_is_a_peak_in_the_middle(cells, shape):
@@ -105,16 +86,6 @@ def test_the_response_to_what_was_learned_is_a_peak_in_the_middle(cells, shape):
     assert response.shape == (UPSAMPLED * cells, UPSAMPLED * cells)
     assert tuple(off_middle(response)) == (0, 0)
     assert 0.8 < response.max() < 1.1
-
-
-@pytest.mark.parametrize("by", [(0, 1), (2, -3), (-3, 2)])
-def test_a_window_moved_by_cells_moves_the_peak_by_as_much(by):
-    one, x = trainer(), channels(4, count=4)
-    filters = one.begin(spectrum(x)).filters
-    moved = one.respond(filters, spectrum(np.roll(x, by, axis=(1, 2))))
-    assert tuple(off_middle(moved)) == (UPSAMPLED * by[0], UPSAMPLED * by[1])
-    still = one.respond(filters, spectrum(x))
-    np.testing.assert_allclose(moved, np.roll(still, (UPSAMPLED * by[0], UPSAMPLED * by[1]), axis=(0, 1)), atol=1e-4)
 
 
 def test_the_response_is_the_correlation_with_the_filters():
@@ -127,13 +98,6 @@ def test_the_response_is_the_correlation_with_the_filters():
     few = np.fft.fft2(plain)
     few[G // 2], few[:, G // 2] = 0, 0
     np.testing.assert_allclose(found, np.fft.ifft2(few).real, atol=1e-4)
-
-
-def test_a_window_of_zeros_gives_finite_filters():
-    one, nothing = trainer(), np.zeros((2, C, G * (G // 2 + 1)), np.float32)
-    known = one.begin(nothing)
-    assert np.isfinite(one.learn(known, nothing, 0.1).filters).all()
-    np.testing.assert_array_equal(one.respond(known.filters, nothing), 0.0)
 
 
 def bumps(*tops, size=24):

@@ -44,14 +44,6 @@ def test_its_density_integrates_to_1(parent):
     assert p @ z**2 * cell == pytest.approx(0.05**2, rel=1e-3)
 
 
-@pytest.mark.parametrize(("limits", "drawn"), [((0.9, 1.02), True), ((0.1, 10.0), False)])
-def test_the_scale_stays_within_its_limits(limits, drawn):
-    one = visible_walk(SIGMA, HIDDEN, limits=limits, scale=0.2)
-    s = one.propagate(np.random.default_rng(0), state(PARENTS[0], 1000))[:, 0, 2]
-    assert limits[0] <= s.min() and s.max() <= limits[1]
-    assert (np.isin(s, limits).sum() > 0) == drawn
-
-
 def crowd(seed=3, n=30):
     rng = np.random.default_rng(seed)
     x = np.array([PARENTS[k % 3] for k in range(n)])[:, None]
@@ -108,18 +100,6 @@ def test_its_velocity_is_that_of_who_was_propagated_to_the_same_place(parent):
     v = arrived.x[:, 0, 3]
     assert v.mean() == pytest.approx(moved[:, 3].mean() + slope * (55 - moved[:, 0].mean()), abs=0.05)
     assert v.std() == pytest.approx(residual, rel=0.03)
-
-
-def test_a_parent_is_drawn_in_proportion_to_how_likely_it_came_from_there():
-    """Two parents at one place, with other speeds: where both may have come from, so does the velocity."""
-    one = visible_walk(SIGMA, SIGMA, scale=0.05, acceleration=0.0, hide=1e-9)
-    x = np.array([[(50.0, 40.0, 1.0, 4.0, 0.0, 1.0)], [(50.0, 40.0, 1.0, -4.0, 0.0, 1.0)]])
-    particles = Particles(x, np.log([0.3, 0.7]))
-    z = np.tile([51.5, 40.0, 0.0], (20_000, 1))
-    v = one.arrive(np.random.default_rng(0), z, particles).x[:, 0, 3]
-    np.testing.assert_allclose(np.unique(v), [-2, 2])  # half of the velocity is left
-    likely = np.array([0.3 * np.exp(-0.5 * (0.5 / 3) ** 2), 0.7 * np.exp(-0.5 * (3.5 / 3) ** 2)])
-    assert np.mean(v > 0) == pytest.approx(likely[0] / likely.sum(), abs=0.012)
 
 
 def test_its_forecast_is_that_of_samples_of_a_visible_target():

@@ -88,12 +88,6 @@ def test_a_circle_is_neither_nod_nor_shake(make):
     assert labels(make(t, x=0.08 * np.cos(turn), y=0.08 * np.sin(turn), noise=0.3), "nods") == []
 
 
-def test_two_swings_are_no_nod():
-    t = clock(6)
-    once = np.where((t >= 2) & (t < 2.4), 0.04 * (1 - np.cos(2 * np.pi * 2.5 * (t - 2))), 0)
-    assert labels(points(t, y=once), "nods") == []
-
-
 @MAKE
 @pytest.mark.parametrize(
     ("axis", "speed", "label"), [("x", 0.3, "right"), ("x", -0.3, "left"), ("y", 0.3, "down"), ("y", -0.3, "up")]
@@ -130,21 +124,6 @@ def test_an_open_mouth_alone_is_no_motion():
     parts = points(t, noise=0.3)
     talking = 12 * (np.sin(2 * np.pi * 2.5 * t) > 0)
     assert labels([*parts[:4], replace(parts[4], y=parts[4].y + talking)]) == []
-
-
-def test_parts_that_get_lost_and_return_make_no_motion():
-    t = clock(10)
-    away = {"nose": slice(50, 90), "lip_lower": slice(80, 140), "mouth_left": slice(120, 200)}
-    assert labels(points(t, degrees=8, noise=0.5, lost=away)) == []
-
-
-def test_a_part_that_has_gone_its_own_way_makes_no_step_when_it_gets_lost():
-    """The lips have drifted a fifth of the size from the nose, slowly; then the nose is lost for two seconds."""
-    t = clock(20)
-    status = np.where((t > 16) & (t < 18), "lost", "tracked")
-    nose = one_part("face", "nose", np.arange(len(t)), time_s=t, x=100 + 0 * t, y=50 + 0 * t, status=status)
-    lip = one_part("face", "lip_upper", np.arange(len(t)), time_s=t, x=100 + 3 * t, y=90 + 0 * t)
-    assert labels([nose, lip], "horizontal") == []
 
 
 def test_a_nod_that_turns_into_a_shake_is_one_after_the_other():
