@@ -271,7 +271,7 @@ COLUMNS = ("x", "y", "w", "h", "angle", "ess", "particles")
 )
 def test_a_calibration_changes_confidence_and_spread_alone(file, recipe, clip):
     raw, found = (
-        track_video(FOLDER / f"{clip}.mp4", load_recipe(recipe, {"confidence.calibration": name}), stop=15)
+        track_video(FOLDER / f"{clip}.mp4", load_recipe(recipe, {"confidence.calibration": name}), stop=9)
         for name in (None, str(file))
     )
     for name in COLUMNS:

@@ -100,20 +100,6 @@ def test_hands_that_meet_the_face_do_not_take_it_and_go_on_their_way():
     assert abs(kept - across[-1][1][0]) < 8 and abs(lost - HEAD[0]) < 20
 
 
-def test_a_pixel_weighs_what_its_colour_says_and_the_floor_elsewhere():
-    frame = Frame(0, 0.0, picture(LEFT))
-    model = skin_cloud((28.0, 28.0), box(LEFT), floor=0.02)
-    learned = model.init(frame, np.zeros((1, 2)))
-    x = np.array([[60.0, 139.0], [10.0, 10.0], [-50.0, 4.0], [1e8, 1e8]])[:, None]
-    found = np.exp(model.score(learned, frame, x, x))[:, 0]
-    assert found[0] > 0.8 and found[1:].tolist() == pytest.approx([0.02] * 3)
-    on, off = model.distances(learned, frame, x[:2])[:, 0]
-    assert on < 0.4 and off > 0.9
-    # the least share arrives
-    assert not learned.notes
-    assert skin_cloud((28.0, 28.0), box(LEFT), least_share=1.0).init(frame, np.zeros((1, 2))).notes
-
-
 @pytest.mark.parametrize(("config", "zoom"), [("head_hands", 1), ("head_hands_cloud", 4)])
 def test_a_target_that_keeps_off_none_does_not_change_by_what_is_tracked_beside_it(config, zoom):
     """Nor by which parts of a frame others have asked for before: at the larger size they are reduced."""

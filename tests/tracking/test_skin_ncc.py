@@ -61,22 +61,6 @@ def learned(bgr, centre=TRUTH, size=SIZE, **options):
 COSTS = ["printed", "shifted", "product"]
 
 
-@given(
-    place=st.tuples(st.floats(-50, 400), st.floats(-50, 400), st.floats(0.5, 4)),
-    side=st.tuples(st.floats(8, 90), st.floats(8, 90)),
-    factor=st.sampled_from([1, 2, 4]),
-    corner=st.tuples(st.integers(0, 9), st.integers(0, 9)),
-)
-def test_regions_have_equal_areas_and_the_twins_edges(place, side, factor, corner):
-    left, top = corner[0] * factor, corner[1] * factor
-    inner, outer, area = kernel.nested(states(place), *side, factor, left, top)
-    for found, whole in zip((inner[0], outer[0]), naive.regions(*place, *side), strict=True):
-        np.testing.assert_allclose(found * factor + np.tile([left, top], 2) + (factor - 1) / 2, whole, atol=1e-6)
-    whole = (outer[0, 2] - outer[0, 0]) * (outer[0, 3] - outer[0, 1])
-    assert whole == pytest.approx(2 * area[0])
-    assert area[0] * factor**2 == pytest.approx(side[0] * side[1] * place[2] ** 2)
-
-
 @pytest.mark.parametrize(("max_size", "inner"), [(None, 1.0), (24, 0.7)])
 def test_rho_is_that_of_the_twin(max_size, inner):
     likelihood, known = learned(scene(), skin=skin_cue(inner=inner, max_size=max_size), ncc=None)
@@ -261,22 +245,6 @@ def test_what_boxes_see_is_in_the_area(boxes, factor, offset, template, picture)
         assert naive.area_sum(there, *edges) == pytest.approx(naive.area_sum(everything, *edges))
         np.testing.assert_allclose(naive.patch(there, u, v, s, th, tw), naive.patch(everything, u, v, s, th, tw))
     assert same == all(boxes[n][2] == 1.0 for n in np.flatnonzero(seen))
-
-
-@pytest.mark.parametrize(("picture", "max_size"), [("face", None), ("noise", 24)])
-def test_dense_and_direct_agree_to_the_rounding_of_float32(picture, max_size, monkeypatch):
-    noise = np.random.default_rng(5).integers(0, 256, (170, 260, 3), dtype=np.uint8)
-    bgr = scene() if picture == "face" else noise
-    template = matching.learn_template(frame(bgr), SIZE, states((100.3, 81.8))[0], max_size)
-    # inside, over all borders and beyond them
-    x = states(np.random.default_rng(0).uniform((-60, -60), (320, 230), (500, 2)))
-    monkeypatch.setattr(matching, "DENSE", 0.0)
-    dense = matching.correlate(template, frame(bgr), x)
-    monkeypatch.setattr(matching, "DENSE", np.inf)
-    direct = matching.correlate(template, frame(bgr), x)
-    for one, other in zip(dense, direct, strict=True):
-        assert np.ptp(other) > 0.1
-        np.testing.assert_allclose(one, other, atol=1e-5)
 
 
 @pytest.mark.parametrize("dense", [False, True])
