@@ -122,12 +122,6 @@ def test_without_an_initial_row_the_first_counts_as_any():
     assert found.ao == found.vot_accuracy == pytest.approx((first + 1 + 3 / 13 + 0 + 0.5) / 5)
 
 
-def test_hidden_rows_are_measured_apart():
-    ours, truth, valid = example()
-    found = measure_boxes(ours, truth, visible=valid, hidden=~valid)
-    assert (found.hidden_rows, found.hidden_overlap) == (1, pytest.approx(iou(ours, truth)[5]))
-
-
 @pytest.mark.parametrize("rows", [0, 1, 4])
 def test_nothing_to_measure_has_no_value(rows):
     found = measure_boxes(np.ones((rows, 4)), np.full((rows, 4), np.nan), size=(10, 10))

@@ -12,7 +12,6 @@ from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import GROUPS, POINTS
 from facetrack_cli.core.types import BOX, Correction, TargetStart
-from facetrack_cli.engine.corrected import completed, correctable_parts, is_complete
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.manifest import Manifest
@@ -138,18 +137,6 @@ def test_points_of_a_network_are_lost_while_it_sees_no_face_and_with_the_head(fi
 
 
 # --- corrections ------------------------------------------------------------------------------------------------------
-
-
-def test_corrections_speak_of_the_parts_and_not_of_points_of_the_network(moved):
-    _, results = moved
-    rows = results[3].rows
-    parts = [part for _, part in rows.names]
-    assert correctable_parts(parts) == PARTS
-    points = {part: (100.0, 90.0 + i) for i, part in enumerate(PARTS)}
-    assert is_complete(Correction(3, "face", TargetStart(points=points)), parts)
-    assert is_complete(Correction(3, "face", absent=PARTS), parts)
-    one = completed(Correction(3, "face", TargetStart(points={"nose": (100.0, 90.0)})), rows)
-    assert {*one.kept} == {*PARTS} - {"nose"} and one.absent == ()
 
 
 def test_a_correction_puts_parts_and_points_of_the_network_right_and_all_may_be_absent(file):

@@ -14,7 +14,7 @@ from facetrack_cli.engine.resampling import normalise
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import check_gallery
 from facetrack_cli.trackers.appearance.affine import Patches
-from facetrack_cli.trackers.appearance.gallery import NONE, Subspace, load_gallery, logistic, name_problem
+from facetrack_cli.trackers.appearance.gallery import NONE, Subspace, logistic, name_problem
 from facetrack_cli.trackers.appearance.gallery_fit import (
     MIN_RHO,
     Moments,
@@ -262,25 +262,6 @@ def test_what_cannot_be_learned_is_noted_or_refused():
 @pytest.mark.parametrize("name", ["", "a\nb", "a\x7f", "\udc80", NONE, "None", " none "])
 def test_names_that_are_none(name):
     assert "no name of a person" in name_problem(name) and "\n" not in name_problem(name)
-
-
-# --- files ---------------------------------------------------------------------------------------------------------
-
-
-def test_a_gallery_is_what_was_saved(gallery, tmp_path):
-    x, _ = people(2, 4)
-    named = fitted(x, ["Ł. 王", "Ł. 王", "O'Neil, Jr", "O'Neil, Jr"] * 2)
-    for one in (gallery, named, dataclasses.replace(gallery, notes=("a", "longer"), proportion=None)):
-        path = tmp_path / "faces.npz"
-        one.save(path)
-        read = load_gallery(path)
-        for field in ("names", "faces", "shape", "calibration", "threshold", "counts", "notes", "proportion"):
-            assert np.array_equal(getattr(one, field), getattr(read, field))
-        read.save(tmp_path / "again.npz")
-        assert path.read_bytes() == (tmp_path / "again.npz").read_bytes()
-        y = x.astype(np.float32)
-        np.testing.assert_array_equal(one.log_scores(y, none=True)[1], read.log_scores(y, none=True)[1])
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["again.npz", "faces.npz"]
 
 
 # --- recognition: the posterior over frames, switch, nobody, what cannot be seen -----------------------------------

@@ -95,18 +95,6 @@ def test_b_equals_the_plain_twin(seed, count, d, components, decay):
     np.testing.assert_allclose(step, expected @ (patch - wanted), atol=1e-3 * (1 + np.abs(expected).max() * d))
 
 
-@pytest.mark.parametrize(
-    "products",
-    [
-        np.zeros((0, 0)), np.zeros((5, 5)), np.ones((6, 6)), np.eye(6), np.diag([1.0, 1, 2, 2, 0]),
-        np.full((3, 3), np.nan), np.full((3, 3), np.inf), np.full((4, 4), 1e-200), np.full((4, 4), 1e150),
-        np.diag([np.inf, 1.0]),
-    ],
-)  # fmt: skip
-def test_any_products_end_and_give_numbers(products):
-    assert np.isfinite(gain(np.ones((len(products), 6)), products, 3, RANK)).all()
-
-
 @pytest.mark.parametrize(("count", "most"), [(100, 32), (33, 32), (32, 32), (5, 32), (1, 2), (7, None)])
 def test_b_comes_from_so_many_particles_evenly(count, most):
     x = WALK.propagate(np.random.default_rng(0), np.repeat(HERE[None], count, axis=0))

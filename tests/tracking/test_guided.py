@@ -125,7 +125,7 @@ def sampled(model, particles, n, share, seed):
 def test_one_step_is_the_posterior_on_a_grid_whatever_the_share(tops, share):
     model = Modes(STILL, [(47.0, 38.0, 0.0), (55.0, 43.0, 0.0)], STD, tops)
     truth = exact(model, cloud())
-    runs = [sampled(model, cloud(), 500, share, seed) for seed in range(30)]
+    runs = [sampled(model, cloud(), 500, share, seed) for seed in range(20)]
     for name, value in truth.items():
         of = np.array([run[name] for run in runs])
         error = of.std(axis=0) / np.sqrt(len(runs))

@@ -1,8 +1,5 @@
 """Where the points of a face are placed, the preview of it, and facetrack init. The face is that of a sample clip."""
 
-import os
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -16,7 +13,6 @@ from facetrack_cli.start.search import box_start, search_start
 from facetrack_cli.trackers.face.detectors import PARTS, find_faces, mean_eyes, place
 from tests.support.samples import TrackClip
 
-CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))
 NOBODY = np.random.default_rng(7).integers(0, 256, (120, 160, 3), dtype=np.uint8)
 
 
@@ -249,20 +245,3 @@ def test_a_preview_never_becomes_a_frame(clip, capsys):
     assert main(["init", str(clip), "--preview", str(clip / "3.png"), "--overwrite"]) == 2
     assert "one more frame" in capsys.readouterr().err
     assert len(list(clip.iterdir())) == 3
-
-
-@pytest.mark.clips
-@pytest.mark.parametrize("name", ["talking/talking.webm", "sign/sign.mp4", "talkers/lrwp9a.mpg", "girl/img"])
-def test_real_clips_start_at_once(name):
-    from facetrack_cli.video.source import open_source
-
-    path = CLIPS / name
-    if not path.exists():
-        pytest.skip(f"no clips at {CLIPS}; say where they are in FACETRACK_CLIPS")
-    with open_source(path) as source:
-        start = search_start(source)
-    points = start.targets["face"].points
-    assert start.frame <= 2
-    assert points["mouth_left"][0] < points["lip_upper"][0] < points["mouth_right"][0]
-    assert points["nose"][1] < points["lip_upper"][1] < points["lip_lower"][1]
-    check_start(start, source.size, PARTS)

@@ -124,7 +124,7 @@ def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: s
     assert len(expected) > 40
     with indexed(path) as frames:
         assert frames.size == expected[0].size and not frames.exact
-        for index in np.random.default_rng(0).permutation(len(expected))[:30].tolist():
+        for index in np.random.default_rng(0).permutation(len(expected))[:16].tolist():
             frames._recent.clear()  # each by a way of its own
             check(frames.read(index), expected[index])
         assert (frames.jumps > 0) == (name not in IN_ORDER)
@@ -365,15 +365,6 @@ def test_a_folder_of_images(tmp_path: Path) -> None:
         for index in (12, -1):
             with pytest.raises(InputError, match=r"no frame -?\d+, the clip has 12 frames \(0 to 11\); choose"):
                 frames.read(index)
-
-
-def test_a_folder_with_a_broken_picture_ends_there(tmp_path: Path) -> None:
-    path = media.write_pictures(tmp_path / "frames", 12)
-    (path / "7.png").write_text("no image")
-    with Frames(path) as frames:
-        with pytest.raises(InputError, match=r"7.png: is not an image, or of an unknown kind; repair"):
-            frames.read(7)
-        assert frames.count == 7 and media.number(frames.read(6).bgr) == 6
 
 
 def test_refusals_are_those_of_the_source(tmp_path: Path) -> None:
