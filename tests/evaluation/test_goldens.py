@@ -416,6 +416,14 @@ def test_a_recipe_of_the_user_is_found_from_the_folder_of_clips(facetrack: Runne
     assert golden_of(clips).read_bytes() == before, "the same seeds and frames, the same golden"
 
 
+def test_what_cannot_be_recorded_does_not_stop_the_others(facetrack: Runner, clips: Path) -> None:
+    (clips / "broken.mp4").write_bytes(b"nothing")
+    shutil.copy(clips / "occlusion.init.yaml", clips / "broken.init.yaml")
+    code, out, _ = facetrack("regress", clips, "--config", "factorized", "--update", "--stop", 6)
+    assert code == ExitCode.BATCH
+    assert "broken.mp4 factorized: not recorded: " in out and "occlusion.mp4 factorized: wrote " in out
+
+
 @pytest.mark.parametrize("update", [True, False])
 def test_an_interrupt_leaves_the_goldens_as_they_were(
     update: bool, facetrack: Runner, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,7 @@ from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.engine import confidence as judging
 from facetrack_cli.engine.calibration import Calibration, CrossChecked, Isotonic, Logistic, features, load_calibration
-from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import ConfidenceSettings
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.trajectory.trajectory import SPREAD, build
@@ -294,6 +295,19 @@ def test_each_cloud_has_its_own(file):
     )
     changed = {raw.names[i][0] for i in raw.which[raw.confidence != found.confidence]}
     assert changed == {"left_hand"} and found.x.tobytes() == raw.x.tobytes()
+
+
+def test_a_file_stands_beside_its_recipe_or_is_refused(file, tmp_path):
+    text = (Path(__file__).parents[2] / "configs" / "sir.yaml").read_text(encoding="utf-8")
+    (tmp_path / "mine.yaml").write_text(f"{text}confidence: {{calibration: both.json}}\n", encoding="utf-8")
+    assert check_recipe(str(tmp_path / "mine.yaml")) == []
+    found = track_video(FOLDER / "occlusion.mp4", tmp_path / "mine.yaml", stop=3)
+    assert found.header["recipe"]["confidence"]["calibration"] == "both.json"
+    file.unlink()
+    [problem] = check_recipe(str(tmp_path / "mine.yaml"))
+    assert 'there is no file "both.json"' in str(problem)
+    with pytest.raises(RecipeError, match=r'there is no file "both\.json"'):
+        track_video(FOLDER / "occlusion.mp4", tmp_path / "mine.yaml", stop=3)
 
 
 def test_what_gives_no_confidence_has_none_to_calibrate():

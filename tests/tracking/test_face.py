@@ -64,6 +64,17 @@ def test_the_head_carries_its_points(overrides):
     assert rows[-1].diagnostics["face"].get("scale")[0] == pytest.approx(rows[-1].w[5] / 80, rel=0.01)
 
 
+@pytest.mark.parametrize(
+    "overrides",
+    [("likelihood={type: colour_ratio}",), ("motion={type: random_walk, sigma: 1.6px}",)],
+    ids=["likelihood", "motion"],
+)
+def test_points_of_another_likelihood_or_motion_are_carried_too(overrides):
+    poses = [Pose(110 + 1.6 * t, 110, 80) for t in range(12)]
+    rows = run(moving.clip(poses), replace(moving.start(poses[0]), origin="haar"), overrides)
+    assert np.median(errors(rows, poses)) < 0.15
+
+
 @pytest.mark.skipif(detectors.yunet_model() is None, reason="needs the extra detect")
 @pytest.mark.parametrize("degrees", [0.6, *(pytest.param(n, marks=pytest.mark.nightly) for n in (0.0, -0.6))])
 def test_a_head_that_rolls_says_so(degrees):

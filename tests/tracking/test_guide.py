@@ -95,6 +95,13 @@ def test_b_equals_the_plain_twin(seed, count, d, components, decay):
     np.testing.assert_allclose(step, expected @ (patch - wanted), atol=1e-3 * (1 + np.abs(expected).max() * d))
 
 
+def test_directions_that_hardly_differ_are_rounding():
+    x = np.ones((2, 6))
+    for small, kept in ((RANK * 0.5, False), (RANK * 2, True)):
+        b = gain(x, np.diag([1.0, small**2]), 20, RANK)
+        assert (b[0, 1] > 0) == kept
+
+
 @pytest.mark.parametrize(("count", "most"), [(100, 32), (33, 32), (32, 32), (5, 32), (1, 2), (7, None)])
 def test_b_comes_from_so_many_particles_evenly(count, most):
     x = WALK.propagate(np.random.default_rng(0), np.repeat(HERE[None], count, axis=0))

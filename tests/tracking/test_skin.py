@@ -214,6 +214,18 @@ def test_a_box_has_the_pixels_whose_centres_it_covers():
         assert seen == list(range(first, last + 1))
 
 
+def test_the_table_follows_colours_that_vary_together():
+    rng = np.random.default_rng(0)
+    light, warm = rng.normal(0, 1, (2, 60, 50, 1))
+    bgr = np.clip(np.array(USUAL[::-1]) + 5 * light + warm * np.array([-14, 0, 14]), 0, 255).round().astype(np.uint8)
+    model = learn_skin(Frame(0, 0.0, bgr), (0.0, 0.0, 50.0, 60.0))
+    assert abs(model.cov[0, 1]) > 0.5 * np.sqrt(model.cov[0, 0] * model.cov[1, 1])
+    for off in ((6, 6), (6, -6), (-3, 8), (10, 0)):
+        cb, cr = np.round(model.mean + off).astype(int)
+        d = np.array([cb, cr]) - model.mean
+        assert model.table[cb, cr] == pytest.approx(255 * np.exp(-d @ np.linalg.solve(model.cov, d) / 2), abs=0.51)
+
+
 # --- where hands begin: regions of skin apart from the face
 
 HANDS_FACE = (130.0, 40.0, 50.0, 60.0)

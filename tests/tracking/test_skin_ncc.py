@@ -253,7 +253,7 @@ def test_ncc_is_equation_10_between_pixels(dense, monkeypatch):
     values = np.random.default_rng(3).integers(0, 256, (60, 70))
     template = matching.learn_template(grey(values), (12.0, 9.0), states((30.5, 25.0))[0], None)
     # the last two over a border
-    corners = [(25.5, 21.5), (26.3, 20.9), (20.0, 30.7), (25.01, 21.99), (-4.4, 10.2), (63.7, 54.6)]
+    corners = [(25.0, 21.0), (25.5, 21.5), (26.3, 20.9), (20.0, 30.7), (25.01, 21.99), (-4.4, 10.2), (63.7, 54.6)]
     if not dense:
         corners += [(20.3, 18.8, 1.3), (12.6, 30.1, 0.7)]
     boxes = [(*corner, *(() if len(corner) == 3 else (1.0,))) for corner in corners]
@@ -261,6 +261,8 @@ def test_ncc_is_equation_10_between_pixels(dense, monkeypatch):
     for n, (u, v, s) in enumerate(boxes):
         seen = naive.patch(values, u, v, s, 9, 12)
         assert found[1][n] == pytest.approx(naive.ncc(template.first, seen, remove=True), abs=1e-5)
+    whole = naive.patch(values, 25.0, 21.0, 1.0, 9, 12)
+    assert found[0][0] == pytest.approx(naive.ncc(template.first, whole, remove=False), abs=1e-5)
 
 
 def test_template_adapts_only_while_it_knows_the_first_one():

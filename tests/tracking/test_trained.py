@@ -5,6 +5,7 @@ import pytest
 
 from facetrack_cli.trackers.box.features import inverse, moved, spectrum
 from facetrack_cli.trackers.box.trained import UPSAMPLED, Trainer, peaks
+from tests.twins import cells as naive
 
 G, C = 8, 2
 BOX = (3.0, 2.0)
@@ -75,6 +76,24 @@ def test_enough_steps_solve_the_normal_equations(seed, box):
     known = one.learn(one.begin(spectrum(x)), spectrum(channels(99)), 0.0)
     exact = dense([x], [1.0], one.wall.astype(float), wanted())
     np.testing.assert_allclose(inverse(known.filters, G), exact, atol=2e-3 * np.abs(exact).max())
+
+
+def test_a_memory_of_many_windows_is_their_weighted_sum():
+    one, rate = trainer(steps=60), 0.1
+    windows = [channels(seed) for seed in range(12)]
+    known = one.begin(spectrum(windows[0]))
+    for x in windows[1:]:
+        known = one.learn(known, spectrum(x), rate)
+    weights = [(1 - rate) ** 11, *(rate * (1 - rate) ** (11 - k) for k in range(1, 12))]
+    assert sum(weights) == pytest.approx(1.0)
+    z = [naive.complexes(spectrum(x)) for x in windows]
+    whole = sum(pi * np.einsum("if,jf->fij", a, a.conj()) for pi, a in zip(weights, z, strict=True))
+    np.testing.assert_allclose(naive.matrices(known.matrices, C), whole, atol=1e-4 * np.abs(whole).max())
+    y = np.fft.rfft2(wanted()).ravel()
+    right = sum(pi * a * y.conj() for pi, a in zip(weights, z, strict=True))
+    np.testing.assert_allclose(naive.complexes(known.target), right, atol=1e-4 * np.abs(right).max())
+    exact = dense(windows, weights, one.wall.astype(float), wanted())
+    np.testing.assert_allclose(inverse(known.filters, G), exact, atol=0.01 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize("cells", [14, 16, 32])

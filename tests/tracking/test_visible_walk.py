@@ -44,6 +44,14 @@ def test_its_density_integrates_to_1(parent):
     assert p @ z**2 * cell == pytest.approx(0.05**2, rel=1e-3)
 
 
+@pytest.mark.parametrize(("limits", "drawn"), [((0.9, 1.02), True), ((0.1, 10.0), False)])
+def test_the_scale_stays_within_its_limits(limits, drawn):
+    one = visible_walk(SIGMA, HIDDEN, limits=limits, scale=0.2)
+    s = one.propagate(np.random.default_rng(0), state(PARENTS[0], 1000))[:, 0, 2]
+    assert limits[0] <= s.min() and s.max() <= limits[1]
+    assert (np.isin(s, limits).sum() > 0) == drawn
+
+
 def crowd(seed=3, n=30):
     rng = np.random.default_rng(seed)
     x = np.array([PARENTS[k % 3] for k in range(n)])[:, None]

@@ -88,6 +88,16 @@ def test_the_peak_is_at_the_truth_whatever_the_light(gain):
     assert model.correlation(learned, (x0 + shift)[None]).min() > 0.97
 
 
+def test_a_shifted_window_lies_beside_its_part():
+    image, x0 = texture(), np.array([[50.0, 40.0], [50.0, 40.0]])
+    model = built([[15, 15], [15, 15]], PARTS[:2], shift={"nose": (0.0, 0.4), "default": (0.0, 0.0)})
+    np.testing.assert_array_equal(model.shift, [[0, 6], [0, 0]])
+    there = built([[15, 15], [15, 15]], PARTS[:2]).init(frame(image), x0 + np.array([[0, 6], [0, 0]]))
+    learned = model.init(frame(image), x0)
+    np.testing.assert_array_equal(learned.templates.windows, there.templates.windows)
+    assert model.correlation(model.look(learned, frame(image), x0), x0[None]).min() > 0.999
+
+
 def test_flat_images_and_particles_far_outside_are_survived():
     x0 = np.array([[50.0, 40.0], [1.0, 88.0]])
     model = built([[15, 15], [9, 9]], PARTS[:2])

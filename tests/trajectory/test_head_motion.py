@@ -88,6 +88,12 @@ def test_a_circle_is_neither_nod_nor_shake(make):
     assert labels(make(t, x=0.08 * np.cos(turn), y=0.08 * np.sin(turn), noise=0.3), "nods") == []
 
 
+def test_two_swings_are_no_nod():
+    t = clock(6)
+    once = np.where((t >= 2) & (t < 2.4), 0.04 * (1 - np.cos(2 * np.pi * 2.5 * (t - 2))), 0)
+    assert labels(points(t, y=once), "nods") == []
+
+
 @MAKE
 @pytest.mark.parametrize(
     ("axis", "speed", "label"), [("x", 0.3, "right"), ("x", -0.3, "left"), ("y", 0.3, "down"), ("y", -0.3, "up")]
@@ -124,6 +130,12 @@ def test_an_open_mouth_alone_is_no_motion():
     parts = points(t, noise=0.3)
     talking = 12 * (np.sin(2 * np.pi * 2.5 * t) > 0)
     assert labels([*parts[:4], replace(parts[4], y=parts[4].y + talking)]) == []
+
+
+def test_parts_that_get_lost_and_return_make_no_motion():
+    t = clock(10)
+    away = {"nose": slice(50, 90), "lip_lower": slice(80, 140), "mouth_left": slice(120, 200)}
+    assert labels(points(t, degrees=8, noise=0.5, lost=away)) == []
 
 
 def test_a_nod_that_turns_into_a_shake_is_one_after_the_other():

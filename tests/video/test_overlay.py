@@ -91,6 +91,15 @@ def test_the_window_stands_where_the_part_says_to_a_fraction_of_a_pixel() -> Non
         assert float((row * np.arange(200)).sum() / row.sum()) == pytest.approx(x, abs=0.15)
 
 
+def test_a_turned_window_reaches_further_along_its_diagonal() -> None:
+    straight, turned = (
+        touched(drawn((200, 200), part("nose", 100.0, 100.0, w=61.0, h=61.0, angle=angle), name="nose"))
+        for angle in (0.0, 45.0)
+    )
+    assert not straight[100, 137:].any() and turned[100, 137:148].any()
+    assert straight[129:133, 129:133].any() and not turned[129:133, 129:133].any()
+
+
 @pytest.mark.parametrize("width", [7, 13, 26, 60])
 def test_lost_differs_from_tracked_in_form_not_in_colour_alone(width: int) -> None:
     def ink(status: Status) -> np.ndarray:
