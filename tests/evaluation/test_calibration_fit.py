@@ -1,8 +1,6 @@
 """Calibration: from what is known of a row to the probability that it is right, and which rows that is fitted to."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +11,8 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.engine.confidence import RISES
 from facetrack_cli.evaluation.reliability import ELLIPSE_90
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.trajectory.trajectory import joined, one_part
-from tests.support.samples import FOLDER, from_tools
+from tests.support.samples import from_tools
 
 fitting = from_tools("calibration_fit")
 Sample, figures, fit, pool = fitting.Sample, fitting.figures, fitting.fit, fitting.pool
@@ -69,24 +66,6 @@ def test_logistic_recovers_what_rows_were_drawn_by():
     assert found.coefficients == pytest.approx({"confidence": 4, "spread": -0.8}, abs=0.15)
 
 
-def test_isotonic_recovers_what_rows_were_drawn_by():
-    def probability(known):
-        return np.where(known["confidence"] > 0.6, 0.9, 0.2 + 0.3 * known["confidence"])
-
-    found = fit_isotonic("confidence", sample(probability, rows=2000, clips=50))
-    c = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
-    np.testing.assert_allclose(found({"confidence": c}), probability({"confidence": c}), atol=0.03)
-
-
-def test_scores_that_six_digits_cannot_tell_apart_are_one_knot():
-    drawn = sample(lambda known: known["confidence"], rows=40, clips=4)
-    close = 0.5 + 1e-9 * drawn.known["confidence"]
-    found = fit_isotonic(
-        "confidence", Sample({**drawn.known, "confidence": close}, drawn.right, drawn.visible, drawn.clip, drawn.far)
-    )
-    assert [knot[0] for knot in found.knots] == [0.5]
-
-
 @given(st.integers(0, 10_000), st.integers(1, 6), st.integers(2, 4))
 def test_no_map_falls_with_confidence_or_rises_with_spread(random, rows, clips):
     drawn = sample(lambda known: np.full(len(known["ess"]), 0.5), rows, clips, random)
@@ -98,14 +77,6 @@ def test_no_map_falls_with_confidence_or_rises_with_spread(random, rows, clips):
             p = made({**known, feature: np.linspace(span.min() - 1, span.max() + 1, 9)})
             assert np.all((p > 0) & (p < 1)), name
             assert not sign or np.all(sign * np.diff(p) >= 0), (name, feature)
-
-
-def test_all_right_is_not_certain_and_more_clips_are_surer():
-    few, many = (sample(lambda known: np.ones(len(known["ess"])), 50, clips) for clips in (2, 20))
-    for candidate in fitting.CANDIDATES.values():
-        p = [candidate(one)(few.known).max() for one in (few, many)]
-        assert p[0] == pytest.approx(41 / 42) and p[1] == pytest.approx(401 / 402)
-    assert fit_logistic(("confidence", "spread"), few).coefficients == {}
 
 
 def test_clips_weigh_alike_however_long():
@@ -174,19 +145,7 @@ def test_the_spread_is_multiplied_by_what_brings_nine_of_ten_rows_into_the_ellip
     assert replace(one, right=np.zeros(len(one), np.bool_)).spread == 1.0
 
 
-def test_clips_left_out_are_covered_by_the_spread_of_the_others():
-    rng = np.random.default_rng(3)
-    one = sample(lambda known: 0.8, clips=10)
-    scaled = replace(one, far=one.far * np.exp(rng.normal(2.0, 0.3, 10))[one.clip])
-    checked = fit(scaled).checked
-    assert checked.within_90_raw < 0.5 < 0.85 < checked.within_90 < 0.95
-    assert 0.4 < checked.within_50 < 0.6
-
-
 # --- the rows ---
-
-CLIPS = [FOLDER / f"{name}.mp4" for name in ("occlusion", "expressions")]
-GONE = Path("gone.mp4")
 
 
 def part(name, x, y, **columns):
@@ -230,40 +189,8 @@ def test_boxes_without_names_are_those_of_the_only_box():
     assert list(found) == ["box"] and found["box"].right.tolist() == [True, False]
 
 
-def test_a_long_clip_and_many_seeds_weigh_no_more():
-    long, short = face(np.zeros(2000)), face([0, 0, 0])
-    found = fitting.collect([([long, long], true(2000)), ([short], true(3))])["points"]
-    assert np.bincount(found.clip).tolist() == [fitting.MAX_ROWS, 4]
-    assert np.bincount(found.clip, found.weight) == pytest.approx([1, 1])
-
-
-def test_clips_of_one_kind_weigh_as_one_clip():
-    clips = [([face([0, 0, 0])], true(3)) for _ in range(3)]
-    found = fitting.collect(clips, [0, 1, 0])["points"]
-    assert found.clips == [0, 1] and np.bincount(found.clip, found.weight) == pytest.approx([1, 1])
-    kinds = {Path("a-0"): clips[0], Path("b-0"): clips[1], Path("a-1"): clips[2]}
-    known = fitting.of_runs("face", kinds, 1, lambda path: path.name[0])
-    assert known.fitted["points"].sample.clip.tolist() == found.clip.tolist()
-
-
 def test_without_confidence_there_is_nothing_to_collect():
     with pytest.raises(InputError, match="both a confidence and known ground truth"):
         fitting.collect([([face([0, 0], confidence=np.full(2, np.nan))], true(2))])
     with pytest.raises(UsageError, match="kcf gives no confidence"):
         fitting.uncalibrated(load_recipe("kcf"))
-
-
-def test_the_tool_leaves_out_a_clip_that_cannot_run(monkeypatch, capsys):
-    tool = from_tools("calibrations")
-    monkeypatch.setattr(tool, "ProcessPoolExecutor", ThreadPoolExecutor)
-    found = tool.fit(load_recipe("independent", {"filter.particles": 20}), [GONE, *CLIPS], 1, 1, None)
-    assert found.clips == ("expressions.mp4", "occlusion.mp4")
-    assert capsys.readouterr().err.count("gone.mp4 is left out: ") == 1
-
-
-def test_targets_lose_their_calibration_to_be_calibrated():
-    keys = {f"targets.{name}.confidence.calibration": "x.json" for name in ("head", "left_hand", "right_hand")}
-    raw = fitting.uncalibrated(load_recipe("head_hands_cloud", keys))
-    assert to_dict(raw) == to_dict(load_recipe("head_hands_cloud"))
-    one = fitting.uncalibrated(load_recipe("sir", {"confidence.calibration": "x.json"}))
-    assert to_dict(one) == to_dict(load_recipe("sir")) and one.name == "sir"

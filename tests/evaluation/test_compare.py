@@ -325,30 +325,6 @@ def test_a_table_loses_no_column_where_there_is_little_room(capsys, monkeypatch,
 
 
 SHEET = f"from facetrack_cli.evaluation.sheet import Sheet\nGIVEN = {GIVEN!r}\n"
-SHOW = f"""{SHEET}
-import click
-import facetrack_cli.cli.app as app
-from facetrack_cli.__main__ import main
-
-@click.command("table")
-def table():
-    for _ in range(2000):
-        GIVEN.show()
-
-app.cli.get_command = lambda ctx, name: table
-app.COMMANDS["table"] = ""
-raise SystemExit(main(["table"]))
-"""
-
-
-def test_a_reader_who_leaves_is_no_fault_of_ours():
-    done = subprocess.run(
-        ["bash", "-c", f'"{sys.executable}" -c "$SHOW" | head -1; exit ${{PIPESTATUS[0]}}'],
-        env={**os.environ, "SHOW": SHOW},
-        capture_output=True,
-        text=True,
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (141, "a title\n", "")
 
 
 def as_seen(code, encoding):

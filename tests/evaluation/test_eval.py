@@ -4,9 +4,6 @@ import csv
 import io
 import json
 import math
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +19,6 @@ from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import MEASURES, evaluate, scalars
 from facetrack_cli.trajectory.trajectory import one_part
 
-SAMPLES = Path(__file__).parents[2] / "sample_videos"
 HEAD = "frame,target,part,x,y,w,h,confidence,status,std_x,std_y\n"
 # left and right are 12 apart in frame 0: near is less than 2 off, failed more than 1.2
 OURS = """\
@@ -303,14 +299,3 @@ def test_results_of_another_tracker_are_measured_as_ours(folder, capsys):
         assert found["all"]["boxes"] == expected
     out = run("otb.txt", "--format", "vot", "--truth", "boxes.csv", "--json", "-", capsys=capsys).out
     assert json.loads(out)["all"]["boxes"]["success_auc"] < expected["success_auc"]  # a pixel off
-
-
-@pytest.mark.nightly
-def test_as_a_process_in_another_encoding(folder):
-    done = subprocess.run(
-        [sys.executable, "-m", "facetrack_cli", "eval", "ours.csv", "--truth", "truth.csv"],
-        capture_output=True,
-        env={**os.environ, "PYTHONIOENCODING": "ascii"},
-    )
-    assert done.returncode == 0 and done.stderr == b""
-    assert done.stdout.isascii() and b"\\u" not in done.stdout and b" - " in done.stdout

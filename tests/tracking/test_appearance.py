@@ -9,11 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.engine.kernels.compiled import exact
 from facetrack_cli.trackers.appearance import appearance_kernels as kernel
 from facetrack_cli.trackers.appearance.affine import Patches
 from facetrack_cli.trackers.appearance.appearance import OUTLIER_RANGE, Mixture
-from facetrack_cli.trackers.appearance.appearance_kernels import _exp2
 from tests.support.parts import appearance, changed, components
 from tests.tracking.test_affine import frame, smooth, state, states
 from tests.twins import appearance as naive
@@ -54,21 +52,6 @@ KINDS = pytest.mark.parametrize(
     ("off", "laplace", "outlier"),
     [((), False, 0.0), ((), True, 0.0), ((), False, 0.2), ((), True, 0.1), ((W, S), True, 0.0), ((S,), False, 0.3)],
 )
-
-
-@exact
-def powers(x):
-    """2^x of x (n,) float32, as the kernels take it."""
-    out = np.empty_like(x)
-    for k in range(len(x)):
-        out[k] = _exp2(x[k])
-    return out
-
-
-def test_powers_of_two_are_as_exact_as_float32():
-    x = np.concatenate([np.linspace(-125.9, 0, 20_001), [0.0, -0.5, -1.0, -1.5]]).astype(np.float32)
-    np.testing.assert_allclose(powers(x), np.exp2(x.astype(np.float64)), rtol=4e-7)
-    assert powers(np.array([-1e30, -np.inf], np.float32)) == pytest.approx(0, abs=1e-37)
 
 
 @KINDS

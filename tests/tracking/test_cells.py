@@ -101,11 +101,3 @@ def test_read_cubic_is_what_its_plain_twin_says(seed, shape, places):
     out = np.full(len(x), np.nan)
     cells.read_cubic(values, x, y, out)
     np.testing.assert_allclose(out, [naive.read_cubic(values, *at) for at in places], atol=1e-9)
-
-
-def test_read_cubic_goes_through_the_samples_and_knows_planes():
-    values = np.add.outer(2.0 * np.arange(6), -3.0 * np.arange(9))
-    x, y = np.array([0.0, 8.0, 4.0, 3.25, 5.5]), np.array([0.0, 5.0, 3.0, 2.75, 1.5])
-    out = np.empty(5)
-    cells.read_cubic(values, x, y, out)
-    np.testing.assert_allclose(out, 2 * y - 3 * x)

@@ -8,8 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.types import Frame
@@ -102,18 +100,6 @@ def test_what_is_good_is_not_learned_from_what_is_bad():
     for _ in range(500):
         judgement = confidence.judge(judgement, np.array([0.5, 0.12]))
     np.testing.assert_allclose(judgement.good, [0.1, 0.12], atol=1e-3)
-
-
-@pytest.mark.parametrize("lost_below", [0.0, 1.0])
-@given(st.lists(st.floats(0, 5), min_size=1, max_size=20))
-def test_any_distances_give_a_confidence_between_0_and_1(lost_below, distances):
-    confidence, judgement = begin(lost_below=lost_below)
-    for d in distances:
-        judgement = confidence.judge(judgement, np.array([d, d / 2]))
-        assert np.all((judgement.confidence >= 0) & (judgement.confidence <= 1))
-        assert np.isfinite(judgement.good).all()
-        if lost_below == 0.0:
-            assert set(judgement.status) == {"tracked"}
 
 
 def test_without_a_memory_what_is_good_stays_what_the_first_frame_said():
@@ -286,7 +272,7 @@ COLUMNS = ("x", "y", "w", "h", "angle", "ess", "particles")
 )
 def test_a_calibration_changes_confidence_and_spread_alone(file, recipe, clip):
     raw, found = (
-        track_video(FOLDER / f"{clip}.mp4", load_recipe(recipe, {"confidence.calibration": name}), stop=15)
+        track_video(FOLDER / f"{clip}.mp4", load_recipe(recipe, {"confidence.calibration": name}), stop=9)
         for name in (None, str(file))
     )
     for name in COLUMNS:

@@ -257,16 +257,6 @@ def test_no_correction_draws_the_numbers_of_another_correction_or_target():
 # --- places --------------------------------------------------------------------------------------------------------
 
 
-def test_what_is_given_stands_where_it_says_and_the_others_where_they_were():
-    plain = run("factorized", FACE, stop=23)
-    put = run("factorized", FACE, given(20, points={"mouth_left": (130.25, 150.5)}), stop=23)
-    moved = part(put[20], "mouth_left")
-    assert (moved.x, moved.y, moved.status, moved.confidence, moved.by_hand) == (130.25, 150.5, "init", 1.0, True)
-    for name in {*PARTS} - {"mouth_left"}:
-        here, there = part(put[20], name), part(plain[20], name)
-        assert (here.x, here.y, here.status) == (round(there.x, 3), round(there.y, 3), "tracked")
-
-
 @pytest.mark.parametrize("learn", [None, True, False])
 def test_windows_stay_as_the_start_has_them(learn):
     """Though the points, by which lengths are measured, are put further apart."""
@@ -277,34 +267,7 @@ def test_windows_stay_as_the_start_has_them(learn):
     assert all(one == sides[0] for one in sides) and len(sides[0]) == len(PARTS)
 
 
-def test_a_lost_box_that_is_put_right_is_followed_again(head):
-    left, top, w, h = head.box(10)
-    wrong = given(10, "head", box=(left - 90, top - 20, w, h))
-    lost, found = (run("histogram", head, wrong, *more) for more in ((), (given(18, "head", box=head.box(18)),)))
-
-    def off(results):
-        each = [(part(one, "box"), head.truth[one.frame.index, "box"]) for one in results[18:]]
-        return np.array([np.hypot(box.x - true.x, box.y - true.y) for box, true in each])
-
-    assert off(lost).min() > 40 and off(found).max() < 12
-
-
-def test_absent_parts_have_no_place_and_the_others_go_on():
-    put = run("factorized", FACE, given(10, absent=("nose",)), given(25, points=FACE.points(25, ("nose",))))
-    nose = [part(result, "nose") for result in put]
-    assert {(one.status, one.x, one.w, one.confidence) for one in nose[10:25]} == {("absent", None, None, None)}
-    assert [one.status for one in (nose[9], nose[25], nose[26])] == ["tracked", "init", "tracked"]
-    assert "10,0.4000,face,nose,,,,,,,absent,,,,,,100,,," in lines(put)[10]
-    for name in PARTS[1:]:
-        off = [np.hypot(*np.subtract((part(r, name).x, part(r, name).y), FACE.point(r.frame.index, name))) for r in put]
-        assert np.mean(off[10:]) < (6.0 if name == "lip_lower" else 2.0)  # the lower lip strays in any case
-
-
 def test_a_target_may_be_gone_and_come_back(head):
-    gone = run("factorized", FACE, given(8, absent=True), given(12, points=FACE.points(12, PARTS[:3])), stop=14)
-    assert gone[10].targets[0].cloud.shape == (0, 5, 2)
-    assert {one.particles for one in parts_of(gone[10].targets[0])} == {None}
-    assert statuses(gone[12]) == ["init"] * 3 + ["absent"] * 2
     away = run("histogram", head, given(4, "head", absent=("box",)), given(12, "head", box=head.box(12)), stop=14)
     assert [statuses(r)[0] for r in away[3:]] == ["tracked"] + ["absent"] * 8 + ["init", "tracked"]
     start = replace(head.start, corrections=(given(1, "head", absent=True),))
@@ -354,12 +317,6 @@ def test_a_box_beside_points_says_nothing_of_the_others(box):
     assert is_complete(given(15, box=box), PARTS) and is_complete(given(15, box=box, points=NOSE), ("box",))
     both, points = (run("factorized", FACE, given(9, points=NOSE, **more), stop=12) for more in ({"box": box}, {}))
     assert lines(both) == lines(points)
-
-
-def test_what_a_box_brings_back_can_be_learned_later(box):
-    rest = given(15, points=FACE.points(15, PARTS[1:]), learn=True)
-    put = run("factorized", FACE, given(5, absent=("nose",)), given(10, box=box), rest, stop=16)
-    assert statuses(put[9])[0] == "absent" and "absent" not in statuses(put[10])
 
 
 def test_a_single_point_is_learned_anew_by_the_length_of_the_first_frame(box):
@@ -473,43 +430,9 @@ def test_absent_parts_say_nothing_and_follow_the_others_in_the_shape_of_the_firs
     assert (model.log_prior(elsewhere) != model.log_prior(x)).any()
 
 
-@pytest.mark.parametrize("config", ["contour_correlation", "skin_ncc"])
-def test_what_is_carried_from_frame_to_frame_is_carried_from_the_correction(config, head, zoom):
-    clip = head if config == "contour_correlation" else zoom
-    target, first = begun(config, clip)
-    asked = []
-
-    class Spy(type(target.likelihood)):
-        def learn(self, learned, frame, state, particles):
-            asked.append((learned, frame.index, state[0, :2].tolist(), particles))
-            return "learned"
-
-    target = replace(target, likelihood=Spy(**vars(target.likelihood)))
-    left, top, w, h = clip.box(10)
-    state, _ = target.restart(np.random.default_rng(1), clip.frames[10], first, TargetStart(box=(left, top, w, h)))
-    [(learned, frame, place, particles)] = asked
-    assert state.learned == "learned" and learned is first.learned and frame == 10
-    assert place == pytest.approx([left + (w - 1) / 2, top + (h - 1) / 2]) and particles is state.particles
-
-
 def scale_of(result):
     (scale,) = result.rows.diagnostics["face"].get("scale")
     return scale
-
-
-def test_a_prediction_and_the_insets_begin_in_the_frame_of_the_correction(zoom):
-    target, first = begun("adaptive_velocity", zoom)
-    place = TargetStart(box=zoom.box(10))
-    state, result = target.restart(np.random.default_rng(1), zoom.frames[10], first, place)
-    again = target.motion.begin(np.random.default_rng(9), zoom.frames[10], state.estimated.state)
-    np.testing.assert_array_equal(state.flow.patch, again.patch)
-    assert (state.flow.patch != first.flow.patch).any()
-    shown, wanted, before = (
-        dict(each) for each in (result.insets, *map(target.likelihood.insets, (state.learned, first.learned)))
-    )
-    assert all((shown[name] == wanted[name]).all() for name in shown) and shown.keys() == wanted.keys()
-    assert any((shown[name] != before[name]).any() for name in shown)
-    assert scale_of(result) == pytest.approx(np.sqrt(zoom.box(10)[2] * zoom.box(10)[3]) / zoom.box(0)[2], rel=1e-3)
 
 
 def test_a_cloud_fills_the_box_that_is_given():

@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +11,8 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Correction, Start, TargetStart
+from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.evaluation.accuracy import measure_points, measure_recovery, occlusions
-from facetrack_cli.evaluation.goldens import read_golden, write_golden
 from facetrack_cli.evaluation.reliability import measure_confidence, measure_coverage, measure_lost
 from facetrack_cli.evaluation.rows import match
 from facetrack_cli.evaluation.summary import evaluate
@@ -27,10 +25,9 @@ from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_v
 from facetrack_cli.trajectory.formats.eaf import spans_of
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
-from facetrack_cli.trajectory.trajectory import Collector, joined, one_part
-from facetrack_cli.trajectory.views import Clock, enclose
+from facetrack_cli.trajectory.trajectory import joined, one_part
+from facetrack_cli.trajectory.views import enclose
 from facetrack_cli.trajectory.writers import WRITERS, RunSummary
-from tests.evaluation.test_goldens import golden_in
 from tests.evaluation.test_points import rows, statuses
 from tests.support import results
 from tests.support.sinks import Alone
@@ -72,59 +69,15 @@ def result(index):
 
 
 @pytest.fixture
-def run(tmp_path):
-    """A folder with the run in all formats."""
-    for form in ("csv", "json", "jsonl"):
-        writer = WRITERS[form](Alone(tmp_path / f"trajectory.{form}"), HEADER)
-        for index in range(13):
-            writer.write(result(index))
-        writer.close(RunSummary())
-    return tmp_path
-
-
-@pytest.fixture
-def table(run):
-    return read_trajectory(run / "trajectory.json")
+def table(tmp_path):
+    writer = WRITERS["json"](Alone(tmp_path / "trajectory.json"), HEADER)
+    for index in range(13):
+        writer.write(result(index))
+    writer.close(RunSummary())
+    return read_trajectory(tmp_path / "trajectory.json")
 
 
 # --- tables ------------------------------------------------------------------------------------------------------
-
-
-def collected():
-    """The run in memory."""
-    log = Collector()
-    for index in range(13):
-        log.add(result(index))
-    return log.trajectory(path=Path("x"))
-
-
-@pytest.mark.parametrize("form", ["csv", "json", "jsonl", ""])
-def test_absent_rows_and_what_was_given_by_hand_are_read_back(run, form):
-    nose, lip = (read_trajectory(run / f"trajectory.{form}") if form else collected()).parts
-    absent = [5, 6, 7, 10, 11, 12]
-    assert np.flatnonzero(lip.status == "absent").tolist() == absent
-    for name in ("x", "y", "w", "h", "confidence", "std_x", "ess"):
-        assert np.flatnonzero(np.isnan(getattr(lip, name))).tolist() == absent, name
-    assert np.isnan(nose.particles[10:]).all() and (nose.particles[:10] == 10).all()
-    by_hand = [] if form == "csv" else [5, 8, 10]
-    assert np.flatnonzero(lip.by_hand).tolist() == by_hand and lip.by_hand.dtype == np.bool_
-    assert np.flatnonzero(lip.corrected).tolist() == [5, 8, 10], "what a CSV shows is as good here"
-    assert np.flatnonzero(nose.corrected).tolist() == [10]
-    assert lip.take(lip.corrected).frame.tolist() == [5, 8, 10]
-
-
-@pytest.mark.parametrize("value", ["1", '"yes"', "null"])
-def test_by_hand_is_true_or_false(run, value):
-    path = run / "trajectory.json"
-    path.write_text(path.read_text().replace('"by_hand":true', f'"by_hand":{value}'))
-    with pytest.raises(InputError, match=r"by_hand .* is neither true nor false"):
-        read_trajectory(path)
-
-
-def test_a_correction_in_the_first_row_is_told_by_json_alone():
-    one = one_part("face", "nose", [4, 5], status=["init", "tracked"], by_hand=[True, False])
-    assert one.corrected.tolist() == [True, False]
-    assert not replace(one, by_hand=np.zeros(2, bool)).corrected.any(), "it is the start"
 
 
 def test_a_box_around_parts_leaves_out_what_is_absent(table):
@@ -206,20 +159,6 @@ def test_a_trajectory_with_absent_rows_may_be_measured_and_be_truth(table):
     truth = replace(table, status=np.full(26, "visible"), header={}, path=Path("truth.csv"))
     with pytest.raises(InputError, match="name them the other way round"):
         match(truth, table, partial=False, select=None)
-
-
-def test_a_golden_remembers_the_corrections(tmp_path):
-    start = Start(0, {"face": TargetStart(None, {"nose": (1.0, 2.0), "lip": (3.0, 4.0)})}, "x", (
-        Correction(5, "face", absent=("lip",)),
-        Correction(8, "face", TargetStart(None, {"lip": (30.5, 20.0)}), {"nose": (10.0, 20.0)}, learn=True),
-        Correction(10, "face", absent=True),
-    ))  # fmt: skip
-    golden = golden_in(tmp_path, start)
-    path = tmp_path / "a.json"
-    write_golden(path, golden)
-    assert read_golden(path).start.start_from("x").corrections == start.corrections
-    write_golden(path, golden.model_copy(update={"start": golden.start.model_copy(update={"corrections": ()})}))
-    assert '"corrections"' not in path.read_text()
 
 
 # --- exports -----------------------------------------------------------------------------------------------------
@@ -345,19 +284,3 @@ def test_a_run_with_corrections_is_reported_and_repeated(tmp_path, monkeypatch):
         assert main(["export", "run", "--to", form, "-o", f"x.{form}"]) == 0
     assert 'TIER_ID="absent@face"' in Path("x.eaf").read_text()
     assert main(["eval", "run", "--truth", str(SAMPLE.with_suffix(".truth.csv")), "--partial"]) == 0
-
-
-def test_the_table_of_occlusions_says_what_came_back_by_hand(tmp_path, capsys):
-    head, ours, truth = "frame,target,part,x,y,status", [], []
-    for t in range(20):
-        hidden = 5 <= t < 8
-        for part, x in (("nose", 10.0 + t), ("lip", 30.0 + t)):
-            gone = part == "lip" and hidden
-            ours.append(f"{t},face,{part},{'' if gone else x},{'' if gone else 20},{'absent' if gone else 'tracked'}")
-            truth.append(f"{t},face,{part},{x},20,{'hidden' if gone else 'visible'}")
-    paths = [tmp_path / name for name in ("ours.csv", "truth.csv")]
-    for path, rows_ in zip(paths, (ours, truth), strict=True):
-        path.write_text("\n".join([head, *rows_]) + "\n")
-    assert main(["eval", str(paths[0]), "--truth", str(paths[1])]) == 0
-    said = capsys.readouterr().out
-    assert re.search(r"^5-7 +lip +by hand$", said, re.MULTILINE) and "none can be decided" in said

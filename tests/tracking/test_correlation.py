@@ -117,15 +117,6 @@ def test_each_frame_takes_the_place_of_the_one_before():
     assert likelihood.score(after, frames[2], x2, x).min() > likelihood.score(learned, frames[2], x2, x).max()
 
 
-def test_the_picture_is_reduced_as_far_as_the_grid_allows():
-    f = grey(texture())
-    for size, grid, factor in [
-        ((16, 16), (16, 16), 1), ((31, 90), (16, 16), 1), ((32, 90), (16, 16), 2), ((64, 64), (16, 16), 4),
-        ((5, 5), (16, 16), 1), ((64, 64), (8, 32), 2), ((2000, 2000), (16, 16), 64),
-    ]:  # fmt: skip
-        assert correlation(size, grid=grid).init(f, states([0, 0, 1.0])[0]).factor == factor
-
-
 @pytest.mark.parametrize("grid", [(16, 16), (60, 60)])
 def test_a_parent_is_looked_up_wherever_it_was(grid):
     """Each frame is cut around the boxes that lie in it."""
@@ -138,16 +129,3 @@ def test_a_parent_is_looked_up_wherever_it_was(grid):
     for f in whole:
         f.grey(likelihood.init(f, states([0, 0, 1.0])[0]).factor, (0, 0, 500, 400))
     np.testing.assert_array_equal(cut, scored(likelihood, *whole, x, parent))
-
-
-def test_children_of_parents_that_differ_in_one_coordinate_are_told_apart():
-    """Each parent is read once for all its children, which follow each other."""
-    before, now = grey(texture(0)), grey(texture(1))
-    likelihood = correlation(SIZE)
-    parents = states([[80, 60, 1], [80, 60, 1], [84, 60, 1], [84, 64, 1], [84, 64, 1.2], [80, 60, 1]])
-    x = np.repeat(states([81, 61, 1.1]), len(parents), axis=0)
-    learned = likelihood.init(before, x[0])
-    together = likelihood.score(learned, now, x, parents)
-    alone = [likelihood.score(learned, now, x[:1], parent[None])[0] for parent in parents]
-    np.testing.assert_array_equal(together, alone)
-    assert len(np.unique(together)) == 4

@@ -8,7 +8,6 @@ from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trackers.box.hidden_box import VISIBLE
 from tests.support.results import parts_of
 
 WIDTH, HEIGHT = 160, 120
@@ -118,24 +117,13 @@ def test_settings_at_their_bounds_are_survived(key, values):
         assert_finite(run(clip(places, cover=range(6, 10)), start(places[0]), **{key: value}))
 
 
-@pytest.mark.parametrize("by", [(4.0, 0.0), (-4.0, 1.0), (0.0, -4.0)])
+@pytest.mark.parametrize("by", [(4.0, 0.0), (0.0, -4.0)])
 def test_a_target_that_leaves_the_frame_is_lost(by):
     places = [(80 + by[0] * n, 60 + by[1] * n) for n in range(45)]
     results = run(clip(places), start(places[0]))
     assert_finite(results)
     assert np.abs(off(results, places))[:10].max() < 0.25
     assert statuses(results)[-5:] == ["lost"] * 5
-
-
-def test_frames_that_turn_black_and_come_back_are_survived():
-    places = [(60.0, 55.0)] * 40
-    frames = clip(places)
-    for n in range(10, 20):
-        frames[n] = Frame(n, n / 25, np.zeros_like(frames[n].bgr))
-    results = run(frames, start(places[0]))
-    assert_finite(results)
-    assert statuses(results)[14:20] == ["lost"] * 6
-    assert statuses(results)[-5:] == ["tracked"] * 5
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -154,14 +142,14 @@ def test_covered_it_is_lost_and_tracked_again_after(colour, seed):
 @pytest.mark.parametrize("targets", [2, pytest.param(8, marks=pytest.mark.nightly)])
 def test_it_is_found_where_it_returns(targets):
     """Beyond the window, which is 5 times as large as the box; at most one target is missed, none is mistaken."""
-    places, times = [(40.0, 40.0)] * 15 + [None] * 10 + [(250.0, 190.0)] * 85, []
+    places, times = [(40.0, 40.0)] * 15 + [None] * 10 + [(250.0, 190.0)] * 55, []
     for seed in range(targets):
         frames = clip(places, (20, 20), frame_size=(320, 240), seed=3 * seed + 1)
         results = run(frames, start(places[0], (20, 20)), seed)
         assert_finite(results)
         status = statuses(results)
         assert set(status[18:25]) == {"lost"}
-        found = [n for n in range(25, 110) if status[n] == "tracked"]
+        found = [n for n in range(25, 80) if status[n] == "tracked"]
         times.append(len(found))
         assert not found or np.abs(off([results[n] for n in found], [places[n] for n in found])).max() < 0.25
     assert sum(n >= 10 for n in times) >= targets - 1
@@ -200,18 +188,3 @@ def test_the_mean_of_l_over_a_box_and_a_tenth_of_log_scale_is_its_evidence():
     whole = np.exp(likelihood.score(learned, frames[2], x, x)).sum() * 0.01
     areas = 24 * 28 * np.exp(2 * guides.mean[:, 2])
     assert whole == pytest.approx(np.sum(np.exp(guides.log_w) * areas * 0.1), rel=0.02)
-
-
-def test_p_visible_is_part_of_the_state():
-    places = [(60.0, 55.0)] * 25
-    raw = load_recipe("correlation_filter", {"confidence.calibration": None})
-    [target] = build_tracker(raw, start(places[0]))
-    rng, frames = np.random.default_rng(0), clip(places, cover=range(12, 25))
-    state, _ = target.begin(rng, frames[0])
-    seen = []
-    for one in frames[1:]:
-        state, result = target.advance(rng, state, one)
-        seen.append(state.estimated.state[0, VISIBLE])
-        assert parts_of(result)[0].confidence <= seen[-1] + 1e-9
-    assert min(seen[:11]) > 0.9
-    assert max(seen[13:]) < 0.5

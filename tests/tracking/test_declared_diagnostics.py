@@ -1,6 +1,5 @@
 """A diagnostic that a likelihood declares, and that nothing else names: from the tracker to files, plots and editor."""
 
-import json
 import shutil
 from dataclasses import dataclass
 from typing import ClassVar
@@ -19,7 +18,6 @@ from facetrack_cli.trajectory.diagnostics import EVIDENCE, Diagnostic
 from facetrack_cli.trajectory.reader import CORRECTED, read_trajectory
 from facetrack_cli.video.source import open_source
 from tests.support.samples import FOLDER
-from tests.trajectory.test_writers import plain
 
 CLIP, STOP = FOLDER / "expressions.mp4", 9
 COLOURS = Diagnostic("colours", "spread of the colours around each part", "levels", (5,), least=0, decimals=3)
@@ -40,41 +38,20 @@ class Focused(colour_ratio.ColourRatio):
 
 def run(folder, *options):
     words = ["run", CLIP, "--config", "factorized", "--set", "filter.particles=12", "--no-video", "-q", "-o", folder]
-    assert main([*map(str, words), "--stop", str(STOP), "--format", "csv,json,jsonl", *map(str, options)]) == 0
+    assert main([*map(str, words), "--stop", str(STOP), "--format", "csv,json", *map(str, options)]) == 0
     return folder
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    """Folders of a run whose likelihood reports it, and of one whose likelihood does not. The former is used below."""
-    folder = tmp_path_factory.mktemp("runs")
-    plain = run(folder / "plain")
+def done(tmp_path_factory):
+    """The folder of a run whose likelihood reports it; so do runs that follow."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(colour_ratio, "ColourRatio", Focused)
-        yield run(folder / "run"), plain
+        yield run(tmp_path_factory.mktemp("runs") / "run")
 
 
-def test_it_goes_into_json_and_leaves_the_csv_alone(runs):
-    done, other = runs
-    whole = json.loads((done / "trajectory.json").read_text())
-    assert whole["diagnostics"] == json.loads(json.dumps([one.record() for one in (COLOURS, FOCUS, SHARES)]))
-    for frame in whole["frames"]:
-        (target,) = frame["targets"]
-        evidence = ["evidence"] * (frame["frame"] > 0)
-        assert list(target) == ["target", "particles", "shares", *evidence, "focus", "colours", "parts"]
-        assert target["shares"] == {"half": 0.5}
-        assert target["focus"] == pytest.approx(np.mean(target["colours"]), abs=1e-3)
-    first = (done / "trajectory.json").read_text().split('"focus":')[1].split(",")[0]
-    assert len(first.split(".")[1]) == 6
-    assert (other / "trajectory.csv").read_bytes() == (done / "trajectory.csv").read_bytes()
-    assert "diagnostics" not in json.loads((other / "trajectory.json").read_text())
-    rows = [plain(folder / f"trajectory.{form}") for folder in runs for form in ("json", "jsonl")]
-    assert rows[0] == rows[1] == rows[2] == rows[3]
-
-
-@pytest.mark.parametrize("form", ["json", "jsonl"])
-def test_it_is_read_with_its_meaning_and_has_a_panel(runs, form):
-    table = read_trajectory(runs[0] / f"trajectory.{form}")
+def test_it_is_read_with_its_meaning_and_has_a_panel(done):
+    table = read_trajectory(done / "trajectory.json")
     found = table.diagnostics["face"]
     assert set(found.declared) == {COLOURS, FOCUS, SHARES, EVIDENCE}
     assert found.frame.tolist() == list(range(STOP)) and found.get("colours").shape == (STOP, 5)
@@ -91,8 +68,8 @@ def test_it_is_read_with_its_meaning_and_has_a_panel(runs, form):
     assert len(words["colours (levels)"][1].lines) == 5 and "shares" in words
 
 
-def test_a_corrected_run_has_it_as_a_whole_run_has(runs, tmp_path):
-    done = shutil.copytree(runs[0], tmp_path / "run")
+def test_a_corrected_run_has_it_as_a_whole_run_has(done, tmp_path):
+    done = shutil.copytree(done, tmp_path / "run")
     with open_source(CLIP, stop=STOP) as source:
         frames = list(source)
     fixer = Fixer(open_run(done), lambda index: frames[index])

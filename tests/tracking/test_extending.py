@@ -127,20 +127,6 @@ def test_all_three_together_follow_a_clip(registry):
     assert all(1 <= one <= recipe.particles == 500 for one in ess)
 
 
-def test_the_density_of_the_motion_is_that_of_its_steps(registry):
-    executed("LazySir")
-    recipe = load_recipe("sir", [PLUGGED, "motion={type: student_walk, scale: 4px, freedom: 3}"])
-    [target] = build_tracker(recipe, read_init(FOLDER / "occlusion.init.yaml"))
-    x = np.zeros((1, 5, 2))
-    grid = np.linspace(-4000, 4000, 400_001)
-    places = np.zeros((len(grid), 5, 2))
-    places[..., 0] = grid[:, None]
-    density = np.exp(target.motion.log_transition(places, x)[:, 0])
-    # along one axis, at the peak along the other
-    np.testing.assert_allclose(np.trapezoid(density, grid, axis=0), density.max(axis=0) ** 0.5, rtol=1e-3)
-    assert target.motion.expect(x) is x and target.motion.propagate(np.random.default_rng(0), x).shape == x.shape
-
-
 def test_it_is_the_same_recipe_when_it_is_read_back(plugged):
     settings = to_dict(plugged["recipe"])
     assert settings["likelihood"] == {"type": "grey_difference", "sigma": 8.0}

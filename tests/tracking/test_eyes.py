@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.trackers.face.cascaded_regression import face_channels, load_regression
 from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SMALL, load_eyes, openings
@@ -86,26 +85,3 @@ def test_the_network_for_an_eye_places_lids_and_iris(iris_model):
         assert (np.hypot(*(irises - middles).T) / EYES).max() < 0.15
     _, frame = found(IN_CLIP, squeezed)
     assert np.all(openings(iris.measure(frame, head_of(IN_CLIP), TRUE[CORNERS])[0]) < 0.7 * openings(TRUE))
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda one: one._replace(lids=one.lids[:-1]), "are no regressions of eyes"),
-        (lambda one: one._replace(scales=one.scales[:0], stages=one.stages[:0]), "above 0"),
-        (lambda one: one._replace(first=one.first * np.nan), "not finite"),
-        (lambda one: one._replace(std=0 * one.std), "above 0"),
-    ],
-)
-def test_arrays_that_do_not_fit_are_refused_in_a_line(tmp_path, change, said):
-    path = tmp_path / "odd.npz"
-    change(load_eyes()).save(path)
-    with pytest.raises(InputError, match=said) as refused:
-        load_eyes(path)
-    assert str(path) in str(refused.value) and "\n" not in str(refused.value)
-
-
-def test_a_file_gives_back_what_was_saved(tmp_path):
-    load_eyes().save(tmp_path / "a.npz")
-    for one, other in zip(load_eyes(tmp_path / "a.npz"), load_eyes(), strict=True):
-        np.testing.assert_array_equal(one, other)

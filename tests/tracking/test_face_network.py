@@ -12,7 +12,6 @@ from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import GROUPS, POINTS
 from facetrack_cli.core.types import BOX, Correction, TargetStart
-from facetrack_cli.engine.corrected import completed, correctable_parts, is_complete
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.manifest import Manifest
@@ -140,18 +139,6 @@ def test_points_of_a_network_are_lost_while_it_sees_no_face_and_with_the_head(fi
 # --- corrections ------------------------------------------------------------------------------------------------------
 
 
-def test_corrections_speak_of_the_parts_and_not_of_points_of_the_network(moved):
-    _, results = moved
-    rows = results[3].rows
-    parts = [part for _, part in rows.names]
-    assert correctable_parts(parts) == PARTS
-    points = {part: (100.0, 90.0 + i) for i, part in enumerate(PARTS)}
-    assert is_complete(Correction(3, "face", TargetStart(points=points)), parts)
-    assert is_complete(Correction(3, "face", absent=PARTS), parts)
-    one = completed(Correction(3, "face", TargetStart(points={"nose": (100.0, 90.0)})), rows)
-    assert {*one.kept} == {*PARTS} - {"nose"} and one.absent == ()
-
-
 def test_a_correction_puts_parts_and_points_of_the_network_right_and_all_may_be_absent(file):
     poses = [POSES[0]] * 5 + [Pose(200, 120)] * 10
     mesh = FakeMesh(poses)
@@ -233,8 +220,8 @@ def test_a_run_says_which_network_it_used_and_what_of_it_did_not_count(share, sa
 
 
 def test_runs_of_a_clip_are_smoothed_and_the_report_names_the_network(file, tmp_path, monkeypatch):
-    monkeypatch.setattr(targets, "Mesh", lambda path: FakeMesh([IN_CLIP] * 14, noise=0.6))
-    sets = ("--set", f"head.landmarks.network={file}", "--set", "filter.particles=100", "--stop", "14", "--no-video")
+    monkeypatch.setattr(targets, "Mesh", lambda path: FakeMesh([IN_CLIP] * 9, noise=0.6))
+    sets = ("--set", f"head.landmarks.network={file}", "--set", "filter.particles=100", "--stop", "9", "--no-video")
     tables = []
     for more in ((), ("-q", "--smooth")):
         out = tmp_path / f"run{len(more)}"
@@ -245,7 +232,7 @@ def test_runs_of_a_clip_are_smoothed_and_the_report_names_the_network(file, tmp_
         tables.append(read_trajectory(out / "trajectory.csv"))
         assert [part for _, part in tables[-1].names] == [*PARTS, BOX, *FEATURES]
     ahead, smooth = (np.stack([[one.x, one.y] for one in table.parts[6:]]).T for table in tables)
-    assert smooth.shape == (14, 2, 23) and jitter(smooth) < 0.8 * jitter(ahead)
+    assert smooth.shape == (9, 2, 23) and jitter(smooth) < 0.8 * jitter(ahead)
     if find_spec("matplotlib"):
         called("report", out)
         [page] = out.glob("*.html")

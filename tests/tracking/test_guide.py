@@ -1,7 +1,6 @@
 """The prediction of eq. 12 and 13: in pixels, against its twin, and where there is nothing to predict from."""
 
 import math
-from dataclasses import replace
 from functools import partial
 
 import cv2
@@ -10,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.trackers.appearance.affine import RANK, Flow, Patches, eta
+from facetrack_cli.trackers.appearance.affine import RANK, Patches, eta
 from facetrack_cli.trackers.appearance.appearance_kernels import differences, gain, mapped
 from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
 from tests.support.parts import affine_walk, appearance, changed, predicted
@@ -60,10 +59,9 @@ MOTIONS = [
 
 @pytest.mark.parametrize("towards", ["last", "appearance"])
 @pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("samples", [None, 32])
-def test_the_shift_points_to_the_truth(motion, samples, towards):
+def test_the_shift_points_to_the_truth(motion, towards):
     now, there = moved(**motion)
-    guide = changed(GUIDE, velocity=VelocitySettings(samples=samples, towards=towards))
+    guide = changed(GUIDE, velocity=VelocitySettings(samples=32 if towards == "last" else None, towards=towards))
     ahead = ahead_of(guide, flow_of(guide), now)
     assert ahead.state is HERE or (ahead.state == HERE).all()
     before, after = apart(HERE, there), apart(ahead.state + ahead.shift, there)
@@ -102,18 +100,6 @@ def test_directions_that_hardly_differ_are_rounding():
     for small, kept in ((RANK * 0.5, False), (RANK * 2, True)):
         b = gain(x, np.diag([1.0, small**2]), 20, RANK)
         assert (b[0, 1] > 0) == kept
-
-
-@pytest.mark.parametrize(
-    "products",
-    [
-        np.zeros((0, 0)), np.zeros((5, 5)), np.ones((6, 6)), np.eye(6), np.diag([1.0, 1, 2, 2, 0]),
-        np.full((3, 3), np.nan), np.full((3, 3), np.inf), np.full((4, 4), 1e-200), np.full((4, 4), 1e150),
-        np.diag([np.inf, 1.0]),
-    ],
-)  # fmt: skip
-def test_any_products_end_and_give_numbers(products):
-    assert np.isfinite(gain(np.ones((len(products), 6)), products, 3, RANK)).all()
 
 
 @pytest.mark.parametrize(("count", "most"), [(100, 32), (33, 32), (32, 32), (5, 32), (1, 2), (7, None)])
@@ -260,9 +246,3 @@ def test_towards_the_appearance_corrects_what_the_last_frame_was_wrong_by():
         guide = changed(GUIDE, velocity=VelocitySettings(towards=towards))
         ahead = ahead_of(guide, flow_of(guide, here=wrong), picture, learned)
         assert apart(ahead.state + ahead.shift, HERE) == pytest.approx(off, abs=0.2)
-
-
-def test_the_start_learns_from_as_many_particles_as_it_is_told():
-    assert flow_of(replace(GUIDE, particles=17)).gain.shape == (6, 17)
-    still = flow_of(changed(GUIDE, velocity=None))
-    assert isinstance(still, Flow) and still.gain.shape == (6, 0)

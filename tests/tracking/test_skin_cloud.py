@@ -94,24 +94,10 @@ def test_hands_that_meet_the_face_do_not_take_it_and_go_on_their_way():
     """Without exclusion, the cloud of a hand that passes over the face would stay on it."""
     across = [(HEAD, (70 + 4.0 * t, 62.0, 14.0, 14.0), RIGHT) for t in range(30)]
     begin = Start(0, {name: TargetStart(box=box(e)) for name, e in zip(ALL, across[0], strict=True)}, "x")
-    kept = [places(run("head_hands", frames(across), begin, seed))[-1, 1, 0] for seed in range(2)]
-    assert np.abs(np.array(kept) - across[-1][1][0]).max() < 8
-    lost = [places(run("head_hands", frames(across), begin, seed, ["exclusion=null"]))[-1, 1, 0] for seed in range(2)]
-    assert np.abs(np.array(lost) - HEAD[0]).mean() < 20
-
-
-def test_a_pixel_weighs_what_its_colour_says_and_the_floor_elsewhere():
-    frame = Frame(0, 0.0, picture(LEFT))
-    model = skin_cloud((28.0, 28.0), box(LEFT), floor=0.02)
-    learned = model.init(frame, np.zeros((1, 2)))
-    x = np.array([[60.0, 139.0], [10.0, 10.0], [-50.0, 4.0], [1e8, 1e8]])[:, None]
-    found = np.exp(model.score(learned, frame, x, x))[:, 0]
-    assert found[0] > 0.8 and found[1:].tolist() == pytest.approx([0.02] * 3)
-    on, off = model.distances(learned, frame, x[:2])[:, 0]
-    assert on < 0.4 and off > 0.9
-    # the least share arrives
-    assert not learned.notes
-    assert skin_cloud((28.0, 28.0), box(LEFT), least_share=1.0).init(frame, np.zeros((1, 2))).notes
+    kept, lost = (
+        places(run("head_hands", frames(across), begin, 0, more))[-1, 1, 0] for more in ((), ["exclusion=null"])
+    )
+    assert abs(kept - across[-1][1][0]) < 8 and abs(lost - HEAD[0]) < 20
 
 
 @pytest.mark.parametrize(("config", "zoom"), [("head_hands", 1), ("head_hands_cloud", 4)])

@@ -1,4 +1,4 @@
-"""The contract of stored arrays: a shape prior, a gallery and a regression are read back, or refused in one line."""
+"""The contract of stored arrays: a shape prior, a gallery and regressions are read back, or refused in one line."""
 
 import io
 import zipfile
@@ -10,6 +10,7 @@ import pytest
 from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.trackers.appearance.gallery import load_gallery
+from facetrack_cli.trackers.face import eyes
 from facetrack_cli.trackers.face.cascaded_regression import DEFAULT, load_regression
 from facetrack_cli.trackers.points.shape_prior import default_prior_path, load_prior
 from tests.support.samples import FOLDER
@@ -18,6 +19,7 @@ LOADED = {
     "shape prior": (load_prior, default_prior_path()),
     "gallery": (load_gallery, FOLDER / "people.npz"),
     "mouth descent": (load_regression, default_prior_path().with_name(DEFAULT)),
+    "eye descent": (eyes.load_eyes, default_prior_path().with_name(eyes.DEFAULT)),
 }
 KINDS = pytest.mark.parametrize("kind", LOADED)
 OPTIONAL = {"format", "version", "proportion"}  # of the first two the message says more
@@ -73,6 +75,65 @@ def test_a_file_of_another_kind_or_without_an_array_is_refused(kind, tmp_path):
         assert f"lacks an array: {key}" in refused(kind, path).replace(" is not a file in the archive", "")
 
 
+DAMAGE = {
+    "shape prior": [
+        ("shapes", lambda a: a[:, :4], r"4, 2"),
+        ("shapes", lambda a: a[:0], r"0, 5, 2"),
+        ("shapes", lambda a: a + 300, "pixels"),
+        ("shapes", lambda a: a + 0.1, "moves"),
+        ("stable", lambda a: np.array("ear"), "ear"),
+        ("scale", lambda a: a[[0, 0]], "two different"),
+        ("scale", lambda a: a[:1], "scale"),
+        ("parts", lambda a: a[[0, 0, 1, 2, 3]], "once"),
+    ],
+    "gallery": [
+        ("intra_mean", lambda a: a + np.inf, "not finite"),
+        ("extra_values", lambda a: -a, "not above 0"),
+        ("frontal_rho", lambda a: a * 0, "not above 0"),
+        ("frontal_vectors", lambda a: 2 * a, "orthonormal"),
+        ("intra_vectors", lambda a: a[:, :-1], "directions"),
+        ("shape", lambda a: a + 1, "template"),
+        ("shape", lambda a: a[:1], "not two numbers"),
+        ("proportion", lambda a: a * np.nan, "no such proportion"),
+        ("names", lambda a: a.astype("S"), "names is of"),
+        ("names", lambda a: np.repeat(a[:1], len(a)), "each named once"),
+        ("names", lambda a: np.char.add(a, "\n"), "no name"),
+        ("names", lambda a: a[:-1], "5 persons"),
+        ("counts", lambda a: a * 0, "one image or more"),
+        ("calibration", lambda a: -np.abs(a) - 1, "grows"),
+        ("calibration", lambda a: np.append(a, 1.0), "two numbers"),
+        ("most_frontal", lambda a: a * 0 + 1.5, "probability"),
+        ("threshold", lambda a: a * np.nan, "not finite"),
+        ("faces", lambda a: a * 1e6, "unit variance"),
+    ],
+    "mouth descent": [
+        ("points", lambda a: np.repeat(a[:1], len(a)), "each named once"),
+        ("points", lambda a: a[:0], "do not fit 0 points"),
+        ("stages", lambda a: a[:2], "do not fit"),
+        ("odds", lambda a: a[:, :3], "do not fit"),
+        ("odds", lambda a: a * np.inf, "not finite"),
+        ("std", lambda a: a * 0, "not above 0"),
+        ("scales", lambda a: a[:0], "a stage or more"),
+    ],
+    "eye descent": [
+        ("lids", lambda a: a[:-1], "are no regressions of eyes"),
+        ("scales", lambda a: a * 0, "above 0"),
+        ("first", lambda a: a * np.nan, "not finite"),
+        ("std", lambda a: 0 * a, "above 0"),
+    ],
+}
+
+
+@KINDS
+def test_arrays_that_do_not_fit_are_refused(kind, tmp_path):
+    arrays = stored(kind)[1]
+    for number, (name, change, said) in enumerate(DAMAGE[kind]):
+        path = tmp_path / f"{number}.npz"  # a regression is read once
+        with np.errstate(invalid="ignore"):
+            np.savez(path, **(arrays | {name: change(arrays[name])}))
+        assert said in refused(kind, path), name
+
+
 @KINDS
 def test_damaged_bytes_are_refused_or_do_no_harm(kind, tmp_path):
     path = tmp_path / "x.npz"
@@ -85,7 +146,7 @@ def test_damaged_bytes_are_refused_or_do_no_harm(kind, tmp_path):
     for content in (b"", b"text\n", whole[: len(whole) // 2], whole[:100], other.getvalue(), bare.getvalue()):
         path.write_bytes(content)
         refused(kind, path)
-    for turn in range(60):
+    for turn in range(24):
         damaged = bytearray(whole)
         first = 0 if turn % 3 else len(whole) - 1500  # the directory of the archive is at its end
         for at in rng.integers(first, len(whole), 3):

@@ -110,18 +110,6 @@ def test_its_velocity_is_that_of_who_was_propagated_to_the_same_place(parent):
     assert v.std() == pytest.approx(residual, rel=0.03)
 
 
-def test_a_parent_is_drawn_in_proportion_to_how_likely_it_came_from_there():
-    """Two parents at one place, with other speeds: where both may have come from, so does the velocity."""
-    one = visible_walk(SIGMA, SIGMA, scale=0.05, acceleration=0.0, hide=1e-9)
-    x = np.array([[(50.0, 40.0, 1.0, 4.0, 0.0, 1.0)], [(50.0, 40.0, 1.0, -4.0, 0.0, 1.0)]])
-    particles = Particles(x, np.log([0.3, 0.7]))
-    z = np.tile([51.5, 40.0, 0.0], (20_000, 1))
-    v = one.arrive(np.random.default_rng(0), z, particles).x[:, 0, 3]
-    np.testing.assert_allclose(np.unique(v), [-2, 2])  # half of the velocity is left
-    likely = np.array([0.3 * np.exp(-0.5 * (0.5 / 3) ** 2), 0.7 * np.exp(-0.5 * (3.5 / 3) ** 2)])
-    assert np.mean(v > 0) == pytest.approx(likely[0] / likely.sum(), abs=0.012)
-
-
 def test_its_forecast_is_that_of_samples_of_a_visible_target():
     one = visible_walk(SIGMA, HIDDEN, scale=0.05, hide=1e-9)
     particles = crowd()

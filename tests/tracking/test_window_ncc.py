@@ -198,31 +198,6 @@ def test_of_too_many_templates_the_one_that_matched_least_goes_and_never_the_fir
     assert min(like[i] for i in (0, 2, 3)) > 0.99 and like[1] < NEW_BELOW
 
 
-def test_a_part_that_something_covers_hides_and_comes_back():
-    """A sensor that is in doubt and a window that does not match say it together."""
-    free, cover = texture(0), with_patch(texture(0), texture(2), 24)
-    model, learned, x = one_part(free)
-    for _ in range(20):
-        learned = step(model, learned, free, x, says=0.0)
-    assert learned.visible[0] > 0.95
-    good = learned.good.copy()
-    gone, back = [], []
-    for _ in range(12):
-        learned = step(model, learned, cover, x, says=-2.0)
-        gone.append(learned.visible[0])
-    assert np.diff(gone).max() < 0.01 and gone[5] < 0.1
-    other = one_part(free)[1]
-    for _ in range(6):
-        other = step(model, other, free, x, says=-2.0)
-    assert other.visible[0] > 0.9, "where the window matches, a sensor that is in doubt does not hide it"
-    assert learned.good[0] > good[0] - 0.08, "what it looks like when it is seen is kept"
-    for _ in range(4):
-        learned = step(model, learned, free, x, says=0.0)
-        back.append(learned.visible[0])
-    assert back[-1] > 0.9
-    assert learned.templates.number[0] == 1, "what covered it was not learned"
-
-
 def test_v_is_the_chain_of_two_states_with_the_evidence_that_is_written():
     model, learned, x = one_part(texture(0))
     now = (0.7 * texture(0) + 0.3 * texture(1)).astype(np.uint8)

@@ -5,7 +5,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
@@ -246,7 +246,6 @@ def test_json_that_cannot_be_read(tmp_path, given, said):
     assert str(path) in str(error.value) and "\n" not in str(error.value)
 
 
-@settings(max_examples=60)
 @given(st.integers(0, 2**32), st.integers(1, 6), st.booleans())
 def test_damaged_files_are_read_or_refused_in_one_line(tmp_path, seed, changes, xml):
     rng = np.random.default_rng(seed)

@@ -5,12 +5,9 @@ import math
 import numpy as np
 import pytest
 
-import facetrack_cli as facetrack
-from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.trajectory.face_events import Chain, events_of
 from facetrack_cli.trajectory.measures import SHARE, Measured
 from tests.support.face_shape import moving_face
-from tests.support.samples import FOLDER
 from tests.twins import hidden_markov
 
 STD = 0.05
@@ -107,14 +104,6 @@ def test_what_the_spread_explains_is_no_event():
     assert events(doubt=0.12, mouth_opening=value) == [], "a head that moves"
 
 
-def test_a_lower_step_is_less_probable():
-    chance = []
-    for height in (0.3, 0.09, 0.07, 0.03):
-        found = events(mouth_opening=bumps(200, (50,), 6, height=height) + 0.005 * noise(6, 200))
-        chance.append(found[0].probability if found else 0.0)
-    assert chance[0] > 0.95 > chance[1] > chance[2] >= chance[3] == 0
-
-
 def test_blinks_are_short_are_found_while_eyes_narrow_and_longer_ones_are_shut_eyes():
     slow = 0.05 * np.sin(np.arange(400) / 60)
     value = np.maximum(0.3 + slow + bumps(400, (50, 130, 300), 4, height=-0.25, rest=0.0) + 0.01 * noise(2, 400), 0.02)
@@ -191,11 +180,3 @@ def test_each_shot_of_a_film_has_its_own_rest():
     film, later = measured("mouth_opening", value), np.arange(200) >= 100
     film = film._replace(frame=film.frame + 400 * later, time_s=film.time_s + 16 * later)
     assert spans(events_of("face", {"mouth_opening": film})["mouth"]) == [("open", 550, 569)]
-
-
-def test_the_mouth_of_the_sample_clip_opens_wide():
-    """Frames 105 to 137 of the truth."""
-    recipe = load_recipe("face", {"filter.particles": 20})
-    table = facetrack.track_video(FOLDER / "expressions.mp4", recipe, init="haar", start=80, stop=145)
-    wide = [one for one in table.events if one.tier == "mouth" and 105 <= 25 * one.peak_s <= 137]
-    assert len(wide) == 1 and wide[0].probability > 0.9 and 118 <= wide[0].last_frame <= 150

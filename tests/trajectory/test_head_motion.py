@@ -138,15 +138,6 @@ def test_parts_that_get_lost_and_return_make_no_motion():
     assert labels(points(t, degrees=8, noise=0.5, lost=away)) == []
 
 
-def test_a_part_that_has_gone_its_own_way_makes_no_step_when_it_gets_lost():
-    """The lips have drifted a fifth of the size from the nose, slowly; then the nose is lost for two seconds."""
-    t = clock(20)
-    status = np.where((t > 16) & (t < 18), "lost", "tracked")
-    nose = one_part("face", "nose", np.arange(len(t)), time_s=t, x=100 + 0 * t, y=50 + 0 * t, status=status)
-    lip = one_part("face", "lip_upper", np.arange(len(t)), time_s=t, x=100 + 3 * t, y=90 + 0 * t)
-    assert labels([nose, lip], "horizontal") == []
-
-
 def test_a_nod_that_turns_into_a_shake_is_one_after_the_other():
     t = clock(8)
     swing = 0.1 * np.sin(2 * np.pi * 2.5 * t)

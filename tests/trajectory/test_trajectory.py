@@ -241,15 +241,6 @@ def test_a_collector_gives_what_it_was_given(count):
     assert log.trajectory().frames.tolist() == [*every.tolist(), count + 1], "and it may go on"
 
 
-def test_pieces_of_a_run_have_the_names_of_the_run():
-    whole = successive([frame(index) for index in range(1, 6)])
-    redone = replace(frame(4), x=frame(4).x + 100)
-    pieces = [redone, whole.between(5, 9), whole.between(0, 4)]
-    found = successive(pieces, like=replace(whole, header={"seed": 3}, path=Path("run")))
-    assert (found.names, found.header, found.path) == (whole.names, {"seed": 3}, Path("run"))
-    assert found.parts[0].x.tolist() == [1, 2, 3, 104, 5]
-
-
 def test_what_was_recorded_is_said_of_each_target_of_a_frame():
     turned = (0.0, -1.0, 1.0, 0.0, 30.0, 40.0)  # a quarter turn
     declared = (SCALE, AFFINE)

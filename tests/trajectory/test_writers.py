@@ -12,6 +12,7 @@ from hypothesis import given
 
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import StreamSink, temporary_path
+from facetrack_cli.trajectory import reader
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, Trajectory, one_part
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, RunSummary, as_written, csv_frames
@@ -140,7 +141,8 @@ def plain(path):
 
 @pytest.mark.parametrize("form", FORMATS)
 @given(given_rows=trajectories.trajectories())
-def test_what_is_written_is_read_back(tmp_path_factory, form, given_rows):
+def test_what_is_written_is_read_back(tmp_path_factory, monkeypatch, form, given_rows):
+    monkeypatch.setattr(reader, "_BLOCK", 2)
     path = trajectories.write(tmp_path_factory.getbasetemp() / f"round.{form}", given_rows)
     expected = as_written(given_rows)
     for name, decimals in DECIMALS.items():

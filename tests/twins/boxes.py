@@ -20,10 +20,6 @@ def clip(box, width, height):
     return [left, top, min(max(box[2], 0), width - left), min(max(box[3], 0), height - top)]
 
 
-def centre(box):
-    return box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2
-
-
 def whole(value):
     """A number as float32, rounded, halves to even."""
     return int(np.rint(np.float32(value)))

@@ -27,19 +27,6 @@ def probability(colour, mean, cov):
     return math.exp(-(c * u * u - 2 * b * u * v + a * v * v) / (a * c - b * b) / 2)
 
 
-def box_sum(values, box):
-    """The sum of a map over (x0, y0, x1, y1): each pixel by the area of it that the box covers."""
-    x0, y0, x1, y1 = box
-    total = 0.0
-    for i, row in enumerate(values):
-        for j, value in enumerate(row):
-            across = min(x1, j + 0.5) - max(x0, j - 0.5)
-            down = min(y1, i + 0.5) - max(y0, i - 0.5)
-            if across > 0 and down > 0:
-                total += across * down * float(value)
-    return total
-
-
 def pixel(picture, x, y):
     """Bilinear value at (x, y), 0 beyond the image (H, W)."""
     height, width = len(picture), len(picture[0])

@@ -51,14 +51,6 @@ def test_folder_in_natural_order_among_other_files(tmp_path: Path) -> None:
     assert "no images" in refusal(tmp_path / "empty")
 
 
-def test_folder_equals_the_video_of_the_same_frames(tmp_path: Path) -> None:
-    frames = read(media.write_video(tmp_path / "clip.mp4", frames=10))[1]
-    folder = media.write_pictures(tmp_path / "frames", [frame.bgr for frame in frames])
-    for a, b in zip(frames, read(folder)[1], strict=True):
-        np.testing.assert_array_equal(a.bgr, b.bgr)
-        assert (a.index, round(a.time_s, 9)) == (b.index, round(b.time_s, 9))
-
-
 def test_kinds_of_pictures_become_bgr(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     bgr = rng.integers(0, 256, (20, 30, 3), dtype=np.uint8)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.video.decode import LostError, _is_hidden, read_index
-from facetrack_cli.video.seek import Cache, Frames, Turns
+from facetrack_cli.video.seek import Cache, Frames
 from facetrack_cli.video.source import VideoSource, open_source
 from tests.support import media
 
@@ -124,7 +124,7 @@ def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: s
     assert len(expected) > 40
     with indexed(path) as frames:
         assert frames.size == expected[0].size and not frames.exact
-        for index in np.random.default_rng(0).permutation(len(expected))[:30].tolist():
+        for index in np.random.default_rng(0).permutation(len(expected))[:16].tolist():
             frames._recent.clear()  # each by a way of its own
             check(frames.read(index), expected[index])
         assert (frames.jumps > 0) == (name not in IN_ORDER)
@@ -241,16 +241,6 @@ def test_a_clip_that_does_not_say_how_long_it_is_has_its_packets_counted(folder:
         assert frames._claimed == 0 and frames.count == len(expected) == 100 and not frames.exact
 
 
-def test_memory_is_flat_over_many_reads(long: Path) -> None:
-    with indexed(long) as frames:
-        size = frames.read(0).pixels.nbytes
-        frames._recent.most_bytes = 30 * size
-        for place, index in enumerate(np.random.default_rng(2).integers(0, 600, 200).tolist()):
-            frames.read(index if place % 20 == 0 else min(max(frames._last - 1, 0), 599))
-            assert frames._recent.bytes <= 30 * size
-        assert len(frames._recent) <= 30
-
-
 # doubt
 
 
@@ -308,28 +298,6 @@ def test_several_threads_at_once(folder: Path) -> None:
         for thread in threads:
             thread.join()
     assert wrong == []
-
-
-def test_who_asks_last_has_the_next_turn_and_overtakes() -> None:
-    turns = Turns()
-    order: list[int] = []
-    first = turns.ticket()
-    later = [turns.ticket() for _ in range(3)]
-
-    def work(ticket: int) -> None:
-        with turns.turn(ticket):
-            order.append(ticket)
-
-    with turns.turn(first):
-        assert not turns.overtaken(first)
-        threads = [threading.Thread(target=work, args=(ticket,)) for ticket in later]
-        for thread in threads:
-            thread.start()
-        waited_for(lambda: len(turns._waiting) == 3)
-        assert turns.overtaken(first) and not turns.overtaken(later[-1])
-    for thread in threads:
-        thread.join()
-    assert order == later[::-1]
 
 
 def test_a_long_way_gives_way_to_who_asks_later(folder: Path) -> None:
@@ -397,15 +365,6 @@ def test_a_folder_of_images(tmp_path: Path) -> None:
         for index in (12, -1):
             with pytest.raises(InputError, match=r"no frame -?\d+, the clip has 12 frames \(0 to 11\); choose"):
                 frames.read(index)
-
-
-def test_a_folder_with_a_broken_picture_ends_there(tmp_path: Path) -> None:
-    path = media.write_pictures(tmp_path / "frames", 12)
-    (path / "7.png").write_text("no image")
-    with Frames(path) as frames:
-        with pytest.raises(InputError, match=r"7.png: is not an image, or of an unknown kind; repair"):
-            frames.read(7)
-        assert frames.count == 7 and media.number(frames.read(6).bgr) == 6
 
 
 def test_refusals_are_those_of_the_source(tmp_path: Path) -> None:

@@ -18,8 +18,6 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.video.source import Source, open_source
 from tests.support import media
 
-CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))
-
 
 def read(path: Path, **options: object) -> tuple[Source, list[Frame]]:
     with open_source(path, **options) as source:  # type: ignore[arg-type]
@@ -192,8 +190,8 @@ KINDS = {
 
 @pytest.mark.parametrize("name", KINDS)
 def test_whole_clips_of_many_kinds(tmp_path: Path, name: str) -> None:
-    path = media.write_video(tmp_path / name, frames=30, size=(128, 96), options=KINDS[name])
-    check_whole(path, 30)
+    path = media.write_video(tmp_path / name, frames=20, size=(128, 96), options=KINDS[name])
+    check_whole(path, 20)
 
 
 @pytest.mark.parametrize("name", ["cut.mp4", "cut.mkv", "cut.ts"])
@@ -220,24 +218,6 @@ def test_references_of_quicktime_are_not_followed(tmp_path: Path) -> None:
     path = tmp_path / "clip.mov"
     path.write_bytes(data.replace(b"url \0\0\0\1", b"url \0\0\0\0"))  # to another, which is not named
     check_whole(path, 10)  # as if it were to the file itself
-
-
-@pytest.mark.nightly
-@pytest.mark.clips
-def test_real_clips_raise_no_alarm() -> None:
-    if not CLIPS.is_dir():
-        pytest.skip(f"no clips at {CLIPS}; set FACETRACK_CLIPS")
-    videos = sorted(p for p in CLIPS.glob("*/*") if p.suffix in (".avi", ".mp4", ".mpg", ".webm"))
-    for path in [*videos, *sorted(CLIPS.glob("*/img"))]:
-        with open_source(path) as source:
-            last, count = -1.0, 0
-            for frame in source:
-                assert frame.time_s > last and frame.size == source.size
-                last = frame.time_s
-                count += 1
-            assert source.complete and source.warnings == [] and source.variable is False, path
-            assert source.frames_hint == count, path
-    assert videos
 
 
 # cut and damaged
