@@ -65,7 +65,7 @@ def grey_channels(image: Image, at: Array) -> Single:
     """
     out = np.empty((1, len(at), DIRECTIONS + 1), np.float32)
     _grey_channels(np.ascontiguousarray(image), _GREY, _WAYS, at, out)
-    return out[0]
+    return out.reshape(len(at), -1)
 
 
 @fast
