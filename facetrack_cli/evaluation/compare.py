@@ -7,7 +7,8 @@
 A recipe stands clearly above another where the intervals mean +- 2 standard errors do not overlap; its place is the
 range from 1 + the number of recipes clearly above it to the number of all less those clearly below it. A deterministic
 tracker runs once and its interval is its value; of a single seed of any other nothing is known but the value.
-*Failure*: points, a part is lost for good (accuracy.py); boxes, the last tenth of true boxes has a median IoU below 0.1.
+*Failure*: points, a part is lost for good (`accuracy.py`); boxes, the last tenth of true boxes has a median IoU below
+0.1.
 """
 
 import contextlib
@@ -26,8 +27,16 @@ from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.accuracy import share_up_to
 from facetrack_cli.evaluation.rows import PERCENT, Measure, Rows, at, column, match
-from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name, rounded
-from facetrack_cli.evaluation.summary import MEASURES, Evaluation, evaluate, scalars
+from facetrack_cli.evaluation.summary import (
+    MEASURES,
+    NO_FIGURE,
+    Evaluation,
+    Sheet,
+    clip_name,
+    evaluate,
+    rounded,
+    scalars,
+)
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.plan import ClipRequest, far_from_truth
 from facetrack_cli.runs.progress import Progress

@@ -339,7 +339,7 @@ def _intervals(people: People) -> str:
 def _show(people: People, seconds: Clock) -> None:
     """The cast as a table, and what is in doubt."""
     from facetrack_cli.core.numbers import clock
-    from facetrack_cli.evaluation.sheet import Sheet
+    from facetrack_cli.evaluation.summary import Sheet
 
     tracks = [track.person for track in people.tracks]
     rows = tuple(
