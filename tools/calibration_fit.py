@@ -41,8 +41,7 @@ from facetrack_cli.evaluation.reliability import (
     reliability_bins,
 )
 from facetrack_cli.evaluation.rows import Pair, match, rows_of
-from facetrack_cli.evaluation.sheet import clip_name
-from facetrack_cli.evaluation.summary import units_of
+from facetrack_cli.evaluation.summary import clip_name, units_of
 from facetrack_cli.recipe.model import LIKELY, ParticleFilterSettings, ParticlesRecipe, Recipe
 from facetrack_cli.trajectory.trajectory import Trajectory
 

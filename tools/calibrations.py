@@ -38,7 +38,7 @@ from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import BOX
 from facetrack_cli.evaluation.compare import default_truth
-from facetrack_cli.evaluation.sheet import clip_name
+from facetrack_cli.evaluation.summary import clip_name
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.plan import ClipRequest

@@ -27,8 +27,16 @@ from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.accuracy import share_up_to
 from facetrack_cli.evaluation.rows import PERCENT, Measure, Rows, at, column, match
-from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name, rounded
-from facetrack_cli.evaluation.summary import MEASURES, Evaluation, evaluate, scalars
+from facetrack_cli.evaluation.summary import (
+    MEASURES,
+    NO_FIGURE,
+    Evaluation,
+    Sheet,
+    clip_name,
+    evaluate,
+    rounded,
+    scalars,
+)
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.plan import ClipRequest, far_from_truth
 from facetrack_cli.runs.progress import Progress

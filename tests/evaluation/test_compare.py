@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.evaluation import sheet
+from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.compare import (
     CUMULATIVE_AT,
     Comparison,
@@ -30,7 +30,7 @@ from facetrack_cli.evaluation.compare import (
     score_run,
     tail_overlap,
 )
-from facetrack_cli.evaluation.sheet import Sheet
+from facetrack_cli.evaluation.summary import Sheet
 from facetrack_cli.runs.seeds import labels, variant
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
@@ -314,7 +314,7 @@ GIVEN = Sheet(
 
 @pytest.mark.parametrize("width", [20, 45, 100])
 def test_a_table_loses_no_column_where_there_is_little_room(capsys, monkeypatch, width):
-    monkeypatch.setattr(sheet, "WIDTH", width)
+    monkeypatch.setattr(summary, "WIDTH", width)
     GIVEN.show()
     lines = capsys.readouterr().out.splitlines()
     assert lines[3].split() == ["rank", "recipe", "error,", "px", "↓", "failed"]
@@ -324,7 +324,7 @@ def test_a_table_loses_no_column_where_there_is_little_room(capsys, monkeypatch,
     assert max(map(len, notes)) <= width and all(line == line.rstrip() for line in lines)
 
 
-SHEET = f"from facetrack_cli.evaluation.sheet import Sheet\nGIVEN = {GIVEN!r}\n"
+SHEET = f"from facetrack_cli.evaluation.summary import Sheet\nGIVEN = {GIVEN!r}\n"
 
 
 def as_seen(code, encoding):

@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.engine.kernels.affine import boxes_extent
+from facetrack_cli.engine.kernels.compiled import boxes_extent
 from facetrack_cli.trackers.regions import region_kernels as kernel
 from facetrack_cli.trackers.regions.likelihoods import OUTSIDE
 from tests.support.images import grey, states

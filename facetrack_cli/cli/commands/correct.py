@@ -11,22 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import (
-    FILE,
-    NPZ,
-    RUN,
-    Command,
-    Page,
-    flag,
-    frame_at,
-    moment,
-    option,
-    page_options,
-    refuse,
-    say,
-    words,
-    working,
-)
+from facetrack_cli.cli.options import Command, flag, frame_at, moment, option, page_options, refuse, say, words, working
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
 
 if TYPE_CHECKING:
@@ -47,13 +32,13 @@ _TRACK = words("A@TIME=B", "(.*)@([^@=]*)=([^@]*)", "give a name, a time and a n
 
 
 @click.command()
-@click.argument("folder", type=RUN)
+@click.argument("folder", type=options.RUN)
 @options.clip
-@option("--init", type=FILE, help="No page: take the corrections of this init file, and no others.")
+@option("--init", type=options.FILE, help="No page: take the corrections of this init file, and no others.")
 @option(
     "--import",
     "imported",
-    type=FILE,
+    type=options.FILE,
     help="No page: add what was corrected in CVAT (XML), Label Studio (JSON) or ELAN.",
 )
 @option(
@@ -65,7 +50,7 @@ _TRACK = words("A@TIME=B", "(.*)@([^@=]*)=([^@]*)", "give a name, a time and a n
 @flag("--quiet", "-q", help="With --init: say nothing but errors.")
 def fix_command(
     folder: Path, clip: Path | None, init: Path | None, imported: Path | None, person: tuple[str, str] | None,
-    no_video: bool, page: Page, quiet: bool,
+    no_video: bool, page: options.Page, quiet: bool,
 ) -> int:  # fmt: skip
     """Correct a finished run, on a page.
 
@@ -193,7 +178,7 @@ def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: 
     return ExitCode.DONE
 
 
-def _serve_fixer(fixer: Fixer, frames: Frames, page: Page, stop: Stop, *, video: bool) -> int:
+def _serve_fixer(fixer: Fixer, frames: Frames, page: options.Page, stop: Stop, *, video: bool) -> int:
     """Serve the page until it is saved or stopped; the exit code."""
     from facetrack_cli.editor.fix_session import FixSession
     from facetrack_cli.editor.history import corrections_of
@@ -221,12 +206,12 @@ def _serve_fixer(fixer: Fixer, frames: Frames, page: Page, stop: Stop, *, video:
 
 
 @click.command(cls=Command, basic="merge split rename give save edit clip no_video as_json as_csv overwrite quiet")
-@click.argument("folder", type=RUN)
+@click.argument("folder", type=options.RUN)
 @option("--merge", type=_NAMES, multiple=True, help="A is B: both are one person, under the name of B.")
 @option("--split", type=moment("A@TIME"), multiple=True, help="From that time on (1:23, or 2075f) A is somebody else.")
 @option("--rename", type=_NAME, multiple=True, help="The name of A.")
 @option(
-    "--save", type=NPZ,
+    "--save", type=options.NPZ,
     help="Save what these people look like, for run --faces all --gallery FILE.npz.",
 )  # fmt: skip
 @option(
@@ -242,8 +227,8 @@ def _serve_fixer(fixer: Fixer, frames: Frames, page: Page, stop: Stop, *, video:
 @flag("--overwrite", help="Replace the file of --save.")
 @flag("--quiet", "-q", help="Say nothing but errors, and print no table.")
 def people_command(
-    folder: Path, merge: Words, split: Words, rename: Words, save: Path | None, give: Words, edit: bool, page: Page,
-    clip: Path | None, no_video: bool, as_json: bool, as_csv: bool, overwrite: bool, quiet: bool,
+    folder: Path, merge: Words, split: Words, rename: Words, save: Path | None, give: Words, edit: bool,
+    page: options.Page, clip: Path | None, no_video: bool, as_json: bool, as_csv: bool, overwrite: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Show who is in a film, and correct it.
 
@@ -297,7 +282,7 @@ def people_command(
     return 0
 
 
-def _serve_cast(folder: Path, elsewhere: Path | None, page: Page, *, video: bool) -> int:
+def _serve_cast(folder: Path, elsewhere: Path | None, page: options.Page, *, video: bool) -> int:
     """Serve the page until it is saved or stopped; the exit code."""
     from facetrack_cli.editor.fix_session import CastSession
     from facetrack_cli.runs.people import film_of, people_in, rows_in
@@ -339,7 +324,7 @@ def _intervals(people: People) -> str:
 def _show(people: People, seconds: Clock) -> None:
     """The cast as a table, and what is in doubt."""
     from facetrack_cli.core.numbers import clock
-    from facetrack_cli.evaluation.sheet import Sheet
+    from facetrack_cli.evaluation.summary import Sheet
 
     tracks = [track.person for track in people.tracks]
     rows = tuple(

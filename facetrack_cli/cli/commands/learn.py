@@ -234,7 +234,7 @@ def show_prior(file: Path | None, out: Path | None, overwrite: bool) -> None:
       facetrack prior show
       facetrack prior show mouths.npz -o mouths.svg
     """
-    from facetrack_cli.evaluation.sheet import Sheet
+    from facetrack_cli.evaluation.summary import Sheet
     from facetrack_cli.report.figures.models import prior_figure
     from facetrack_cli.trackers.points.shape_prior import default_prior_path, load_prior, suggested_sigma
 

@@ -12,26 +12,7 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.app import colour
-from facetrack_cli.cli.options import (
-    FILE,
-    FILE_OR_DASH,
-    FOLDER,
-    INPUT,
-    PNG,
-    RECIPE,
-    TRAJECTORY,
-    Command,
-    Extent,
-    Text,
-    TruthOptions,
-    Whole,
-    extent_options,
-    flag,
-    option,
-    refuse,
-    say,
-    truth_options,
-)
+from facetrack_cli.cli.options import FILE_OR_DASH, Command, extent_options, flag, option, refuse, say, truth_options
 from facetrack_cli.core.errors import ExitCode, InputError, UsageError, flat
 
 if TYPE_CHECKING:
@@ -58,20 +39,20 @@ def _failure(value: str) -> float:
 
 
 @click.command(cls=Command, basic="truth partial target normalise people json_file csv_file plot overwrite")
-@click.argument("trajectory", type=TRAJECTORY)
+@click.argument("trajectory", type=options.TRAJECTORY)
 @option(
-    "--truth", type=FILE,
+    "--truth", type=options.FILE,
     help="File or folder of ground truth [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
 )  # fmt: skip
 @truth_options
 @options.format_of("--format", "How to read TRAJECTORY if another tracker wrote it: one of the same")
 @option(
-    "--normalise", type=Text("LENGTH"), default="size",
+    "--normalise", type=options.Text("LENGTH"), default="size",
     help="Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
     "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
 )  # fmt: skip
 @option(
-    "--failure", type=Text("SHARE", _failure), default="0.1",
+    "--failure", type=options.Text("SHARE", _failure), default="0.1",
     help="A point has failed above this normalised error; 300-W takes 0.08.",
 )  # fmt: skip
 @flag(
@@ -81,10 +62,10 @@ def _failure(value: str) -> float:
 )
 @option("--json", "json_file", type=FILE_OR_DASH, help="Write all measures as JSON; - is standard output.")
 @option("--csv", "csv_file", type=FILE_OR_DASH, help="Write a row a part and one of all as CSV; - is standard output.")
-@option("--plot", type=PNG, help="Draw how far confidence can be trusted (needs [plot]).")
+@option("--plot", type=options.PNG, help="Draw how far confidence can be trusted (needs [plot]).")
 @options.overwrite
 def eval_command(
-    trajectory: Path, truth: Path | None, reference: TruthOptions, format: str, normalise: str, failure: float,
+    trajectory: Path, truth: Path | None, reference: options.TruthOptions, format: str, normalise: str, failure: float,
     people: bool, json_file: str | None, csv_file: str | None, plot: Path | None, overwrite: bool,
 ) -> None:  # fmt: skip
     """Measure a trajectory against ground truth.
@@ -195,23 +176,23 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
 
 
 @click.command(cls=Command, basic="config seeds rank_by overrides truth target init box stop out overwrite jobs")
-@click.argument("clip", type=INPUT)
+@click.argument("clip", type=options.INPUT)
 @option(
-    "--config", type=RECIPE, multiple=True, required=True,
+    "--config", type=options.RECIPE, multiple=True, required=True,
     help="Recipe: a file, a name, or either with its own keys, as sir:filter.particles=500; repeat for each.",
 )  # fmt: skip
-@option("--seeds", type=Whole(min=1), default=10, help="Runs of each, seed 0 on.")
-@option("--rank-by", type=Text("MEASURE"), help="Rank by this, as points.median_px or boxes.precision_20.")
+@option("--seeds", type=options.Whole(min=1), default=10, help="Runs of each, seed 0 on.")
+@option("--rank-by", type=options.Text("MEASURE"), help="Rank by this, as points.median_px or boxes.precision_20.")
 @options.set_("Override a key of all; repeatable.")
 @options.gallery("People to recognise, as facetrack gallery fit writes them.")
 @option(
-    "--truth", type=FILE,
+    "--truth", type=options.FILE,
     help="Ground truth [default: <clip>.truth.csv, else groundtruth.csv, groundtruth_rect.txt or groundtruth.txt in "
     "the folder of this clip alone].",
 )  # fmt: skip
 @truth_options
 @extent_options
-@option("-o", "--out", type=FOLDER, help="Folder for results [default: ./<clip>-compare].")
+@option("-o", "--out", type=options.FOLDER, help="Folder for results [default: ./<clip>-compare].")
 @flag("--json", "as_json", help="Print JSON instead of the table.")
 @flag("--csv", "as_csv", help="Print CSV instead of the table.")
 @flag("--no-plots", help="Draw nothing.")
@@ -220,8 +201,8 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
 @flag("--quiet", "-q", help="Print the table, and nothing else but errors.")
 def compare_command(
     clip: Path, config: tuple[str, ...], seeds: int, rank_by: str | None, overrides: tuple[str, ...],
-    gallery: str | None, truth: Path | None, reference: TruthOptions, extent: Extent, out: Path | None, as_json: bool,
-    as_csv: bool, no_plots: bool, overwrite: bool, jobs: int, quiet: bool,
+    gallery: str | None, truth: Path | None, reference: options.TruthOptions, extent: options.Extent,
+    out: Path | None, as_json: bool, as_csv: bool, no_plots: bool, overwrite: bool, jobs: int, quiet: bool,
 ) -> int:  # fmt: skip
     """Run recipes on a clip with ground truth, and rank them.
 
@@ -333,18 +314,18 @@ def _write(comparison: Comparison, folder: Path, shown: Progress, *, plots: bool
 
 
 @click.command()
-@click.argument("folder", type=FOLDER)
+@click.argument("folder", type=options.FOLDER)
 @option(
-    "--config", type=RECIPE, multiple=True,
+    "--config", type=options.RECIPE, multiple=True,
     help="Only this recipe, a file or a name; repeatable [default: all that have goldens].",
 )  # fmt: skip
 @options.set_("Check with this key changed; repeatable.")
-@option("--gallery", type=FILE, help="People that recipes with recognition know; a golden remembers its own.")
+@option("--gallery", type=options.FILE, help="People that recipes with recognition know; a golden remembers its own.")
 @flag("--update", help="Record goldens instead: of --config, else of all that have one.")
-@option("--seeds", type=Whole(min=5, max=500), help="Runs to record a golden from [default: 10].")
-@option("--stop", type=Whole(min=2), help="Record up to this frame only; for slow trackers.")
-@option("--junit", type=FILE, help="Write JUnit XML, for CI services.")
-@option("--json", type=FILE, help="Write the results as JSON.")
+@option("--seeds", type=options.Whole(min=5, max=500), help="Runs to record a golden from [default: 10].")
+@option("--stop", type=options.Whole(min=2), help="Record up to this frame only; for slow trackers.")
+@option("--junit", type=options.FILE, help="Write JUnit XML, for CI services.")
+@option("--json", type=options.FILE, help="Write the results as JSON.")
 @options.overwrite
 @options.jobs("Goldens at a time.")
 @flag("--quiet", "-q", help="No progress.")

@@ -14,20 +14,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import (
-    FOLDER_OR_DASH,
-    FRAME,
-    INPUT,
-    Command,
-    Extent,
-    Text,
-    Whole,
-    extent_options,
-    flag,
-    option,
-    refuse,
-    say,
-)
+from facetrack_cli.cli.options import FRAME, Command, Extent, Text, Whole, extent_options, flag, option, refuse, say
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError
 
 if TYPE_CHECKING:
@@ -87,7 +74,7 @@ def _formats(value: str) -> tuple[Format, ...]:
     },
     basic="init box start stop faces config overrides out no_video smooth overwrite jobs",
 )  # fmt: skip
-@click.argument("inputs", type=INPUT, nargs=-1, required=True)
+@click.argument("inputs", type=options.INPUT, nargs=-1, required=True)
 @extent_options
 @option(
     "--faces", type=click.Choice(["one", "all"]), metavar="WHICH", default="one", show_default=False,
@@ -102,7 +89,7 @@ def _formats(value: str) -> tuple[Format, ...]:
     "People to recognise, as facetrack gallery fit writes them; with --faces all as facetrack people --save does."
 )
 @option(
-    "-o", "--out", type=FOLDER_OR_DASH,
+    "-o", "--out", type=options.FOLDER_OR_DASH,
     help="Folder for results [default: ./<clip>-<recipe>, with --set]; - streams to stdout.",
 )  # fmt: skip
 @flag("--no-video", help="Do not write annotated.mp4.")

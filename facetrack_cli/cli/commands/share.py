@@ -10,21 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import (
-    FILE,
-    FILE_OR_DASH,
-    RUN,
-    TRAJECTORY,
-    Number,
-    Text,
-    TruthOptions,
-    flag,
-    option,
-    refuse,
-    say,
-    truth_options,
-    write_figure,
-)
+from facetrack_cli.cli.options import FILE_OR_DASH, TruthOptions, flag, option, refuse, say, truth_options, write_figure
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_BOXES, OF_MEDIA
 
@@ -36,12 +22,12 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("trajectory", type=TRAJECTORY)
+@click.argument("trajectory", type=options.TRAJECTORY)
 @option("--to", type=click.Choice([*EXPORTS, *ALIASES]), metavar="FORMAT", required=True, help="Format, as above.")
 @option("-o", "--out", type=FILE_OR_DASH, help="File to write [default: beside TRAJECTORY]; - standard output.")
 @options.target
-@option("--media", type=FILE, help=f"Clip it was tracked in ({', '.join(OF_MEDIA)}).")
-@option("--into", type=FILE, help="An .eaf to add the tiers to.")
+@option("--media", type=options.FILE, help=f"Clip it was tracked in ({', '.join(OF_MEDIA)}).")
+@option("--into", type=options.FILE, help="An .eaf to add the tiers to.")
 @option(
     "--box", type=click.Choice(["windows", "points"]), metavar="KIND",
     help="What a box around points encloses: windows [default], or points, their centres alone.",
@@ -158,10 +144,10 @@ export_command.help = inspect.cleandoc(str(export_command.help)).replace("FORMAT
 
 
 @click.command()
-@click.argument("folder", type=RUN)
-@option("--truth", type=FILE, help="Measure against this file of ground truth.")
+@click.argument("folder", type=options.RUN)
+@option("--truth", type=options.FILE, help="Measure against this file of ground truth.")
 @truth_options
-@option("-o", "--out", type=FILE, help="The page [default: RUN_DIR/report.html, or batch.html].")
+@option("-o", "--out", type=options.FILE, help="The page [default: RUN_DIR/report.html, or batch.html].")
 @options.clip
 @options.title
 @options.overwrite
@@ -225,15 +211,15 @@ def report_command(
 
 
 @click.command()
-@click.argument("trajectory", type=TRAJECTORY)
-@option("--truth", type=FILE, help="Draw the ground truth too, and the error.")
+@click.argument("trajectory", type=options.TRAJECTORY)
+@option("--truth", type=options.FILE, help="Draw the ground truth too, and the error.")
 @truth_options
-@option("--measure", type=Text("NAMES"), help="Draw these measures and events alone, separated by commas.")
+@option("--measure", type=options.Text("NAMES"), help="Draw these measures and events alone, separated by commas.")
 @options.figure_file("plot.png beside TRAJECTORY")
 @options.overwrite
 @options.title
-@option("--width", type=Number(4, 40), metavar="INCHES", default=10, help="Width of the page.")
-@option("--dpi", type=Number(40, 600), metavar="N", default=120, help="Pixels an inch of a PNG.")
+@option("--width", type=options.Number(4, 40), metavar="INCHES", default=10, help="Width of the page.")
+@option("--dpi", type=options.Number(40, 600), metavar="N", default=120, help="Pixels an inch of a PNG.")
 def plot_command(
     trajectory: Path, truth: Path | None, reference: TruthOptions, measure: str | None, out: Path | None,
     overwrite: bool, title: str | None, width: float, dpi: float,

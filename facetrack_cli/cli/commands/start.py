@@ -9,21 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import (
-    FILE_OR_DASH,
-    FOLDER,
-    FRAME,
-    INPUT,
-    PNG,
-    PROJECT,
-    RECIPE,
-    Page,
-    flag,
-    option,
-    page_options,
-    refuse,
-    say,
-)
+from facetrack_cli.cli.options import FILE_OR_DASH, FRAME, Page, flag, option, page_options, refuse, say
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError, flat
 
 if TYPE_CHECKING:
@@ -32,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("project", type=PROJECT, required=False, default=lambda: Path.home() / "facetrack")
+@click.argument("project", type=options.PROJECT, required=False, default=lambda: Path.home() / "facetrack")
 @options.port
 @flag("--no-open", help="Do not open the page in the browser.")
 def app_command(project: Path, port: int | None, no_open: bool) -> int:
@@ -62,7 +48,7 @@ def app_command(project: Path, port: int | None, no_open: bool) -> int:
 
 
 @click.command()
-@click.argument("results", type=FOLDER, metavar="RESULTS")
+@click.argument("results", type=options.FOLDER, metavar="RESULTS")
 @flag("--json", "as_json", help="Print JSON.")
 def status_command(results: Path, as_json: bool) -> None:
     """Tell how far a batch is, and how long it still takes.
@@ -84,7 +70,7 @@ def status_command(results: Path, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("clip", type=INPUT)
+@click.argument("clip", type=options.INPUT)
 @option("-o", "--out", type=FILE_OR_DASH, help="File to write [default: <clip>.init.yaml beside the clip]; - stdout.")
 @option("--init-frame", type=FRAME, help="Frame where the search begins, of --box, or shown first on the page.")
 @option(
@@ -93,10 +79,10 @@ def status_command(results: Path, as_json: bool) -> None:
 )  # fmt: skip
 @options.box("The face's box in that frame: place the points in it.")
 @option(
-    "--config", type=RECIPE,
+    "--config", type=options.RECIPE,
     help="Write what this recipe begins with: its points, or a head and hands; without, a face and five points.",
 )  # fmt: skip
-@option("--preview", type=PNG, help="Also draw the result on its frame.")
+@option("--preview", type=options.PNG, help="Also draw the result on its frame.")
 @flag("--pick", help="Choose on a page in the browser: boxes and points are drawn on the frame.")
 @page_options
 @flag("--overwrite", help="Replace files that are there already; --pick begins with what they hold.")

@@ -1,7 +1,7 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
 """How kernels are compiled and cached, a decorator for each kind of arithmetic, and what several trackers share.
 
-That is bilinear reading, the sums of boxes, and drawing indices by weights.
+That is bilinear reading, the sums of boxes, where boxes lie, and drawing indices by weights.
 """
 
 import contextlib
@@ -179,3 +179,22 @@ def invert_cdf(weights, points, out):
                 i += 1
                 cumulated += weights[i, k]
             out[j, k] = i
+
+
+@exact
+def boxes_extent(x, w, h, width, height):
+    """(x from, y from, x to, y to) of boxes (w, h), centred, at x, within the image.
+
+    x (N, 3) = (cx, cy, s), or (N, 6) = (cx, cy, a1, a2, a3, a4), deformed by [[a1, a2], [a3, a4]].
+    """
+    x0, y0, x1, y1 = width - 1.0, height - 1.0, 0.0, 0.0
+    for n in range(x.shape[0]):
+        b1, b2, b3, b4 = x[n, 2], 0.0, 0.0, x[n, 2]
+        if x.shape[1] == 6:
+            b2, b3, b4 = x[n, 3], x[n, 4], x[n, 5]
+        u, v = 0.5 * (w * abs(b1) + h * abs(b2)), 0.5 * (w * abs(b3) + h * abs(b4))
+        left, top, right, bottom = x[n, 0] - u, x[n, 1] - v, x[n, 0] + u, x[n, 1] + v
+        # comparisons leave out nan
+        x0, y0 = left if left < x0 else x0, top if top < y0 else y0
+        x1, y1 = right if right > x1 else x1, bottom if bottom > y1 else y1
+    return max(x0, 0.0), max(y0, 0.0), min(x1, width - 1.0), min(y1, height - 1.0)

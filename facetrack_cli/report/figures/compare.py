@@ -12,7 +12,7 @@ from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.accuracy import FAILURE, PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
 from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, aligned
 from facetrack_cli.evaluation.reliability import ReliabilityBin, calibration_error
-from facetrack_cli.evaluation.sheet import clip_name
+from facetrack_cli.evaluation.summary import clip_name
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.style import Figure, Pen, columns_for, quantiles, render
 

@@ -68,7 +68,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import remap
 from facetrack_cli.core.types import Array, Frame, Image, Particles, Whole, factor_for
-from facetrack_cli.engine.kernels.affine import boxes_extent
+from facetrack_cli.engine.kernels.compiled import boxes_extent
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import averaged, effective_share
 from facetrack_cli.engine.spaces import Context

@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles, factor_for
-from facetrack_cli.engine.kernels.affine import boxes_extent
+from facetrack_cli.engine.kernels.compiled import boxes_extent
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.skin import skin_kernels as kernel
