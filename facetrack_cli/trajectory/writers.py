@@ -249,7 +249,7 @@ def _reported(reported: Diagnostics, frame: int) -> list[str]:
 @lru_cache
 def _numbers(spec: str) -> Callable[[list[Any]], list[str]]:
     """Writes numbers, all at once; "" for what is not finite, and never -0."""
-    whole, odd = f"%{spec}\n", {**_ODD, format(-0.0, spec): format(0.0, spec)}
+    whole, odd = f"%{spec}\n", {"nan": "", "inf": "", "-inf": "", format(-0.0, spec): format(0.0, spec)}
     return lambda values: [odd.get(text, text) for text in (whole * len(values) % tuple(values)).split("\n")[:-1]]
 
 
@@ -262,6 +262,5 @@ _key = lru_cache(4096)(dumps)  # the names of a gallery come again in every fram
 _OF_TARGET = ("target", "particles", "identity", "identity_prob")
 _OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", *SPREAD, "ess")
 _SPECS = {"frame": ".0f", "particles": ".0f", **{name: f".{decimals}f" for name, decimals in DECIMALS.items()}}
-_ODD = {"nan": "", "inf": "", "-inf": ""}
 
 _BLOCK = 1_000  # frames that become text at a time

@@ -75,6 +75,21 @@ def test_nothing_heavy_is_imported_for_help(arguments):
     assert commands <= {f"facetrack_cli.cli.commands.{name}" for name in arguments}
 
 
+def test_a_run_imports_nothing_that_it_does_not_use(tmp_path):
+    clip = Path(__file__).parents[2] / "sample_videos" / "occlusion.mp4"
+    done = facetrack(
+        "run", str(clip), "--stop", "3", "--no-video", "-o", str(tmp_path / "out"), flags=["-X", "importtime"]
+    )
+    imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time:")}
+    unused = (
+        "runs.people runs.smooth runs.cluster runs.live runs.api start.presence trackers.smoothed trackers.opencv "
+        "trackers.hands.target trackers.skin.cloud trackers.appearance.appearance trajectory.people video.writer "
+        "video.overlay"
+    )
+    assert "facetrack_cli.trackers.face.target" in imported
+    assert imported & {"PIL", "imageio", *(f"facetrack_cli.{name}" for name in unused.split())} == set()
+
+
 def test_help_lists_the_commands_and_options_in_sections(capsys):
     def said(*words):
         assert main([*words]) == 0

@@ -26,7 +26,7 @@ from facetrack_cli.trajectory.formats.eaf import spans_of
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, one_part
-from facetrack_cli.trajectory.views import enclose
+from facetrack_cli.trajectory.views import Clock, enclose
 from facetrack_cli.trajectory.writers import WRITERS, RunSummary
 from tests.evaluation.test_points import rows, statuses
 from tests.support import results
