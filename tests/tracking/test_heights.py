@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.trackers.box.peak_statistics import Heights, Peaks, ResponseView, Usual, evidence
+from facetrack_cli.trackers.box.modes import Heights, Peaks, ResponseView, Usual, evidence
 from facetrack_cli.trackers.box.trained import UPSAMPLED
 
 

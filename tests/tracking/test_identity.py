@@ -12,8 +12,9 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.stabilized import Similarity
-from facetrack_cli.trackers.people import identity
+from facetrack_cli.trackers.people import descriptor, identity
 from facetrack_cli.trackers.people.descriptor import (
+    EMBEDDED,
     VIEWS,
     Describer,
     FaceDescriptor,
@@ -240,6 +241,20 @@ def test_a_blurred_view_and_one_that_the_detector_is_unsure_of_are_worth_less():
     whole, unsure, none = (reader_of(score).looks().worth.item() for score in (0.95, 0.8, 0.0))
     assert whole > 0.5 and 0 < unsure < 0.5 * whole and none == 0
     assert reader_of(0.95, blur=4.0).looks().worth.item() < 0.5 * whole
+
+
+def test_the_best_views_alone_are_embedded_each_once(monkeypatch):
+    """The others stand for them, as often."""
+    seen = []
+    monkeypatch.setattr(descriptor, "embedded", lambda chip: seen.append(0) or np.full(128, len(seen), float))
+    scores = (0.76, 0.95, 0.0, 0.88, 0.94, 0.93, 0.92, 0.91)
+    reader = reader_of(*scores)
+    first, again = reader.looks(), reader.looks()
+    assert len(seen) == EMBEDDED and (first.embedding == again.embedding).all()
+    order = np.argsort(scores)[::-1]
+    assert first.embedding[order, 0].tolist() == [1 + k % EMBEDDED for k in range(len(scores))]
+    monkeypatch.setattr(descriptor, "embedded", lambda chip: np.zeros(0))
+    assert reader_of(*scores).looks().embedding.shape == (8, 0)
 
 
 def slow_clusters(odds, apart):
