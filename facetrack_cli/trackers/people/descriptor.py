@@ -28,7 +28,7 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 
 VIEWS: Final = 8  # frames of a track that are looked at
 AS_GOOD: Final = 0.5  # of the best view's worth, what another view that counts has at least
-EMBEDDED: Final = 4  # of these, the best ones that dlib's network sees
+SHARED: Final = 2  # views one after another of which dlib's network sees the best, so that what it sees is spread
 CHIP_PX: Final = 150  # sides of the face that dlib's network sees
 CHIP_SIDES: Final = 1.1  # sides of the face's box that it shows
 FACE_PX: Final = 24  # sides of the face in grey
@@ -151,7 +151,7 @@ class Describer:
         self._detector = detector
         self.scores: list[float] = []  # of the detector, in each view; 0 where it sees no face
         self._seen: list[FaceDescriptor] = []  # without embeddings
-        self._pictures: dict[int, Picture] = {}  # of the views that are worth most so far
+        self._pictures: dict[int, tuple[int, Picture]] = {}  # of the views that are embedded, and their numbers
         self._places: list[Image] = []
         self._first: Similarity | None = None
         self.best: tuple[float, Image] | None = None  # the best still
@@ -163,9 +163,10 @@ class Describer:
         found, looks = self._detector.measure(upright.bgr, BOX), picture.plain
         self.scores.append(0.0 if found is None else found.score)
         self._seen.append(looks._replace(worth=looks.worth * np.interp(self.scores[-1], _SCORE, (0.0, 1.0))))
-        self._pictures[len(self._seen) - 1] = picture
-        for k in self._by_worth()[EMBEDDED:]:
-            self._pictures.pop(k, None)
+        now = len(self._seen) - 1
+        kept = self._pictures.get(now // SHARED)
+        if kept is None or self._seen[kept[0]].worth < self._seen[now].worth:
+            self._pictures[now // SHARED] = now, picture
         self._first = self._first or view.face
         place = cv2.cvtColor(_upright(frame, self._first, 1.0, FACE_PX), cv2.COLOR_BGR2GRAY)
         self._places.append(np.asarray(place, np.uint8))
@@ -176,17 +177,12 @@ class Describer:
         if self.best is None or sharp > self.best[0]:
             self.best = sharp, still(frame, view.face)
 
-    def _by_worth(self) -> list[int]:
-        return sorted(range(len(self._seen)), key=lambda k: -self._seen[k].worth.item())
-
     def looks(self) -> FaceDescriptor:
-        """What was seen; ValueError if that is nothing. Views that are not embedded have the embeddings of others."""
-        seen, order = together(self._seen), self._by_worth()
-        best = [k for k in order[:EMBEDDED] if seen.worth[k] >= AS_GOOD * seen.worth[order[0]]]
-        few = np.concatenate([self._pictures[k].looks.embedding for k in best])
-        embedding = np.empty((len(order), few.shape[1]))
-        embedding[order] = np.resize(few, embedding.shape)
-        return seen._replace(embedding=embedding)
+        """What was seen; ValueError if that is nothing. Views without an embedding have that of the nearest view."""
+        seen = together(self._seen)
+        good = {k: one for k, one in self._pictures.values() if seen.worth[k] >= AS_GOOD * seen.worth.max()}
+        nearest = np.abs(np.subtract.outer(np.arange(len(seen.worth)), [*good])).argmin(axis=1)
+        return seen._replace(embedding=np.concatenate([one.looks.embedding for one in good.values()])[nearest])
 
     @property
     def is_face(self) -> bool:
