@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.trackers.box import cell_kernels as cells
+from facetrack_cli.trackers.box import box_kernels as cells
 from tests.twins import cells as naive
 
 seeds = st.integers(0, 10_000)

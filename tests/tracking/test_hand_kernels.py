@@ -53,18 +53,20 @@ def test_a_belief_is_what_its_plain_twin_says(share):
     rng = np.random.default_rng(4)
     x, _, _ = cloud(rng)
     seen, w = rng.random((len(x), 2)) < share, rng.dirichlet(np.full(len(x), 0.3))
-    found = np.empty(2), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty(2)
-    kernels.gather(x, seen, w, *found)
-    for ours, theirs in zip(found, naive.gather(x, seen, w), strict=True):
+    found = np.empty(2), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty(2), np.empty(2)
+    [share] = maps(rng, 1)
+    kernels.gather(x, seen, w, share, SCALE, *found)
+    for ours, theirs in zip(found, naive.gather(x, seen, w, share, SCALE), strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-9)
 
 
 def test_far_from_all_particles_a_belief_is_at_the_heaviest():
     x = np.zeros((3, 2, 4))
     x[:, :, 0] = np.array([0.0, 50.0, 100.0])[:, None]
-    found = np.empty(2), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty(2)
-    kernels.gather(x, np.ones((3, 2), bool), np.array([0.45, 0.1, 0.45]), *found)
-    expected = naive.gather(x, np.ones((3, 2), bool), np.array([0.45, 0.1, 0.45]))
+    found = np.empty(2), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty(2), np.empty(2)
+    given = x, np.ones((3, 2), bool), np.array([0.45, 0.1, 0.45]), np.zeros((9, 9), np.float32), SCALE
+    kernels.gather(*given, *found)
+    expected = naive.gather(*given)
     np.testing.assert_allclose(found[1], expected[1], atol=1e-9)
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from facetrack_cli.trackers.box.peak_statistics import Heights, Peaks, ResponseView, Usual, evidence
+from facetrack_cli.trackers.box.modes import Heights, Peaks, ResponseView, Usual, evidence
 from facetrack_cli.trackers.box.trained import UPSAMPLED
 
 

@@ -12,7 +12,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.stabilized import Similarity
-from facetrack_cli.trackers.people import identity
+from facetrack_cli.trackers.people import descriptor, identity
 from facetrack_cli.trackers.people.descriptor import (
     VIEWS,
     Describer,
@@ -227,6 +227,18 @@ def test_a_blurred_view_and_one_that_the_detector_is_unsure_of_are_worth_less():
     whole, unsure, none = (reader_of(score).looks().worth.item() for score in (0.95, 0.8, 0.0))
     assert whole > 0.5 and 0 < unsure < 0.5 * whole and none == 0
     assert reader_of(0.95, blur=4.0).looks().worth.item() < 0.5 * whole
+
+
+def test_the_better_view_of_two_is_embedded_once_and_stands_for_both(monkeypatch):
+    seen = []
+    monkeypatch.setattr(descriptor, "embedded", lambda chip: seen.append(0) or np.full(128, len(seen), float))
+    scores = (0.88, 0.95, 0.0, 0.76, 0.9, 0.89, 0.88, 0.89)
+    reader = reader_of(*scores)
+    first, again = reader.looks(), reader.looks()
+    assert len(seen) == 3 and (first.embedding == again.embedding).all()
+    assert first.embedding[:, 0].tolist() == [1, 1, 1, 2, 2, 2, 3, 3]  # no view of the second pair is any good
+    monkeypatch.setattr(descriptor, "embedded", lambda chip: np.zeros(0))
+    assert reader_of(*scores).looks().embedding.shape == (8, 0)
 
 
 def slow_clusters(odds, apart):

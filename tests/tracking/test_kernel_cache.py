@@ -19,6 +19,7 @@ CLIPS = Path(__file__).parents[2] / "sample_videos"
 RECIPES = {
     "face": "expressions", "factorized": "expressions", "adaptive": "expressions",
     "contour_histogram_correlation": "expressions", "skin_ncc": "expressions", "head_hands": "signing",
+    "signer": "signing",
 }  # fmt: skip
 _RUN = """
 import json, sys

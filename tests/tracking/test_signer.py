@@ -301,6 +301,19 @@ def test_evidence_is_what_is_new_and_of_this_skin():
     assert e[33, 80] > 5 * evidence.look(scene, drawn(2), HEAD)[1].evidence[33, 80]
 
 
+@pytest.mark.parametrize(
+    "at", [(159.5, 59.5), (4.0, 3.0), (-60.0, 90.0), (200.0, -90.0), (318.0, 237.0), (500.0, 60.0)]
+)
+def test_what_the_head_covers_is_that_of_the_whole_frame(at):
+    scene, _ = evidence.begin(drawn(0), HEAD)
+    _, seen = evidence.look(scene, drawn(1), Footprint(np.array(at), HEAD.half))
+    to = evidence._map(evidence.to_map(np.array(at), scene.factor), scene.side, scene.side)
+    covered = cv2.warpAffine(evidence._soft(*scene.face.shape[:2]), to, (160, 120))
+    side = 2 * round(evidence.REACHES * scene.side) + 1
+    expected = cv2.dilate(covered, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    np.testing.assert_allclose(seen.face, expected, atol=0.04)
+
+
 @pytest.mark.parametrize("light", [(0.8, 0.98, 1.1), (1.1, 1.1, 1.1)])
 def test_a_camera_that_sets_its_light_anew_shows_no_hand(light):
     def lit(index, hands=()):

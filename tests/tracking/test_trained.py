@@ -101,7 +101,7 @@ def test_a_memory_of_many_windows_is_their_weighted_sum():
 def test_the_response_to_what_was_learned_is_a_peak_in_the_middle(cells, shape):
     box = (shape[0] * cells / 4, shape[1] * cells / 4)
     one, x = trainer(cells, box=box), spectrum(channels(3, cells, 6))
-    response = one.respond(one.begin(x).filters, x)
+    response = one.respond(x, one.begin(x).filters)[0]
     assert response.shape == (UPSAMPLED * cells, UPSAMPLED * cells)
     assert tuple(off_middle(response)) == (0, 0)
     assert 0.8 < response.max() < 1.1
@@ -112,7 +112,7 @@ def test_the_response_is_the_correlation_with_the_filters():
     filters = one.begin(spectrum(x)).filters
     other = channels(6)
     plain = (shifted(other) @ inverse(filters, G).ravel().astype(float)).reshape(G, G)
-    found = np.fft.ifftshift(one.respond(filters, spectrum(other)))[::UPSAMPLED, ::UPSAMPLED]
+    found = np.fft.ifftshift(one.respond(spectrum(other), filters)[0])[::UPSAMPLED, ::UPSAMPLED]
     # between the cells the highest frequency is left out
     few = np.fft.fft2(plain)
     few[G // 2], few[:, G // 2] = 0, 0

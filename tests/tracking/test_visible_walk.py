@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.resampling import logsumexp, normalise, uniform
-from facetrack_cli.trackers.box import walk_kernels as walk
+from facetrack_cli.trackers.box import box_kernels as walk
 from facetrack_cli.trackers.box.hidden_box import VISIBLE
 from tests.support.parts import visible_walk
 from tests.twins import walk as naive

@@ -1,4 +1,4 @@
-"""Slow, plain twins of trackers/box/cell_kernels.py, written from the formulas and from nothing of ours."""
+"""Slow, plain twins of trackers/box/box_kernels.py, written from the formulas and from nothing of ours."""
 
 import math
 

@@ -103,8 +103,8 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
     return np.sum(np.where(seen, each, 0.0), axis=1) - np.where(both, strength * twice, 0.0)
 
 
-def gather(x, seen, w):
-    """p (2,), at (2, 2), cov (2, 2, 2), near (2,)."""
+def gather(x, seen, w, share_at, scale):
+    """p (2,), at (2, 2), cov (2, 2, 2), near (2,), skin (2,)."""
     found = []
     for hand in (0, 1):
         p, places = w @ seen[:, hand], x[:, hand, :2]
@@ -117,7 +117,8 @@ def gather(x, seen, w):
         off = places - middle
         there = share * (np.hypot(*off.T) < 0.5)
         cov = (off.T * there) @ off / max(there.sum(), 1e-9)
-        found.append((p, middle, cov, there.sum() if p > 1e-6 else 0.0))
+        skin = np.clip(at(share_at, middle * scale), 0, 1)
+        found.append((p, middle, cov, there.sum() if p > 1e-6 else 0.0, skin))
     return tuple(map(np.array, zip(*found, strict=True)))
 
 

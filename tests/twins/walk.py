@@ -1,4 +1,4 @@
-"""A slow, plain twin of trackers/box/walk_kernels.py, written from the formulas and from nothing of ours."""
+"""A slow, plain twin of trackers/box/box_kernels.py, written from the formulas and from nothing of ours."""
 
 import math
 

@@ -3,9 +3,9 @@
 - `settings.py`: what a recipe may say.
 - `correlation_filter.py`: the likelihood; begin here.
 - `features.py`: the channels of a window, its colours and its scales; `trained.py`: the filter over the channels;
-  `peak_statistics.py`: how high the response stands.
+  `modes.py`: how high the response stands, and where its peaks are.
 - `hidden_box.py`: a box that may be hidden, its walk, and what others than the filter may do to it.
-- `proposals.py`, `filters.py`: particles drawn around the modes of the response, with exact weights.
+- `filters.py`: particles drawn around those, with exact weights. Loops are in `box_kernels.py`.
 
-Loops are in `cell_kernels.py` and `walk_kernels.py`. Recipe: `correlation_filter`. A face's head is such a box.
+Recipe: `correlation_filter`. A face's head is such a box.
 """

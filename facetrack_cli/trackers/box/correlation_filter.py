@@ -2,10 +2,10 @@
 
 Ours, of published pieces, in files beside this one:
 
-    peak_statistics.py  how high responses are of the target, and of all else
-    trained.py          the filter and how it is learned (2015, SRDCF; 2017, ECO)
-    features.py         gradients, grey and colours of a window, reduced (ECO of Danelljan et al.); scale (2014, DSST);
-                        colours of target and surroundings (Bertinetto et al. 2016, Staple)
+    modes.py     how high responses are of the target, and of all else
+    trained.py   the filter and how it is learned (2015, SRDCF; 2017, ECO)
+    features.py  gradients, grey and colours of a window, reduced (ECO of Danelljan et al.); scale (2014, DSST);
+                 colours of target and surroundings (Bertinetto et al. 2016, Staple)
 
 With R the response to a window and Rm its highest value, the log-likelihood ratio of a target visible at x = (place,
 log scale) against one that is hidden is
@@ -44,7 +44,7 @@ from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import logsumexp
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.box.cell_kernels import read_cubic
+from facetrack_cli.trackers.box.box_kernels import read_cubic
 from facetrack_cli.trackers.box.features import (
     ColourModel,
     Colours,
@@ -55,15 +55,15 @@ from facetrack_cli.trackers.box.features import (
     moved,
 )
 from facetrack_cli.trackers.box.hidden_box import VISIBLE
-from facetrack_cli.trackers.box.peak_statistics import (
+from facetrack_cli.trackers.box.modes import (
     Heights,
+    ModeProposal,
     Peaks,
     ResponseView,
     Usual,
     evidence,
     log_student,
 )
-from facetrack_cli.trackers.box.proposals import ModeProposal
 from facetrack_cli.trackers.box.settings import CorrelationFilterSettings
 from facetrack_cli.trackers.box.trained import UPSAMPLED, Trained, Trainer, peaks
 
@@ -170,12 +170,12 @@ class CorrelationFilter(Likelihood):
         features = Features.learn(frame, centre, self._side(scale), self.settings.cells, self.settings.components)
         x, window = features.read(frame, centre, self._side(scale))
         filters = self._trainer.begin(x)
-        top = float(self._trainer.respond(filters.filters, x).max())
+        top = float(self._trainer.respond(x, filters.filters).max())
         others = [0.0]
         for place in self._lattice(frame, centre, scale)[:_MAX_COMPARED]:
             if float(np.abs(place - centre).max()) > 0.5 * self._side(scale):
                 there, _ = features.read(frame, place, self._side(scale))
-                others.append(float(self._trainer.respond(filters.filters, there).max()))
+                others.append(float(self._trainer.respond(there, filters.filters).max()))
         one = Heights(_USUAL[0] * top, _USUAL[1] * top, _PRIOR)
         other = Heights(float(np.mean(others)), max(float(np.std(others)), _OTHER * top), _PRIOR)
         heights = Usual(one, one, other, other)
@@ -222,7 +222,7 @@ class CorrelationFilter(Likelihood):
 
     def _view(self, learned: CorrelationState, frame: Frame, centre: Array, scale: float) -> ResponseView:
         x, window = learned.features.read(frame, centre, self._side(scale))
-        now, first = (self._trainer.respond(of, x) for of in (learned.filters.filters, learned.first))
+        now, first = self._trainer.respond(x, learned.filters.filters, learned.first)
         response, (usual, usual_first) = now, learned.heights[:2]
         if learned.colours is not None:
             score = self._colour_model.respond(learned.colours, window, len(now))

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Frame, Image, factor_for
-from facetrack_cli.trackers.box.cell_kernels import CHANNELS, gradients, gradients_of_scales, project
+from facetrack_cli.trackers.box.box_kernels import CHANNELS, gradients, gradients_of_scales, project
 
 Single: TypeAlias = NDArray[np.float32]
 CELL = 4  # pixels of a resampled window
@@ -199,8 +199,9 @@ class ColourModel:
 
 
 def _bins(window: Image) -> Array:
-    small = cv2.resize(window, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA).astype(np.int64) >> (8 - _BITS)
-    return np.asarray((small[..., 0] << 2 * _BITS) | (small[..., 1] << _BITS) | small[..., 2])
+    small = cv2.resize(window, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA) >> (8 - _BITS)
+    b, g, r = (np.asarray(plane, np.int64) for plane in cv2.split(small))
+    return np.asarray((b << 2 * _BITS) | (g << _BITS) | r)
 
 
 def _histogram(bins: Array) -> Single:
@@ -242,8 +243,11 @@ class ScaleTrainer:
         return np.fft.rfft(y).real.astype(np.float32)[:, None]
 
     @cached_property
-    def _taper(self) -> Single:
-        return np.hanning(self.scales + 2)[1:-1].astype(np.float32)[:, None]
+    def _transform(self) -> Single:
+        """(S + 1, S): what makes the spectrum of a signal, tapered: real parts, then imaginary ones."""
+        taper, s = np.hanning(self.scales + 2)[1:-1], np.arange(self.scales) - self.scales // 2
+        turns = taper * np.exp(-2j * np.pi * np.arange(self.scales // 2 + 1)[:, None] * s / self.scales)
+        return np.concatenate([turns.real, turns.imag]).astype(np.float32)
 
     @cached_property
     def _shape(self) -> tuple[int, int]:
@@ -261,8 +265,10 @@ class ScaleTrainer:
         at = (np.array([x - left, y - top]) - 0.5 * (factor - 1)) / factor
         signal = np.empty((self.scales, CHANNELS, h // CELL, w // CELL), np.float32)
         gradients_of_scales(grey, at[0], at[1], sides / factor, CELL, signal)
-        flat = signal.reshape(self.scales, -1) * self._taper
-        return np.fft.rfft(np.fft.ifftshift(flat, axes=0), axis=0).astype(np.complex64, copy=False)
+        flat = signal.reshape(self.scales, -1)
+        found = np.empty((len(self._transform), flat.shape[1]), np.float32)
+        project(self._transform, flat, np.ones(flat.shape[1], np.float32), found)
+        return joined(found.reshape(2, -1, flat.shape[1]))
 
     def moved(self, x: NDArray[np.complex64], by: float) -> NDArray[np.complex64]:
         """The spectrum x (S / 2 + 1, D) as it is at log scales larger by `by`."""

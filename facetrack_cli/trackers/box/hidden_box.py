@@ -16,9 +16,9 @@ from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.resampling import effective_sample_size, normalise
 from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
-from facetrack_cli.trackers.box.proposals import TransitionDensity
+from facetrack_cli.trackers.box.box_kernels import arrive
+from facetrack_cli.trackers.box.modes import TransitionDensity
 from facetrack_cli.trackers.box.settings import VisibleWalkSettings
-from facetrack_cli.trackers.box.walk_kernels import arrive
 
 VISIBLE = 5  # the coordinate of a box that may be hidden that is P(visible)
 

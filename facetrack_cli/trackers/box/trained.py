@@ -20,10 +20,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from facetrack_cli.core.types import Array
-from facetrack_cli.trackers.box.cell_kernels import multiply, remember, respond
+from facetrack_cli.trackers.box.box_kernels import multiply, remember, respond
 from facetrack_cli.trackers.box.features import Single, inverse, joined, spectrum
 
 UPSAMPLED = 2  # samples of a response for a cell
@@ -79,16 +80,18 @@ class Trainer:
         target = np.float32(1 - rate) * known.target + np.float32(rate) * self.y * x
         return self._solve(Trained(known.filters, matrices, target), self.steps)
 
-    def respond(self, filters: Single, x: Single) -> Single:
-        """The response (2 G, 2 G), with place 0 in the middle, [G, G]: between the cells by its Fourier series."""
-        g, n = self.cells, UPSAMPLED * self.cells
-        found = np.empty((2, x.shape[2]), np.float32)
-        respond(filters, x, found)
-        few = joined(found).reshape(g, -1) * self._middle
-        many = np.zeros((n, n // 2 + 1), few.dtype)
-        half = g // 2
-        many[:half, :half], many[-half + 1 :, :half] = few[:half, :half], few[half + 1 :, :half]
-        return np.fft.irfft(np.fft.ifft(many, axis=0, out=many), n).astype(np.float32, copy=False)
+    def respond(self, x: Single, *filters: Single) -> Single:
+        """The responses (n, 2 G, 2 G) of n filters, with place 0 in the middle, [G, G]: between the cells by its
+        Fourier series.
+        """
+        g, half = self.cells, self.cells // 2
+        found = np.empty((len(filters), 2, x.shape[2]), np.float32)
+        for one, out in zip(filters, found, strict=True):
+            respond(one, x, out)
+        few = joined(found.swapaxes(0, 1)).reshape(-1, g, half + 1) * self._middle
+        many = np.zeros((len(few), UPSAMPLED * g, half), few.dtype)
+        many[:, :half], many[:, 1 - half :] = few[:, :half, :half], few[:, half + 1 :, :half]
+        return np.fft.irfft(np.fft.ifft(many, axis=1, out=many), UPSAMPLED * g).astype(np.float32, copy=False)
 
     def _solve(self, known: Trained, steps: int) -> Trained:
         """Conjugate gradients, preconditioned by the diagonal."""
@@ -127,14 +130,8 @@ def peaks(response: Single, least: float, most: int) -> Array:
     A parabola through the neighbours gives the place between samples (LMCF looks at several too; Wang et al. 2017).
     """
     top = float(response.max())
-    inner = response[1:-1, 1:-1]
-    higher = inner >= max(least * top, 1e-6)
-    for i in range(3):
-        for j in range(3):
-            if (i, j) != (1, 1):
-                near = response[i : i + inner.shape[0], j : j + inner.shape[1]]
-                higher &= inner > near if (i, j) < (1, 1) else inner >= near
-    rows, columns = np.nonzero(higher)
+    inner, near = response[1:-1, 1:-1], cv2.dilate(response, np.ones((3, 3)))[1:-1, 1:-1]
+    rows, columns = np.nonzero((inner >= max(least * top, 1e-6)) & (inner == near))
     if not len(rows):  # the highest is on the border
         row, column = np.unravel_index(int(response.argmax()), response.shape)
         return np.array([[float(column), float(row), top]])

@@ -59,14 +59,14 @@ _NOBODY: Final = np.empty((0, 2))
 
 
 class Scene(NamedTuple):
-    """What is known of the clip: `odds` (256, 256), log p(skin | c) - log p(not | c) by [Cb, Cr]; `still` (H, W), the p
+    """What is known of the clip: `chances` (256, 256), p(skin | c) by [Cb, Cr]; `still` (H, W), the p
     of the background; `grey` (H, W), the last frame; `face` (h, w, 3), the template of the head; `first`
     (H, W, 3), the frame in whose light all are seen; `factor` of reduced frames, `side` of the face's box in their
     pixels in the first frame; `unrest`, the grey levels by which the head differs from its template where no hand is
     near.
     """
 
-    odds: Map
+    chances: Map
     still: Map
     grey: Map
     face: Map
@@ -115,17 +115,16 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
         remedy = "hands are found by the colour of skin; follow the face alone, with --config face"
         raise InputError(f"frame {frame.index}: the face has no colour, as in a grey clip: {remedy}")
     around = (np.hypot(u, v - 2) < 6) & ~((np.abs(u) < 0.75) & (np.abs(v) < 0.9))
-    odds = _odds(middle, colours[around])
-    skin = _skin(odds, colours)
+    chances = _chances(middle, colours[around])
+    skin = _skin(chances, colours)
     # hanging at the sides, or before the chest and in the lap
     hang = np.exp(-0.5 * ((np.abs(u) - 1.5) / 0.7) ** 2) / (1 + np.exp((3.0 - v) / 0.3))
     still = skin * (1 - hang)
     for left, top, w, h in hands:
         (x0, y0), (x1, y1) = (np.rint(to_map(np.array(at), factor)) for at in ((left, top), (left + w, top + h)))
         still[max(int(y0), 0) : max(int(y1) + 1, 0), max(int(x0), 0) : max(int(x1) + 1, 0)] = 0
-    scene = Scene(
-        odds, still.astype(np.float32), _grey(small), _head(small, to_map(head.centre, factor), s, s), small, factor, s
-    )
+    template = _head(small, to_map(head.centre, factor), s, s)
+    scene = Scene(chances, still.astype(np.float32), _grey(small), template, small, factor, s)
     return look(scene, frame, head)
 
 
@@ -134,7 +133,7 @@ def look(
 ) -> tuple[Scene, Seen]:
     """The scene after a frame with the head there, and what is seen; `hands` (n, 2) were there in the reduced frame."""
     small = _as_lit(scene.first, reduced(frame, scene.factor))
-    skin = _skin(scene.odds, _colours(small))
+    skin = _skin(scene.chances, _colours(small))
     grey = _grey(small)
     followed = _followed(scene, grey, skin)
     first = scene.first if followed is scene.still else small  # a camera that moves shows other things
@@ -154,16 +153,21 @@ def look(
     learned = np.where(free, HELD + (LEARNS - HELD) * (1 - new), HELD)[..., None]
     face = scene.face + learned * (seen - scene.face)
     unrest = scene.unrest + LEARNS * (float(np.median(change[free])) - scene.unrest if free.any() else 0.0)
-    height, width = skin.shape
-    covered, changed = (
-        warp_affine(one.astype(np.float32), _map(at, s, scene.side), (width, height)) for one in (_soft(seen), new)
-    )
-    beside = np.maximum(skin - still, 0) * (1 - covered)
     size = 2 * round(REACHES * s) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    arm = cv2.dilate(cv2.GaussianBlur(beside, (0, 0), 0.8), disc)
-    evidence = beside + covered * np.maximum(changed, np.minimum(arm, 1)) * skin
-    now = Seen(evidence.astype(np.float32), cv2.dilate(covered, disc).astype(np.float32))
+    evidence, near = np.maximum(skin - still, 0), np.zeros_like(skin)
+    # the head, with a margin that the disc and what is blurred do not reach beyond
+    (left, top), (right, lower) = ((at + s * np.array(corner)).astype(int).tolist() for corner in (HEAD[:2], HEAD[2:]))
+    x, y = max(left - size, 0), max(top - size, 0)
+    part = slice(y, max(lower + size + 1, y)), slice(x, max(right + size + 1, x))
+    beside, to = evidence[part], _map(at, s, scene.side) - np.array([[0, 0, x], [0, 0, y]], np.float32)
+    if beside.size:
+        covered, changed = (warp_affine(one, to, beside.shape[::-1]) for one in (_soft(*new.shape), new))
+        beside *= 1 - covered
+        arm = cv2.dilate(cv2.GaussianBlur(beside, (0, 0), 0.8), disc)
+        beside += covered * np.maximum(changed, np.minimum(arm, 1)) * skin[part]
+        near[part] = cv2.dilate(covered, disc)
+    now = Seen(evidence, near)
     scene = scene._replace(still=still, grey=grey, face=face.astype(np.float32), first=first, unrest=unrest)
     return scene, now
 
@@ -177,8 +181,7 @@ def _as_lit(first: Image, now: Image) -> Image:
     if np.mean(usable) < ENOUGH:
         return now
     ratio = after[:, usable] / before[:, usable].astype(np.float32)
-    many = ratio.shape[1]
-    quarters = [many // 4, many // 2, 3 * many // 4]
+    quarters = [share * ratio.shape[1] // 4 for share in (1, 2, 3)]
     low, gain, high = np.partition(ratio, quarters, axis=1)[:, quarters].T
     if np.abs(gain - 1).max() < LEAST_GAIN or (high - low).max() > AGREES:
         return now
@@ -220,7 +223,7 @@ def _colours(image: Image) -> Image:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)[..., :0:-1], np.uint8)
 
 
-def _odds(middle: Array, others: Image) -> Map:
+def _chances(middle: Array, others: Image) -> Map:
     """Of each colour, where `middle` (2,) is that of the face, from grey, and `others` (n, 2) are the other colours."""
     length = math.hypot(*middle)
     way = middle / length
@@ -234,11 +237,12 @@ def _odds(middle: Array, others: Image) -> Map:
     np.add.at(counts, tuple(others.T), 1.0)
     rest = cv2.GaussianBlur(counts, (0, 0), 1.5) / max(len(others), 1)
     rest = (1 - SKIN_SHARE) * rest + SKIN_SHARE * skin
-    return np.asarray(np.clip(np.log((skin + 1e-6) / (rest + 1e-6)), -3, 3), np.float32)
+    odds = np.clip(np.log((skin + 1e-6) / (rest + 1e-6)), -3, 3).astype(np.float32)
+    return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
 
 
-def _skin(odds: Map, colours: Image) -> Map:
-    p = 1 / (1 + np.exp(-odds[colours[..., 0], colours[..., 1]]))
+def _skin(chances: Map, colours: Image) -> Map:
+    p = chances.ravel().take(colours[..., 0].astype(np.intp) << 8 | colours[..., 1])
     return np.asarray(cv2.GaussianBlur(p, (0, 0), 0.7), np.float32)
 
 
@@ -256,9 +260,10 @@ def _head(small: Image, at: Array, side: float, first: float) -> Map:
     return np.asarray(patch, np.float32)
 
 
-def _soft(seen: Map) -> Map:
+@lru_cache(4)
+def _soft(height: int, width: int) -> Map:
     """1 within the template, less at its border."""
-    inner = cv2.copyMakeBorder(np.ones(np.array(seen.shape[:2]) - 2, np.float32), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+    inner = cv2.copyMakeBorder(np.ones((height - 2, width - 2), np.float32), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
     return np.asarray(cv2.GaussianBlur(inner, (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 

@@ -25,7 +25,7 @@ ARM = (0.8, 0.4, 3.0)  # sizes from one hand to another place of its arm: from, 
 SPREAD = 0.6  # pixels of the reduced frame, about a place of most skin
 _ALONG = (0.2, 0.35, 0.5, 0.65, 0.8)
 _OPPOSITE = np.array([[2 * math.cos(k * math.pi / 6), 2 * math.sin(k * math.pi / 6)] for k in range(6)])  # radii
-_TINY = 1e-12
+_TINY, _FAR = 1e-12, 9.0  # of a density, and standard deviations beyond which it is less than that
 
 
 @part
@@ -36,6 +36,12 @@ def _at(values, x, y):
     if column < -1 or column > width or row < -1 or row > height:
         return -9.0
     return np.float64(values[min(max(row, 0), height - 1), min(max(column, 0), width - 1)])
+
+
+@part
+def _skin(evidence, x, y, scale, ox, oy, hides):
+    """The skin at a place, but for what another hand there `hides`."""
+    return 0.0 if (x - ox) ** 2 + (y - oy) ** 2 < hides**2 else max(_at(evidence, x * scale, y * scale), 0.0)
 
 
 @part
@@ -90,19 +96,19 @@ def move(
                 if len(peaks):
                     if not was or u[3, n] < proposed:
                         k = _drawn(often, u[2, n])
-                        ax, ay = (
-                            (peaks[k, 0] + SPREAD * e[1, n, 0]) / scale,
-                            (peaks[k, 1] + SPREAD * e[1, n, 1]) / scale,
-                        )
+                        ax, ay = peaks[k, 0] / scale + sigma * e[1, n, 0], peaks[k, 1] / scale + sigma * e[1, n, 1]
                     q = 0.0
                     for k in range(len(peaks)):
                         away = (ax - peaks[k, 0] / scale) ** 2 + (ay - peaks[k, 1] / scale) ** 2
-                        q += often[k] * math.exp(-0.5 * away / sigma**2)
+                        if away < (_FAR * sigma) ** 2:
+                            q += often[k] * math.exp(-0.5 * away / sigma**2)
                     q /= 2 * math.pi * sigma**2
                     if was:
                         away, moved = (ax - x0 - vx) ** 2 + (ay - y0 - vy) ** 2, 0.0
                         for k in range(3):
-                            moved += shares[k] / (2 * math.pi * steps[k] ** 2) * math.exp(-0.5 * away / steps[k] ** 2)
+                            var = steps[k] ** 2
+                            if away < _FAR**2 * var:
+                                moved += shares[k] / (2 * math.pi * var) * math.exp(-0.5 * away / var)
                         total += math.log((moved + _TINY) / ((1 - proposed) * moved + proposed * q + _TINY))
                     else:  # it is about where it was, or anywhere within reach; but never before the face
                         near = math.exp(-0.5 * ((ax - x0) ** 2 + (ay - y0) ** 2)) / (2 * math.pi)
@@ -137,6 +143,7 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
     far = radius * size
     for n in range(len(x)):
         total, least, both = 0.0, math.inf, seen[n, 0] and seen[n, 1]
+        hides = 1.2 * far if both else 0.0
         for hand in range(2):
             if not seen[n, hand]:
                 continue
@@ -146,23 +153,13 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
             wx, wy = px - face[0] - size * SHOULDERS[hand, 0], py - face[1] - size * SHOULDERS[hand, 1]
             length = max(math.hypot(wx, wy), 1e-6)
             beyond = sides = 0.0
-            for k in range(8):  # first beyond the hand, then on either side of it
-                ends = 1 if k < 2 else 2
-                less = math.inf
-                for end in range(ends):
-                    if k < 2:
-                        qx, qy = px + far * BEYOND_HAND[k] * wx / length, py + far * BEYOND_HAND[k] * wy / length
-                    else:
-                        sign = far * (1 - 2 * end)
-                        qx, qy = px + sign * _OPPOSITE[k - 2, 0], py + sign * _OPPOSITE[k - 2, 1]
-                    found = max(_at(evidence, qx * scale, qy * scale), 0.0)
-                    if both and math.hypot(qx - ox, qy - oy) < 1.2 * far:
-                        found = 0.0  # it is the other hand's
-                    less = min(less, found)
-                if k < 2:
-                    beyond += 0.5 * less
-                else:
-                    sides = max(sides, less)
+            for k in range(2):
+                reach = far * BEYOND_HAND[k] / length
+                beyond += 0.5 * _skin(evidence, px + reach * wx, py + reach * wy, scale, ox, oy, hides)
+            for k in range(6):
+                dx, dy = far * _OPPOSITE[k, 0], far * _OPPOSITE[k, 1]
+                one = _skin(evidence, px + dx, py + dy, scale, ox, oy, hides)
+                sides = max(sides, min(one, _skin(evidence, px - dx, py - dy, scale, ox, oy, hides)))
             total -= strength * (FAR_END * beyond + MIDDLE * sides)
         if both:
             ax, ay, bx, by = x[n, 0, 0], x[n, 0, 1], x[n, 1, 0], x[n, 1, 1]
@@ -173,8 +170,11 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
 
 
 @exact
-def gather(x, seen, w, p, at, cov, near):
-    """Each hand where most of the particles that see it are; all of them where none does. See `joint.Belief`."""
+def gather(x, seen, w, skin_at, scale, p, at, cov, near, skin):
+    """Each hand where most of the particles that see it are; all of them where none does. See `joint.Belief`.
+
+    `skin_at` is the share of skin in a hand at each pixel.
+    """
     share = np.empty(len(w))
     for hand in range(2):
         p[hand] = total = 0.0
@@ -201,11 +201,11 @@ def gather(x, seen, w, p, at, cov, near):
         xx = xy = yy = s = 0.0
         for n in range(len(w)):
             dx, dy = x[n, hand, 0] - mx, x[n, hand, 1] - my
-            if math.hypot(dx, dy) < 0.5:
+            if dx * dx + dy * dy < 0.25:
                 one = share[n] / total
                 xx, xy, yy, s = xx + one * dx * dx, xy + one * dx * dy, yy + one * dy * dy, s + one
         at[hand, 0], at[hand, 1], near[hand] = mx, my, s if p[hand] > 1e-6 else 0.0
-        s = max(s, 1e-9)
+        s, skin[hand] = max(s, 1e-9), min(max(_at(skin_at, mx * scale, my * scale), 0.0), 1.0)
         cov[hand, 0, 0], cov[hand, 0, 1], cov[hand, 1, 0], cov[hand, 1, 1] = xx / s, xy / s, xy / s, yy / s
 
 

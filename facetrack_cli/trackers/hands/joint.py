@@ -130,9 +130,8 @@ def step(
     move(x, seen, parted, luck, noise, peaks, often, *motion, *seen_in, weight)
     weight += log_likelihood(settings, x, seen, parted, (fit, share, evidence), scale, face)
     log_w = normalise(weight)
-    p, at, cov, near = np.empty(2), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty(2)
-    gather(x, seen, np.exp(log_w), p, at, cov, near)
-    skin = np.clip(_at(share, at * scale), 0, 1)
+    (p, near, skin), at, cov = np.empty((3, 2)), np.empty((2, 2)), np.empty((2, 2, 2))
+    gather(x, seen, np.exp(log_w), share, scale, p, at, cov, near, skin)
     belief = Belief(p, at, cov, near, float(effective_sample_size(log_w)), skin)
     kept = systematic(rng, log_w, n)
     x, seen, parted = x[kept], seen[kept], parted[kept]
@@ -185,14 +184,6 @@ def extent(evidence: Map, at: Array, radius: float) -> Array:
         return np.full(2, 2 * radius)
     var = np.maximum([of["mu20"], of["mu02"]], 0.0) / of["m00"]
     return np.asarray(np.clip(4 * np.sqrt(var), radius, 3 * radius))
-
-
-def _at(values: Map, at: Array) -> Array:
-    """The values at places (..., 2) in pixels; -9 beyond the border."""
-    height, width = values.shape
-    column, row = np.rint(at[..., 0]).astype(np.int64), np.rint(at[..., 1]).astype(np.int64)
-    out = (column < -1) | (column > width) | (row < -1) | (row > height)
-    return np.where(out, -9.0, values[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)])
 
 
 def _reach(shape: tuple[int, ...], scale: float, face: Face) -> Map:

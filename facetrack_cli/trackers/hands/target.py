@@ -164,7 +164,7 @@ class HandTarget:
 
     def footprint(self, state: HandState, *, ahead: bool) -> Footprint | None:
         at = _in_pixels(state.scene, state.belief.at[self.hand])
-        return Footprint(at, np.nan_to_num(state.size[self.hand], nan=1.0) / 2, state)
+        return Footprint(at, np.where(np.isnan(size := state.size[self.hand]), 1.0, size) / 2, state)
 
     def _result(self, state: HandState, frame: Frame, *, given: bool = False) -> TargetResult:
         i, belief, unit = self.hand, state.belief, state.scene.side * state.scene.factor

@@ -27,6 +27,8 @@ from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 VIEWS: Final = 8  # frames of a track that are looked at
+AS_GOOD: Final = 0.5  # of the best view's worth, what another view that counts has at least
+SHARED: Final = 2  # views one after another of which dlib's network sees the best, so that what it sees is spread
 CHIP_PX: Final = 150  # sides of the face that dlib's network sees
 CHIP_SIDES: Final = 1.1  # sides of the face's box that it shows
 FACE_PX: Final = 24  # sides of the face in grey
@@ -68,11 +70,16 @@ class Picture:
         around = _upright(frame, face._replace(angle=0.0), WIDE_SIDES, WIDE_PX)
         return cls(_upright(frame, face, CHIP_SIDES, CHIP_PX), around)
 
+    @property
+    def plain(self) -> FaceDescriptor:
+        """Of this one view, without dlib's embedding, which takes a hundred times as long as all else."""
+        each = _face(self.chip), *_colours(self.wide), np.zeros(0), np.array([_sharp(self.chip)])
+        return FaceDescriptor(*(one[None] for one in each))
+
     @cached_property
     def looks(self) -> FaceDescriptor:
         """Of this one view."""
-        each = _face(self.chip), *_colours(self.wide), embedded(self.chip), np.array([_sharp(self.chip)])
-        return FaceDescriptor(*(one[None] for one in each))
+        return self.plain._replace(embedding=embedded(self.chip)[None])
 
 
 def together(looks: Iterable[FaceDescriptor]) -> FaceDescriptor:
@@ -143,7 +150,8 @@ class Describer:
     def __init__(self, detector: Detector) -> None:
         self._detector = detector
         self.scores: list[float] = []  # of the detector, in each view; 0 where it sees no face
-        self._seen: list[FaceDescriptor] = []
+        self._seen: list[FaceDescriptor] = []  # without embeddings
+        self._pictures: dict[int, tuple[int, Picture]] = {}  # of the views that are embedded, and their numbers
         self._places: list[Image] = []
         self._first: Similarity | None = None
         self.best: tuple[float, Image] | None = None  # the best still
@@ -152,9 +160,13 @@ class Describer:
         """Take in the view of a frame."""
         picture = Picture.of(frame, view.face)
         upright = view.face._replace(scale=view.face.scale / FACE).read(frame)
-        found, looks = self._detector.measure(upright.bgr, BOX), picture.looks
+        found, looks = self._detector.measure(upright.bgr, BOX), picture.plain
         self.scores.append(0.0 if found is None else found.score)
         self._seen.append(looks._replace(worth=looks.worth * np.interp(self.scores[-1], _SCORE, (0.0, 1.0))))
+        now = len(self._seen) - 1
+        kept = self._pictures.get(now // SHARED)
+        if kept is None or self._seen[kept[0]].worth < self._seen[now].worth:
+            self._pictures[now // SHARED] = now, picture
         self._first = self._first or view.face
         place = cv2.cvtColor(_upright(frame, self._first, 1.0, FACE_PX), cv2.COLOR_BGR2GRAY)
         self._places.append(np.asarray(place, np.uint8))
@@ -166,8 +178,11 @@ class Describer:
             self.best = sharp, still(frame, view.face)
 
     def looks(self) -> FaceDescriptor:
-        """What was seen; ValueError if that is nothing."""
-        return together(self._seen)
+        """What was seen; ValueError if that is nothing. Views without an embedding have that of the nearest view."""
+        seen = together(self._seen)
+        good = {k: one for k, one in self._pictures.values() if seen.worth[k] >= AS_GOOD * seen.worth.max()}
+        nearest = np.abs(np.subtract.outer(np.arange(len(seen.worth)), [*good])).argmin(axis=1)
+        return seen._replace(embedding=np.concatenate([one.looks.embedding for one in good.values()])[nearest])
 
     @property
     def is_face(self) -> bool:

@@ -19,12 +19,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Box, Mask, Whole
-from facetrack_cli.trackers.people.descriptor import VIEWS, FaceDescriptor
+from facetrack_cli.trackers.people.descriptor import AS_GOOD, VIEWS, FaceDescriptor
 
 SURE: Final = 0.9  # probability of a person below which a track is a doubt
 _BOUND: Final = 8.0  # of the log odds that one pair of tracks gives
 _NEAREST: Final = VIEWS * VIEWS // 8  # of the distances between the views of two tracks
-_AS_GOOD: Final = 0.5  # of the best view's worth, what another view that is looked at has at least
 
 
 # by tools/same_person.py: weights of what `distances` gives, the most that it says against one person, and for one
@@ -113,7 +112,7 @@ def same_person(looks: Sequence[FaceDescriptor]) -> Array:
 def _best(looks: FaceDescriptor) -> Whole:
     """The views (VIEWS,) that are worth most; few stand for more."""
     worth = looks.worth[:, 0]
-    return np.resize(np.flatnonzero(worth >= _AS_GOOD * worth.max()), VIEWS)
+    return np.resize(np.flatnonzero(worth >= AS_GOOD * worth.max()), VIEWS)
 
 
 def worth_of(looks: FaceDescriptor) -> float:
