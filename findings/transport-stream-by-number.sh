@@ -4,10 +4,10 @@
 # Found: camcorders and broadcasts write H.264 with reordered pictures (B frames) as a transport stream, .ts or
 # .mts. decord 0.6.0 gives such a clip without the pictures before the second key frame: of 40 pictures with a key
 # frame every 12, frame 0 is picture 12, frame 1 is 13, and so on; from number 27 on each frame is picture 39. Asked
-# for numbers out of order, it is wrong in other ways: 20 is 32, and 39 is 30. A line of its log speaks of recovered
-# frames. OpenCV 5.0.0.93 reads all pictures in order, but by number (CAP_PROP_POS_FRAMES) frames 0 to 11 are the
-# pictures 12 or 13. The same pictures in MP4, or in a transport stream without B frames, are right in both, and
-# PyAV reads all three from the beginning rightly.
+# for numbers out of order, it is wrong in other ways: 20 is 32, and 39 is 30. Its log speaks of recovered frames.
+# OpenCV 5.0.0.93 reads all pictures in order, but by number (CAP_PROP_POS_FRAMES) frames 0 to 11 are the pictures
+# 12 or 13. The same pictures in MP4, or in a transport stream without B frames, are right in both, and PyAV reads
+# all three from the beginning rightly.
 # Packages: opencv-python-headless 5.0.0.93, decord 0.6.0, av 18.1.0, numpy 2.4.6.
 # Data: 40 pictures at 25 frames/s whose grey says their number, as H.264, written here.
 # Output seen:

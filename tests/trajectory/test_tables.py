@@ -23,7 +23,7 @@ from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.numbers import csv_text
 from facetrack_cli.report import figures as plots
 from facetrack_cli.trajectory.face_events import FaceEvent
-from facetrack_cli.trajectory.formats.keypoints import write_dlc
+from facetrack_cli.trajectory.formats.keypoints import write_dlc, write_dlc_h5
 from facetrack_cli.trajectory.formats.tables import (
     EVENT_COLUMNS,
     Clip,
@@ -86,6 +86,14 @@ def test_no_table_has_a_text_that_a_spreadsheet_takes_for_a_formula():
             cells = [cell for line in csv.reader(io.StringIO(text.removeprefix("\ufeff"))) for cell in line]
             assert f"_{name}" in "".join(cells) and not any(cell.strip()[:1] in {*"=+@"} for cell in cells)
     assert csv_text(["a", "b", "c"], [["-1.5", -2, "-"], ["+1e3", None, "-nan"]]) == "a,b,c\n-1.5,-2,_-\n+1e3,,-nan\n"
+
+
+def test_hdf5_of_deeplabcut_has_what_its_pandas_looks_for():
+    """DeepLabCut has a pandas before 3, which cannot read the values where the file has no version of pandas."""
+    tables = pytest.importorskip("tables")
+    image = {"driver": "H5FD_CORE", "driver_core_image": write_dlc_h5(joined([part("face", "nose", [0, 1])]))}
+    with tables.open_file("a.h5", driver_core_backing_store=0, **image) as file:
+        assert file.root.df_with_missing._v_attrs.pandas_version == "0.15.2"
 
 
 def timed(time_s, frames=None, **header):

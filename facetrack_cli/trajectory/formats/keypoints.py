@@ -146,6 +146,8 @@ def write_dlc_h5(table: Trajectory, scorer: str = "facetrack") -> bytes:
         except HDF5ExtError:
             why = f"HDF5 has no room for the names of {len(columns)} columns"
             raise InputError(f"{why}; choose a target with --target, or export to dlc") from None
+        # readers before pandas 3, as DeepLabCut has, find no values without what pandas 3.1 no longer writes
+        store.get_storer("df_with_missing").attrs.pandas_version = "0.15.2"
         store.flush()
         image: bytes = store._handle.get_file_image()
     return image
