@@ -44,7 +44,7 @@ from facetrack_cli.runs.seeds import SeedPlan, SeedRun, outline, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.trajectory.reader import MAX_FRAME
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
-from facetrack_cli.video.source import is_clip, is_image
+from facetrack_cli.video.source import check_file, is_clip, is_image
 
 TAIL: Final = 0.1  # of the rows with a true box: those that tell whether the target is lost at the end
 TAIL_IOU: Final = 0.1
@@ -329,6 +329,8 @@ def default_truth(clip: Path) -> Path:
             if path.name in TRUTH_NAMES and path.parent == beside and (count := _clips_in(beside, clip.is_dir())) > 1:
                 raise InputError(f"{clip}: {path} is beside {count} clips; if it is of this one, name it with --truth")
             return path
+    if not (clip.is_dir() or is_image(clip)):
+        check_file(clip)
     raise InputError(
         f"{clip}: there is neither {candidates[0].name} nor groundtruth.csv beside it; name it with --truth"
     )

@@ -256,6 +256,8 @@ def _clips(path: Path, note: Callable[[str], None]) -> list[Path]:
     check_local(path)
     try:
         if path.is_dir():
+            if (path / NAME).exists():
+                raise InputError(f"{path}: is the folder of a run; name the clip that was tracked")
             below = _sorted(sub for sub in path.iterdir() if not sub.name.startswith(".") and sub.is_dir())
             inside = (clip for folder in below for clip in _of_folder(folder, note))
             return _of_folder(path, note) or [*inside] or [path]

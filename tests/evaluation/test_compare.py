@@ -226,10 +226,11 @@ def test_labels_differ():
 
 def test_the_truth_is_found_beside_the_clip(tmp_path):
     clip, folder = tmp_path / "clip.mp4", tmp_path / "img"
-    clip.touch()
+    clip.write_bytes(b"\0")
     folder.mkdir()
-    with pytest.raises(InputError, match=r"clip\.truth\.csv"):
-        default_truth(clip)
+    for name, said in (("clip.mp4", r"clip\.truth\.csv"), ("nope.mp4", "no such file or folder")):
+        with pytest.raises(InputError, match=said):
+            default_truth(tmp_path / name)
     (tmp_path / "groundtruth.csv").touch()
     assert default_truth(clip) == default_truth(folder) == tmp_path / "groundtruth.csv"
     (folder / "groundtruth.csv").touch()

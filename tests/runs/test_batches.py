@@ -351,7 +351,6 @@ def expanded(*inputs):
         (["faces"], ["faces"], False),
         (["faces/*.png"], ["faces/*.png"], False),
         (["empty"], ["empty"], False),
-        (["tree/r"], ["tree/r"], False),
         (["day2/c.mkv", "./day2/c.mkv"], ["day2/c.mkv"], False),
         (["day2"], ["day2/c.mkv"], True),
         (["day2/c.mkv", "faces"], ["day2/c.mkv", "faces"], True),
@@ -415,6 +414,7 @@ def test_lists(here, monkeypatch):
         (["@empty/no.txt"], InputError, "empty/no.txt: names no clip; it has a path a line"),
         (["@zeros"], InputError, "zeros: is not a list of clips"),
         (["gone/*.mp4"], InputError, "gone/*.mp4: matches no file"),
+        (["tree/r"], InputError, "tree/r: is the folder of a run; name the clip that was tracked"),
         (["faces/0.png", "faces/1.png", "day2/c.mkv"], UsageError, "faces/0.png and 1 more are single images; give "),
     ],
 )
