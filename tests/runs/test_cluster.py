@@ -11,7 +11,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 from concurrent.futures import CancelledError
 from pathlib import Path
 from types import SimpleNamespace
@@ -186,37 +185,6 @@ def test_ctrl_c_closes_the_files_on_the_workers(dask, place):
     assert not list(place.glob(f"stopped/*/{LOCK}")) and not list(place.glob("stopped/*/.*.part*"))
     assert dask.run(*words, cwd=place).returncode == 0
     check_equal(place, "stopped")
-
-
-@contextlib.contextmanager
-def killing(folder):
-    """Kills each worker that begins a clip."""
-    killed, ended = set(), threading.Event()
-
-    def kill():
-        while not ended.wait(0.002):
-            worker = holder(folder)
-            if worker is not None and worker.pid not in killed:
-                worker.kill()
-                killed.add(worker.pid)
-
-    thread = threading.Thread(target=kill, daemon=True)
-    thread.start()
-    yield killed
-    ended.set()
-    thread.join()
-
-
-@pytest.mark.nightly
-def test_a_clip_that_ends_its_workers_is_alone_at_fault(dask, place):
-    words = [*SIR, "-o", "worse", "--cluster", dask.file, *names()]
-    with killing(place / "worse" / "c1-sir") as killed:
-        done = dask.run(*words, cwd=place)
-    assert done.returncode == 5 and len(killed) <= 6, done.said
-    assert "facetrack: error: c1.mp4: it ended worker after worker" in done.said
-    assert "ended worker after worker" in read_manifest(place / "worse" / "c1-sir").error
-    assert dask.run(*words, "--retry-failed", cwd=place).returncode == 0
-    check_equal(place, "worse")
 
 
 @pytest.mark.nightly
