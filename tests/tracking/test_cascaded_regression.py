@@ -64,18 +64,14 @@ def test_it_finds_the_points_of_real_faces_from_the_mean_shape():
     assert off.mean() < 0.6 * before.mean()
 
 
-def board(rng):
-    cells = rng.integers(20, 230, (4, 6, 3)).astype(np.uint8)
-    return cv2.resize(cells, (80, 50), interpolation=cv2.INTER_NEAREST)
-
-
 def test_what_is_free_is_likely_visible_and_what_a_board_covers_is_not():
     rng, model, free, covered = np.random.default_rng(2), load_regression(), [], []
     for still, true in faces(every=3):
         free.append(model.fit(still).odds)
         x, y = np.round(true[1:].mean(axis=0)).astype(int)  # the middle of the mouth
         still = still.copy()
-        still[y - 18 : y + 32, x - 40 : x + 40] = board(rng)
+        board = rng.integers(20, 230, (4, 6, 3)).astype(np.uint8)
+        still[y - 18 : y + 32, x - 40 : x + 40] = cv2.resize(board, (80, 50), interpolation=cv2.INTER_NEAREST)
         covered.append(model.fit(still).odds[1:])
     assert np.mean(np.array(free) > 0) > 0.9 and np.median(free) > 1.5
     assert np.mean(np.array(covered) < 0) > 0.9 and np.median(covered) < -2

@@ -19,35 +19,6 @@ TRUTH = (80.0, 60.0, 1.0)
 WIDTH, HEIGHT = 160, 120
 
 
-def model(size=SIZE, **changes):
-    unit = sum(size) / 2
-    settings = {"sigma": 0.1 * unit, "search": 0.25 * unit, "threshold": 15.0, "outlier": 0.1}
-    return parts.contour(size, **{**settings, **changes})
-
-
-def head(inside=150.0, outside=90.0, zoom=1, clutter=0.0, seed=0, blur=1.0):
-    """A grey ellipse in the box of TRUTH, drawn four times as large and averaged; clutter is a random ground."""
-    fine = 4 * zoom
-    y, x = np.mgrid[: HEIGHT * fine, : WIDTH * fine]
-    x, y = (x + 0.5) / fine - 0.5, (y + 0.5) / fine - 0.5
-    within = np.hypot((x - TRUTH[0]) / (SIZE[0] / 2), (y - TRUTH[1]) / (SIZE[1] / 2)) < 1
-    share = cv2.resize(within.astype(np.float32), (WIDTH * zoom, HEIGHT * zoom), interpolation=cv2.INTER_AREA)
-    noise = np.random.default_rng(seed).normal(0, 1, share.shape).astype(np.float32)
-    noise = cv2.GaussianBlur(noise, (0, 0), 2.0 * zoom)
-    picture = inside * share + (outside + clutter * noise / noise.std()) * (1 - share)
-    return cv2.GaussianBlur(picture, (0, 0), blur * zoom)
-
-
-def scored(likelihood, picture, boxes):
-    x = states(boxes)
-    return likelihood.score(likelihood.init(picture, x[0]), picture, x, x)[:, 0]
-
-
-def compared(likelihood, picture, boxes):
-    x = states(boxes)
-    return likelihood.distances(likelihood.init(picture, x[0]), picture, x)[:, 0]
-
-
 @settings(max_examples=10)
 @given(
     seed=st.integers(0, 1000),
@@ -108,10 +79,14 @@ def test_the_normals_stand_at_equal_steps_of_arc(size, count):
 @pytest.mark.parametrize(("max_size", "factor", "search"), [(None, 1, 4.0), (None, 1, 30.0), (30, 2, 30.0)])
 def test_likelihood_and_distance_are_the_formulas(max_size, factor, search):
     """Eq. 11, on the means of 3x3 pixels: an edge that lies beyond `search` is none, wherever K takes over."""
-    picture = grey(head(clutter=25.0))
-    likelihood = model(sigma=5.0, search=search, threshold=8.0, outlier=0.1, max_size=max_size)
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    within = np.hypot((x - TRUTH[0]) / (SIZE[0] / 2), (y - TRUTH[1]) / (SIZE[1] / 2)) < 1
+    clutter = cv2.GaussianBlur(np.random.default_rng(0).normal(0, 1, within.shape), (0, 0), 2.0)
+    picture = grey(cv2.GaussianBlur(np.where(within, 150.0, 90 + 25 * clutter / clutter.std()), (0, 0), 1.0))
+    likelihood = parts.contour(SIZE, sigma=5.0, search=search, threshold=8.0, outlier=0.1, max_size=max_size)
     boxes = [TRUTH, (86.3, 57.2, 1.1), (70.1, 66.4, 0.8)]
-    assert likelihood.init(picture, states(TRUTH)[0]).factor == factor
+    x, learned = states(boxes), likelihood.init(picture, states(TRUTH)[0])
+    assert learned.factor == factor
     seen = picture.grey(factor, (0, 0, WIDTH, HEIGHT))[0].astype(float)
     means = np.lib.stride_tricks.sliding_window_view(np.pad(seen, 1, mode="reflect"), (3, 3)).mean(axis=(2, 3))
     points, normals = ellipse(SIZE, 32)
@@ -119,5 +94,5 @@ def test_likelihood_and_distance_are_the_formulas(max_size, factor, search):
     likely = [[math.exp(-(d**2) / (2 * 5.0**2)) for d in row] for row in nearest]
     assert any(0.1 > p > 0 for row in likely for p in row) == (search > 5)
     logs = [sum(math.log(max(0.1, p)) for p in row) for row in likely]
-    np.testing.assert_allclose(scored(likelihood, picture, boxes), logs, atol=5e-3)
-    np.testing.assert_allclose(compared(likelihood, picture, boxes), 1 - np.mean(likely, axis=1), atol=1e-3)
+    np.testing.assert_allclose(likelihood.score(learned, picture, x, x)[:, 0], logs, atol=5e-3)
+    np.testing.assert_allclose(likelihood.distances(learned, picture, x)[:, 0], 1 - np.mean(likely, axis=1), atol=1e-3)

@@ -430,11 +430,6 @@ def test_absent_parts_say_nothing_and_follow_the_others_in_the_shape_of_the_firs
     assert (model.log_prior(elsewhere) != model.log_prior(x)).any()
 
 
-def scale_of(result):
-    (scale,) = result.rows.diagnostics["face"].get("scale")
-    return scale
-
-
 def test_a_cloud_fills_the_box_that_is_given():
     few = [f"targets.{name}.filter.particles=60" for name in ("head", "left_hand", "right_hand")]
     said = given(2, "left_hand", box=(80.0, 120.0, 33.0, 71.0))
@@ -455,7 +450,7 @@ def test_a_box_of_another_shape_is_the_unit_from_there_on(head):
 def test_a_face_under_affine_maps_is_learned_anew_unless_it_is_said_otherwise(zoom, learn, scale):
     left, top, w, h = zoom.box(0)
     put = run("adaptive_velocity", zoom, given(2, box=(left, top, 1.5 * w, 1.5 * h), learn=learn), stop=3)
-    assert scale_of(put[2].targets[0]) == pytest.approx(scale, rel=1e-3)
+    assert put[2].targets[0].rows.diagnostics["face"].get("scale") == pytest.approx([scale], rel=1e-3)
 
 
 def test_what_is_given_is_certain_though_nothing_is_learned():

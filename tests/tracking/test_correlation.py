@@ -25,11 +25,11 @@ def texture(seed=0, width=WIDTH, height=HEIGHT, blur=2.5):
     return 128 + smooth * (40 / smooth.std())
 
 
-def moved(grey, dx, dy, scale=1.0, centre=(80.0, 60.0)):
-    """The image scaled about `centre`, then moved."""
-    matrix = np.array([[scale, 0, centre[0] * (1 - scale) + dx], [0, scale, centre[1] * (1 - scale) + dy]])
+def moved(grey, dx, dy):
     size = grey.shape[1], grey.shape[0]
-    return cv2.warpAffine(grey, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    return cv2.warpAffine(
+        grey, np.array([[1, 0, dx], [0, 1.0, dy]]), size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+    )
 
 
 def scored(likelihood, before, now, x, parents):

@@ -32,10 +32,6 @@ def paste(ground, patch, x, y, k=1.0):
     return ground * (1 - share) + cv2.warpAffine(patch, to, size, borderMode=cv2.BORDER_REPLICATE) * share
 
 
-def frame(n, picture):
-    return Frame(n, n / 25, np.clip(picture, 0, 255).round().astype(np.uint8))
-
-
 def clip(places, size=(24, 28), colour=True, frame_size=(WIDTH, HEIGHT), cover=(), seed=1, blur=2.0):
     """A patch at `places` (x, y) or (x, y, scale), None where it is gone; in frames `cover` something is before it."""
     ground = texture(frame_size[1], frame_size[0], seed + 100, 1.5 * blur, colour)
@@ -45,7 +41,7 @@ def clip(places, size=(24, 28), colour=True, frame_size=(WIDTH, HEIGHT), cover=(
         picture = ground if place is None else paste(ground, patch, *place)
         if n in cover:
             picture = paste(picture, other, *place[:2])
-        frames.append(frame(n, picture))
+        frames.append(Frame(n, n / 25, np.clip(picture, 0, 255).round().astype(np.uint8)))
     return frames
 
 

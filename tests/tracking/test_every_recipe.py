@@ -60,16 +60,12 @@ def test_the_same_seed_gives_the_same_rows_and_another_does_not(name, clip):
     assert (one == other) == (isinstance(load_recipe(name), OpenCvRecipe) and name != "mil")
 
 
-def begun(rows):
-    """The statuses of what the start has: nobody places the eyes of a face."""
-    return rows.status[[not part.startswith("eye") for _, part in rows.names]]
-
-
 @pytest.mark.parametrize(("name", "level"), [*zip(RECIPES, itertools.cycle([0, 128]), strict=False)])
 def test_flat_frames_are_survived_and_everything_is_lost(name, level, clip):
     flat = [Frame(i, i / 25, np.full_like(clip.frames[0].bgr, level)) for i in range(1, 10)]
     rows = rows_of(name, clip, [clip.frames[0], *flat])
-    assert len(rows) == 10 and {*begun(rows[0])} == {"init"}
+    begun = rows[0].status[[not part.startswith("eye") for _, part in rows[0].names]]  # nobody places the eyes
+    assert len(rows) == 10 and {*begun} == {"init"}
     assert all(np.isfinite([one.x, one.y])[:, ~one.vanished].all() for one in rows)
     for one in rows[1:]:
         known = one.confidence[np.isfinite(one.confidence)]

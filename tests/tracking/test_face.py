@@ -186,11 +186,10 @@ def test_the_stabilized_image_shows_what_is_at_its_places(scale):
 # --- detectors ----------------------------------------------------------------------------------------------------
 
 
-def of_installed():
-    return [detectors.Haar(), *([detectors.YuNet(model)] if (model := detectors.yunet_model()) else [])]
+INSTALLED = [detectors.Haar(), *([detectors.YuNet(model)] if (model := detectors.yunet_model()) else [])]
 
 
-@pytest.mark.parametrize("detector", of_installed(), ids=lambda one: one.name)
+@pytest.mark.parametrize("detector", INSTALLED, ids=lambda one: one.name)
 def test_a_detector_measures_the_face_of_the_stabilized_image(detector):
     pose = Pose(150.0, 110.0, 70.0)
     [shown] = moving.clip([pose])

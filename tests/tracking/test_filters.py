@@ -444,16 +444,12 @@ def test_a_population_that_says_nothing_does_not_touch_its_neighbours():
 # --- how many terms of a sum are independent
 
 
-def field(rng, sigma):
-    noise = rng.standard_normal((80, 80))
-    return (cv2.GaussianBlur(noise, (0, 0), sigma) if sigma else noise)[20:60, 20:60]
-
-
 @pytest.mark.parametrize("sigma", [0.0, 0.8, 2.5])
 def test_the_share_is_the_variance_of_a_sum(sigma):
     """n_e = n^2 var / var(sum), which many fields tell exactly, and one of them to a half or so."""
     rng = np.random.default_rng(0)
-    fields = np.array([field(rng, sigma) for _ in range(150)])
+    noise = rng.standard_normal((150, 80, 80))
+    fields = np.array([cv2.GaussianBlur(one, (0, 0), sigma) if sigma else one for one in noise])[:, 20:60, 20:60]
     n = fields[0].size
     exact = n * fields.var() / fields.sum(axis=(1, 2)).var()
     found = np.median([effective_share(one) for one in fields])

@@ -179,12 +179,6 @@ def test_eta_equals_the_plain_twin_and_keeps_its_bounds(error, least, more, rate
     assert found == pytest.approx(naive.eta(min(error, 300 * rate), least, least + more, rate))
 
 
-def told_by(errors):
-    """phi that says so in turn, and counts."""
-    said = iter(errors)
-    return lambda patches: np.array([next(said)])
-
-
 @pytest.mark.parametrize(
     ("errors", "kept", "asked"),
     [
@@ -219,8 +213,8 @@ def test_a_search_finds_what_jumped_and_no_worse_place():
     still = ahead_of(changed(GUIDE, velocity=VelocitySettings(search=1.0, iterations=1)), flow_of(), frame(PICTURE))
     assert apart(still.state + still.shift, HERE) < 0.1
     # nor does it believe a match that the appearance does not
-    flow, said = flow_of(), [1.0, 3.0, 4.0]
-    ahead = searching.predict(flow, now, told_by(said), lambda: flow.patch)
+    flow, said = flow_of(), iter([1.0, 3.0, 4.0])
+    ahead = searching.predict(flow, now, lambda patches: np.array([next(said)]), lambda: flow.patch)
     assert ahead.error == 1.0 and not ahead.shift.any()
 
 

@@ -61,12 +61,8 @@ def states(n, visible=1.0, at=(50.0, 40.0), scale=1.0, velocity=(0.0, 0.0)):
     return Particles(np.tile([[[*at, scale, *velocity, visible]]], (n, 1, 1)), uniform(n))
 
 
-def weighted(particles, of):
-    return np.exp(particles.log_w) @ of
-
-
 def visible(particles):
-    return float(weighted(particles, particles.x[:, 0, VISIBLE]))
+    return float(np.exp(particles.log_w) @ particles.x[:, 0, VISIBLE])
 
 
 # --- one step against a grid -----------------------------------------------------------------------------------------

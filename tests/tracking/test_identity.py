@@ -54,19 +54,14 @@ def track(name, person, first, stop, at=(0.0, 0.0), shot=None, **more):
     return TrackSummary(name, first, stop, box, box, first if shot is None else shot, looks(person, first, **more))
 
 
-def slow_nearest(a, b):
-    """The mean of the smallest eighth of the distances, one pair of views after another."""
-    each = sorted(float(np.linalg.norm(x - y)) for x in a for y in b)
-    return float(np.mean(each[: len(each) // 8]))
-
-
 def slow_odds(a, b):
     """The sum of what each sense says, bounded, one pair of tracks after another."""
     worth = min(a.worth.mean(), b.worth.mean())
     total = 0.0
     for key in ("face", "embedding"):
         (at, own, by), against, speaks_for = SENSES[key]
-        far = slow_nearest(getattr(a, key), getattr(b, key))
+        far = sorted(float(np.linalg.norm(x - y)) for x in getattr(a, key) for y in getattr(b, key))
+        far = np.mean(far[: len(far) // 8])  # the smallest eighth of the distances
         total += np.clip(worth * (at + own * worth + by * far), -against, speaks_for)
     (at, *by), against, speaks_for = SENSES["colour"]
     ends = [[np.median(getattr(one, key), axis=0) for key in ("skin", "hair", "worn")] for one in (a, b)]

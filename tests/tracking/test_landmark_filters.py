@@ -1,5 +1,6 @@
 """Bias filters of sensors, the detector's chain and landmarks without windows: against filters that are written out."""
 
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -41,18 +42,14 @@ VISIBLE = np.ones(3)
 EXACT = np.broadcast_to(0.2 * np.eye(2), (3, 2, 2))  # covariance of the filter's state
 AWAY = np.array([[3.0, -1.5], [-2.0, 2.5], [0.0, 4.0]])
 FAR_AWAY, TOGETHER = np.array([20.0, 0.0]), np.array([6.0, -3.0])
+begun = partial(BiasFilter.begin, min_std=REGRESSION)
 
 
-def begun(z, x0, std, least=REGRESSION):
-    return BiasFilter.begin(z, x0, std, least)
-
-
-def fed(sensor, offset, frames, rng, noise=1.0, visible=VISIBLE, cov=EXACT, every=1):
+def fed(sensor, offset, frames, rng, visible=VISIBLE):
     """After `frames` in which the sensor says where the parts are, plus an offset and noise."""
-    for t in range(frames):
-        z = PLACES + offset + noise * rng.standard_normal((3, 2))
-        z = z if t % every == 0 else np.full((3, 2), np.nan)
-        sensor = sensor.updated(z, PLACES + np.sqrt(0.2) * rng.standard_normal((3, 2)), cov, visible)
+    for _ in range(frames):
+        z = PLACES + offset + rng.standard_normal((3, 2))
+        sensor = sensor.updated(z, PLACES + np.sqrt(0.2) * rng.standard_normal((3, 2)), EXACT, visible)
     return sensor
 
 

@@ -112,12 +112,6 @@ def jump_density(x, parent, part):
     return 0.7 * normal(x - mean, JUMPS.sigma[part] ** 2) + 0.3 * normal(x - mean, JUMPS.jump[part] ** 2)
 
 
-def sensed(z, x, measured, part):
-    """p(z | x) by its formula."""
-    sure = measured.sure[part]
-    return sure * normal(z - x, measured.var[part]) + (1 - sure) / measured.area
-
-
 MEASURED = SensorReading(
     np.array([[5.0, -1.0], [-9.0, 4.0], [30.0, 30.0]]),  # near, a jump away, and where nobody gets
     np.array([1.0, 2.0, 1.5]),
@@ -125,11 +119,6 @@ MEASURED = SensorReading(
     1600.0,
 )
 OTHER = SensorReading(MEASURED.z + np.array([3.0, 1.0]), np.array([0.5, 9.0, 1.0]), np.array([0.7, 0.95, 0.5]), 400.0)
-
-
-def all_sensed(measured, part):
-    """What all sensors say of the places of GRID."""
-    return np.prod([sensed(one.z[part], GRID[:, 0], one, part) for one in measured], axis=0)
 
 
 def test_jumping_draws_are_the_mixture_that_is_stated():
@@ -167,7 +156,10 @@ def test_draws_given_sensors_are_of_the_posterior_by_their_weights(measured):
     x = JUMPS.propagate_given(np.random.default_rng(1), parents, measured)
     weights = JUMPS.log_measured(x, parents, measured)
     for part, (draws, log_w) in enumerate(zip(np.moveaxis(x, 1, 0), weights.T, strict=True)):
-        p = jump_density(GRID[:, 0], parents[0, part], part) * all_sensed(measured, part)
+        p = jump_density(GRID[:, 0], parents[0, part], part)
+        for one in measured:  # p(z | x) by its formula
+            sure = one.sure[part]
+            p *= sure * normal(one.z[part] - GRID[:, 0], one.var[part]) + (1 - sure) / one.area
         assert np.log(np.exp(log_w).mean()) == pytest.approx(np.log(p.sum() * STEP**2), abs=0.02)
         w, p = np.exp(log_w) / np.exp(log_w).sum(), p / p.sum()
         assert 1 / (w**2).sum() > 0.5 * len(w), "few draws are wasted"

@@ -16,16 +16,15 @@ THERE = [name for name in NAMES if opencv.find(name) is not None]
 SIZE = (160, 120)
 
 
-def frames(count, step=(1.5, 0.5), gone_from=None):
-    """A textured square of 32 pixels that moves by `step` a frame over a dim ground; gone later on, if asked."""
+def frames(count, step=(1.5, 0.5)):
+    """A textured square of 32 pixels that moves by `step` a frame over a dim ground."""
     random = np.random.default_rng(1)
     square = random.integers(80, 255, (32, 32, 3), dtype=np.uint8)
     ground = random.integers(0, 60, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
     for i in range(count):
         picture = ground.copy()
         left, top = round(30 + step[0] * i), round(40 + step[1] * i)
-        if gone_from is None or i < gone_from:
-            picture[top : top + 32, left : left + 32] = square
+        picture[top : top + 32, left : left + 32] = square
         yield Frame(i, i / 25, picture)
 
 

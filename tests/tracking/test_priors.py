@@ -153,12 +153,6 @@ def test_a_recipe_that_draws_from_a_student_prior_is_refused():
 # --- conditionals ------------------------------------------------------------------------------------------------
 
 
-def grid_around(points, margin, step):
-    low, high = points.min(0) - margin, points.max(0) + margin
-    xs, ys = np.arange(low[0], high[0], step), np.arange(low[1], high[1], step)
-    return np.stack(np.meshgrid(xs, ys), -1).reshape(-1, 2)
-
-
 @pytest.mark.parametrize("part", [0, 4])
 def test_proposals_are_drawn_from_the_conditional(part):
     bound = BoundPrior(some_prior(), PARTS, FACE, 0.08)
@@ -168,7 +162,8 @@ def test_proposals_are_drawn_from_the_conditional(part):
     hidden[:, part] = np.nan  # the part that it places is not read
     assert (bound.propose(np.random.default_rng(7), hidden, part) == drawn).all()
     # cells of 3 pixels, their probabilities by the density on a grid of 0.5
-    places = grid_around(drawn[:500], 15.0, 0.5)
+    low, high = drawn[:500].min(0) - 15, drawn[:500].max(0) + 15
+    places = np.stack(np.meshgrid(*map(np.arange, low, high, (0.5, 0.5))), -1).reshape(-1, 2)
     mass = np.exp(log_conditional(bound, places, x[: len(places)], part)) * 0.25
     assert mass.sum() == pytest.approx(1.0, abs=1e-4)
     low = places.min(0) - 0.25

@@ -27,10 +27,6 @@ def trainer(size=(32.0, 40.0), count=33, step=STEP):
     return ScaleTrainer(size, count, step)
 
 
-def log_scale(one, response):
-    return one.log_scales[int(response.argmax())]
-
-
 @pytest.mark.parametrize("size", [(32.0, 40.0), (20.0, 60.0), (60.0, 20.0), (16.0, 16.0)])
 @pytest.mark.parametrize("k", [0.92, 0.96, 1.0, 1.04, 1.1])
 def test_the_peak_is_at_the_scale(size, k):
@@ -38,7 +34,7 @@ def test_the_peak_is_at_the_scale(size, k):
     known = one.learn(None, one.read(grey(picture), CENTRE, 1.0), 1.0)
     response = one.respond(known, one.read(grey(zoomed(picture, k)), CENTRE, 1.0))
     assert response.shape == one.log_scales.shape == (33,)
-    assert log_scale(one, response) == pytest.approx(math.log(k), abs=1.01 * math.log(STEP))
+    assert one.log_scales[int(response.argmax())] == pytest.approx(math.log(k), abs=1.01 * math.log(STEP))
 
 
 @pytest.mark.parametrize("steps", [-2, 0, 1])

@@ -118,14 +118,9 @@ def test_a_target_that_keeps_off_none_does_not_change_by_what_is_tracked_beside_
             np.testing.assert_array_equal(one.targets[target].cloud, other.targets[target].cloud)
 
 
-def noisy(width=260, height=200):
-    """Skin and cloth mixed pixel by pixel, in every shade."""
-    share = np.random.default_rng(2).uniform(0.6, 1, (height, width, 1))
-    return np.round(share * np.array(SKIN) + (1 - share) * np.array(WALL)).astype(np.uint8)
-
-
 def test_particles_are_pixels_of_the_reduced_picture():
-    bgr = noisy()
+    share = np.random.default_rng(2).uniform(0.6, 1, (200, 260, 1))  # skin and cloth mixed pixel by pixel
+    bgr = np.round(share * np.array(SKIN) + (1 - share) * np.array(WALL)).astype(np.uint8)
     teacher = Frame(0, 0.0, picture(HEAD))
     small = cv2.cvtColor(cv2.resize(bgr, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2YCrCb)
     model = skin_cloud((50.0, 60.0), box(HEAD), max_size=32)

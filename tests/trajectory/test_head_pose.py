@@ -97,9 +97,8 @@ def test_small_faces_in_noise_are_ambiguous_and_say_so():
     assert none == 0 and fine > 0.93 and some > 0.01 and fair > 0.85
 
 
-def rows(names, frames, lost=(), std=1.0, angles=None):
-    angles = np.zeros((len(frames), 3)) if angles is None else angles
-    xy = seen_from(angles, names)
+def rows(names, frames, lost=(), std=1.0):
+    xy = seen_from(np.zeros((len(frames), 3)), names)
     for k, name in enumerate(names):
         status = ["lost" if (name, frame) in lost else "tracked" for frame in frames]
         known = dict.fromkeys(("std_x", "std_y"), np.full(len(frames), std))

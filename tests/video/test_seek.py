@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -79,12 +78,6 @@ def make(path: Path) -> None:
             data[len(data) // 2 : len(data) // 2 + len(data) // 8] = bytes(len(data) // 8)
         data = data[: int(len(data) * 0.7)] if kind == "truncated" else data[188 * 150 :] if kind == "middle" else data
         path.write_bytes(data)
-
-
-def waited_for(check: Callable[[], bool]) -> None:
-    """Nobody is told that somebody waits for a turn."""
-    while not check():
-        time.sleep(0.002)
 
 
 @pytest.fixture(scope="module")
@@ -310,7 +303,8 @@ def test_a_long_way_gives_way_to_who_asks_later(folder: Path) -> None:
         def slow(wanted: int) -> bool:
             if frames._decoder.next == 50 and not late.ident:
                 late.start()
-                waited_for(lambda: bool(frames._turns._waiting))
+                while not frames._turns._waiting:  # nobody is told that somebody waits for a turn
+                    time.sleep(0.002)
             if late.ident:
                 after.append(frames._decoder.next)
             return decode(wanted)
