@@ -20,6 +20,7 @@ from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import Sighting
 from facetrack_cli.trackers.face.landmark_filters import BiasFilter, Facing, LandmarkFilter
+from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.landmark_sensors import LandmarkReadings, LandmarkSensors
 from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.settings import HeadSettings
@@ -59,7 +60,7 @@ class FaceState(NamedTuple):
     head: ParticleState
     features: ParticleState
     feature_rows: Rows
-    bias_filters: tuple[BiasFilter, ...]
+    bias_filters: BiasFilter
     facing: Facing
     pose: Array
     pose_var: Array
@@ -85,7 +86,7 @@ class FaceView(NamedTuple):
     checked : whether the detector has looked
     detection : the face that it saw, in the stabilized image
     landmarks : what regression and network say
-    places : (K, 2) by each sensor, in pixels of the stabilized image, nan where it says nothing
+    places : (S, K, 2) by the sensors, in pixels of the stabilized image, nan where they say nothing
     readings : the same without the sensors' biases
     fused : (K, 2), regression and network together, without biases
     shift : (2,) pixels, how far the face is from where the head was expected
@@ -97,8 +98,8 @@ class FaceView(NamedTuple):
     checked: bool
     detection: Detection | None
     landmarks: LandmarkReadings
-    places: tuple[Array, ...]
-    readings: tuple[SensorReading, ...]
+    places: Array
+    readings: SensorReading
     fused: Array
     shift: Array
     log_odds: float
@@ -188,7 +189,7 @@ class FaceParts:
             ROLL.name: math.degrees(state.pose[0]),
             # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
             EVIDENCE.name: sum(rows.evidence for rows in (box, state.feature_rows) if rows.frame == frame.index),
-            NETWORK.name: float(state.bias_filters[2].reliability.mean()),
+            NETWORK.name: float(state.bias_filters.reliability[BY_NETWORK].mean()),
         }
         diagnostics = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
         rows = of_frame(self._names, frame, diagnostics, **columns)
