@@ -58,7 +58,7 @@ def _ahead(reliability, error_rate):
 
 @part
 def _median(values, mask):
-    """Of the values (K,) in the mask (K,), which has some."""
+    """Of the values (K,) in the mask (K,); 0 of less than three."""
     each, count = np.empty(len(values)), 0
     for k in range(len(values)):
         if mask[k]:
@@ -67,17 +67,13 @@ def _median(values, mask):
                 each[i] = each[i - 1]
                 i -= 1
             each[i] = values[k]
-    return 0.5 * (each[(count - 1) // 2] + each[count // 2])
+    return 0.5 * (each[(count - 1) // 2] + each[count // 2]) if count > 2 else 0.0
 
 
 @exact
 def median_shift(offsets, mask, shift):
     """`shift` (2,): the median of the offsets (K, 2) in the mask (K,); 0 of less than three."""
-    count = 0
-    for k in range(len(mask)):
-        count += mask[k]
-    for i in range(2):
-        shift[i] = _median(offsets[:, i], mask) if count > 2 else 0.0
+    shift[0], shift[1] = _median(offsets[:, 0], mask), _median(offsets[:, 1], mask)
 
 
 @part
@@ -127,13 +123,11 @@ def fuse(z, var, sure, before, eyes, fused, shift):
             fused[k, i] = z[BY_REGRESSION, k, i] if sure[BY_REGRESSION, k] > 0.0 else np.nan
         apart |= _apart(z, var, sure, BY_REGRESSION, BY_DETECTOR, k)
         _join(z, var, sure, BY_REGRESSION, BY_DETECTOR, k)
-        for i in range(2):
-            off[k, i] = z[BY_REGRESSION, k, i] - before[k, i]
+        off[k, 0], off[k, 1] = z[BY_REGRESSION, k, 0] - before[k, 0], z[BY_REGRESSION, k, 1] - before[k, 1]
         seen[k] = sure[BY_REGRESSION, k] > 0.5
     median_shift(off, seen, shift)
-    if shift[0] != 0.0 or shift[1] != 0.0:
-        share = 1.0 / (1.0 + _median(var[BY_REGRESSION], seen) / (SLIP * eyes) ** 2)
-        shift[0], shift[1] = share * shift[0], share * shift[1]
+    share = 1.0 / (1.0 + _median(var[BY_REGRESSION], seen) / (SLIP * eyes) ** 2)
+    shift[0], shift[1] = share * shift[0], share * shift[1]
     return apart
 
 
@@ -252,11 +246,10 @@ def follow(seen, z, log_odds, eyes, rest, offset, var, motion_var, noise_var, vi
 def judge(
     like, number, age, maps, corner, beside, odds, state, x, log_w, sure, good, visible, usual, used, new, forgets
 ):  # fmt: skip
-    """What parts at `state` (K, 2), by particles x (N, K, 2), teach a `WindowState` that correlate by `like` (K, T).
+    """What parts at `state` (K, 2) that correlate by `like` (K, T) teach a `WindowState`; some of it is overwritten.
 
-    `good`, `visible`, `usual` (K,) and `used` (K, T) are overwritten. `new` (K,): parts whose window becomes a template
-    where the particles' standard deviation is below `sure` pixels; `forgets` (K,): parts whose young ones go. Returns
-    whether there are any.
+    `new` (K,): parts whose window becomes a template, where the standard deviation of particles x (N, K, 2) is below
+    `sure` pixels. `forgets` (K,): parts whose young ones go. Returns whether there are any.
     """
     changes, w = False, np.exp(log_w)
     for k in range(len(like)):
@@ -357,5 +350,5 @@ def jump(
                 wanted += target[c] * density
                 given += proposal[c] * density
             r = read_at(maps[k], u - corner[k, 0], v - corner[k, 1])
-            seen = math.log(visible[k] * math.exp(sharpness * (r - 1.0)) + hidden)
-            log_p[n, k] = seen + top + math.log(wanted / given) if wanted > 0.0 else -math.inf
+            score = (visible[k] * math.exp(sharpness * (r - 1.0)) + hidden) * (wanted / given)
+            log_p[n, k] = top + math.log(score) if wanted > 0.0 else -math.inf

@@ -39,11 +39,6 @@ class ScoredMaps(NamedTuple):
     sharpness: float
     floor: float
 
-    @classmethod
-    def blank(cls, parts: int) -> ScoredMaps:
-        """Of which each place has a score of 0."""
-        return cls(np.zeros((parts, 1, 1), np.float32), np.zeros((parts, 2)), np.zeros(parts), 1.0, 0.0)
-
 
 def modes(measured: SensorReading) -> tuple[Array, Array, Array]:
     """p(z | a) as sum_m exp(w_m - p_m |a - z_m|^2 / 2): z (M, K, 2), p and w (M, K).
@@ -97,7 +92,9 @@ class JumpingWalk(Motion):
         self, x: Array, uniform: Array, moved: Array, measured: SensorReading, windows: ScoredMaps | None
     ) -> Array:
         walk, log_p = (self.sigma, self.jump, self.jumps, self.rest, self.keep, ANY), np.empty(x.shape[:2])
-        jump(x, uniform, *modes(measured), *walk, *(windows or ScoredMaps.blank(x.shape[1])), moved, log_p)
+        if windows is None:  # each place has a score of 0
+            windows = ScoredMaps(np.zeros((x.shape[1], 1, 1), np.float32), 0 * self.rest, 0 * self.sigma, 1.0, 0.0)
+        jump(x, uniform, *modes(measured), *walk, *windows, moved, log_p)
         return log_p
 
     def log_transition(self, x: Array, parents: Array) -> Array:

@@ -162,11 +162,10 @@ class WindowNcc(Likelihood):
             learned = self.look(learned, frame, state)
         windows, like = self._matched(frame, learned.templates, state[None])
         k, odds = len(state), np.asarray(learned.sensor_odds, np.float64)
-        good, visible, usual, used = (
-            values.copy() for values in (learned.good, learned.visible, learned.usual_odds, learned.templates.used)
-        )
-        new, forgets, (_, number, _, age) = np.empty(k, np.bool_), np.empty(k, np.bool_), learned.templates
+        good, visible, usual = learned.good.copy(), learned.visible.copy(), learned.usual_odds.copy()
+        new, forgets, (_, number, used, age) = np.empty(k, np.bool_), np.empty(k, np.bool_), learned.templates
         there = like[0], number, age, learned.maps, learned.corner, learned.beside, odds, state
+        used = used.copy()
         after = good, visible, usual, used, new, forgets
         changes = kernels.judge(*there, particles.x, particles.log_w, SURE * 2 * self.reach, *after)
         templates = learned.templates._replace(used=used, age=age + 1)
