@@ -263,7 +263,7 @@ class LandmarkFilter(NamedTuple):
         log_odds : (J,), log odds by this frame that the landmarks are visible
         """
         after = [values.copy() for values in self[:8]]
-        odds = np.full(len(self.var), log_odds)
+        odds = np.full(len(self.var), log_odds, np.float64)
         kernels.follow(z is not None, self.carried if z is None else z, odds, EYES, *after, self.min_motion)
         return LandmarkFilter._make([*after, self.bias_std, self.min_motion])
 
