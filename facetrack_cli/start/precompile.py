@@ -35,10 +35,24 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.face.image_kernels._run_stages": ("f4:3 f8:2 f8:2 f8:1 f4:3 f4:3 f4:1", "head"),
     "trackers.face.window_kernels.greatest": ("f4:3 f4:4 i8:1 i8:2 f8:2 f4:3", "likelihood=window_ncc"),
     "trackers.face.window_kernels.matched": ("f4:3 f4:4 i8:1 i8:2 f8:3 f4:3 f8:3", "likelihood=window_ncc"),
-    "trackers.face.window_kernels._jump": (
-        "f8:3 f8:2 f8:3 f8:3 f8:2 f8:2 f8:1 f8:1 f8 f8:2 f8 f8 f4:3 f8:2 f8:1 f8 f8 f8:2 f8:3 f8:2",
+    "trackers.face.landmark_kernels.jump": (
+        "f8:3 f8:2 f8:3 f8:2 f8:2 f8:1 f8:1 f8 f8:2 f8 f8 f4:3 f8:2 f8:1 f8 f8 f8:3 f8:2",
         "motion=jumping_walk",
     ),
+    "trackers.face.landmark_kernels.learn": (
+        "f8:3 f8:2 f8:3 f8:1 f8:2 f8:2 f8:1 f8 f8 f8:3 f8:2 f8:2 f8:2 f8:2",
+        "head",
+    ),
+    "trackers.face.landmark_kernels.compare": ("f8:3 f8:2 f8:2 f8:2 f8:3 f8:1 f8:3 f8:2 f8:2 b1:1 f8:2", "head"),
+    "trackers.face.landmark_kernels.judge": (
+        "f8:2 i8:1 i8:2 f4:3 f8:2 f8:1 f8:1 f8:2 f8:3 f8:1 f8 f8:1 f8:1 f8:1 f8:2 b1:1 b1:1",
+        "likelihood=window_ncc",
+    ),
+    "trackers.face.landmark_kernels.follow": ("b1 f8:2 f8:1 f8 f8:2 f8:2 f8:1 f8:1 f8:1 f8:1 f8:2 f8:3 f8:1", "head"),
+    "trackers.face.landmark_kernels.fuse": ("f8:3 f8:2 f8:2 f8:2 f8 f8:2 f8:1", "head"),
+    "trackers.face.landmark_kernels.read": ("f8:3 f8:1 f8:3 f8:2 f8:2 f8:2 f8:2 f8 f8 f8:3 f8:2 f8:2", "head"),
+    "trackers.face.landmark_kernels.add_up": ("f8:3 f8:2 f8:2 f8 f8:3 f8:2 f8:2", "motion=jumping_walk"),
+    "trackers.face.landmark_kernels.median_shift": ("f8:2 b1:1 f8:1", "head"),
     "trackers.face.image_kernels._read": ("f4:3 f8:2 f8:2 f8 f4:3", "head"),
     "trackers.face.image_kernels._looks": ("u1:3 f4:1 f4:1 f4:3", "head"),
     "trackers.face.image_kernels._coloured": ("u1:1 u1:1 u1:1 u1:1 u1:1 u1:1", "head"),

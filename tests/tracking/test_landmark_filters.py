@@ -1,6 +1,5 @@
 """Bias filters of sensors, the detector's chain and landmarks without windows: against filters that are written out."""
 
-from functools import partial
 from itertools import product
 
 import numpy as np
@@ -8,48 +7,52 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.trackers.face import landmark_filters
+from facetrack_cli.trackers.face import landmark_filters, landmark_kernels
 from facetrack_cli.trackers.face.landmark_filters import (
     AREA,
-    ASTRAY,
     BIAS,
-    BLIND,
-    DRIFT,
-    ENDS,
     FADES,
-    LIMITS,
-    MAX_LOG_ODDS,
-    MAX_NOISE,
-    MISLED,
     MOTION,
     NO_FACE,
     NOISE,
     REGRESSION,
-    SLIP,
     SURE,
     BiasFilter,
     Facing,
     LandmarkFilter,
-    common_shift,
-    joined,
+    compared,
+    fused,
     who_is_right,
 )
+from facetrack_cli.trackers.face.landmark_kernels import BLIND, ENDS, LIMITS, MAX_LOG_ODDS
 from facetrack_cli.trackers.face.motion import SensorReading
-from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, SIDE, Similarity
+from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity
+from tests.twins import landmark_filters as twin
 
+ASTRAY, DRIFT, MAX_NOISE, MISLED, SLIP = (  # pixels
+    EYES * getattr(landmark_kernels, name) for name in ("ASTRAY", "DRIFT", "MAX_NOISE", "MISLED", "SLIP")
+)
 PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])
 VISIBLE = np.ones(3)
-EXACT = np.broadcast_to(0.2 * np.eye(2), (3, 2, 2))  # covariance of the filter's state
+EXACT = 0.2 * np.eye(2) * np.ones((3, 1, 1))  # covariance of the filter's state
 AWAY = np.array([[3.0, -1.5], [-2.0, 2.5], [0.0, 4.0]])
 FAR_AWAY, TOGETHER = np.array([20.0, 0.0]), np.array([6.0, -3.0])
-begun = partial(BiasFilter.begin, min_std=REGRESSION)
+
+
+def begun(z, x0, std, least=REGRESSION, keep=1.0):
+    """The filter of a single sensor."""
+    return BiasFilter.begin(z[None], x0, np.array([std]), np.array([least]), keep)
+
+
+def after_frame(sensor, z, state=PLACES, cov=EXACT, visible=VISIBLE, odds=np.nan):
+    return sensor.updated(z[None], state, cov, visible, np.full((1, 3), odds), np.zeros((1, 3)))
 
 
 def fed(sensor, offset, frames, rng, visible=VISIBLE):
     """After `frames` in which the sensor says where the parts are, plus an offset and noise."""
     for _ in range(frames):
         z = PLACES + offset + rng.standard_normal((3, 2))
-        sensor = sensor.updated(z, PLACES + np.sqrt(0.2) * rng.standard_normal((3, 2)), EXACT, visible)
+        sensor = after_frame(sensor, z, PLACES + np.sqrt(0.2) * rng.standard_normal((3, 2)), EXACT, visible)
     return sensor
 
 
@@ -57,16 +60,16 @@ def fed(sensor, offset, frames, rng, visible=VISIBLE):
 def test_the_bias_is_the_kalman_filter_of_an_offset_that_drifts_and_may_fade(keep):
     """In frames in which it is right, which is a chain of two states."""
     rng = np.random.default_rng(1)
-    one = BiasFilter.begin(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep)
+    one = begun(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep)
     mean, var, r2 = AWAY.copy(), np.full(3, 2.5**2), np.full(3, 2.5**2)
     right, wrong = np.full(3, SURE), np.full(3, 1 - SURE)
-    np.testing.assert_allclose(one.bias, mean)
+    np.testing.assert_allclose(one.bias[0], mean)
     for _ in range(25):
         z = PLACES + AWAY + 1.5 * rng.standard_normal((3, 2))
         z[rng.random(3) < 0.2] += 14.0
-        said = one.reading(z, VISIBLE)
-        np.testing.assert_allclose(said.z, z - keep * mean)
-        np.testing.assert_allclose(said.var, keep**2 * var + DRIFT**2 + r2)
+        said = one.reading(z[None], VISIBLE)
+        np.testing.assert_allclose(said.z[0], z - keep * mean)
+        np.testing.assert_allclose(said.var[0], keep**2 * var + DRIFT**2 + r2)
         common = np.median(z - keep * mean - PLACES, axis=0)  # the head's, not the sensor's
         for k in range(3):
             predicted = keep**2 * var[k] + DRIFT**2
@@ -86,20 +89,20 @@ def test_the_bias_is_the_kalman_filter_of_an_offset_that_drifts_and_may_fade(kee
             mean[k] = mean[k] + gain * off
             var[k] = (1 - gain) * predicted
             r2[k] = np.clip(r2[k] + 0.02 * right[k] * (off @ off / 2 - r2[k]), REGRESSION**2, MAX_NOISE**2)
-        one = one.updated(z, PLACES, EXACT, VISIBLE)
-    np.testing.assert_allclose(one.bias, mean)
-    np.testing.assert_allclose(one.var, var)
-    np.testing.assert_allclose(one.noise, r2)
-    np.testing.assert_allclose(one.reliability, right)
-    np.testing.assert_allclose(one.error_rate, wrong)
+        one = after_frame(one, z)
+    np.testing.assert_allclose(one.bias[0], mean)
+    np.testing.assert_allclose(one.var[0], var)
+    np.testing.assert_allclose(one.noise[0], r2)
+    np.testing.assert_allclose(one.reliability[0], right)
+    np.testing.assert_allclose(one.error_rate[0], wrong)
 
 
 def test_a_bias_of_a_start_that_a_sensor_placed_fades_while_nothing_is_measured_and_that_of_a_hand_stays():
-    hand, placed = (BiasFilter.begin(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep) for keep in (1.0, FADES))
+    hand, placed = (begun(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep) for keep in (1.0, FADES))
     for _ in range(60):
-        hand, placed = (one.updated(np.full((3, 2), np.nan), PLACES, EXACT, VISIBLE) for one in (hand, placed))
-    np.testing.assert_array_equal(hand.bias, AWAY)
-    np.testing.assert_allclose(placed.bias, FADES**60 * AWAY)
+        hand, placed = (after_frame(one, np.full((3, 2), np.nan)) for one in (hand, placed))
+    np.testing.assert_array_equal(hand.bias[0], AWAY)
+    np.testing.assert_allclose(placed.bias[0], FADES**60 * AWAY)
 
 
 @pytest.mark.parametrize("how", ["all hidden", "another hidden", "far off", "not seen"])
@@ -117,9 +120,9 @@ def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
 
 def test_what_it_says_of_a_part_depends_on_how_visible_that_is():
     one = begun(PLACES, PLACES, 2.0)
-    seen, hidden = (one.reading(PLACES, np.array([1.0, 1.0, v])) for v in (1.0, 0.0))
+    seen, hidden = (one.reading(PLACES[None], np.array([1.0, 1.0, v])) for v in (1.0, 0.0))
     np.testing.assert_allclose(seen.sure, SURE)
-    np.testing.assert_allclose(hidden.sure, [SURE, SURE, SURE * BLIND])
+    np.testing.assert_allclose(hidden.sure[0], [SURE, SURE, SURE * BLIND])
     np.testing.assert_allclose(seen.var, one.var + DRIFT**2 + one.noise)
     np.testing.assert_allclose(hidden.var, seen.var + MISLED**2, err_msg="all are placed together")
 
@@ -128,21 +131,20 @@ def test_a_part_that_the_sensor_does_not_know_has_no_bias_and_is_not_measured():
     z = PLACES.copy()
     z[1] = np.nan
     one = begun(z, PLACES - 1.0, 3.0)
-    np.testing.assert_allclose(one.bias, [[1, 1], [0, 0], [1, 1]])
-    assert one.var[1] == pytest.approx(MAX_NOISE**2) and one.var[0] == pytest.approx(9.0)
-    said = one.reading(z, VISIBLE)
-    assert said.sure[1] == 0 and np.isfinite(said.z).all()
-    after = one.updated(z, PLACES, EXACT, VISIBLE)
-    assert np.isfinite([*after.bias.ravel(), *after.var, *after.noise]).all() and after.noise[1] == one.noise[1]
+    np.testing.assert_allclose(one.bias[0], [[1, 1], [0, 0], [1, 1]])
+    assert one.var[0, 1] == pytest.approx(MAX_NOISE**2) and one.var[0, 0] == pytest.approx(9.0)
+    said = one.reading(z[None], VISIBLE)
+    assert said.sure[0, 1] == 0 and np.isfinite(said.z).all()
+    after = after_frame(one, z)
+    assert np.isfinite([*after.bias.ravel(), *after.var[0], *after.noise[0]]).all()
+    assert after.noise[0, 1] == one.noise[0, 1]
 
 
 def test_windows_that_see_a_part_elsewhere_speak_against_a_sensor():
     sensor = begun(PLACES, PLACES, 2.0)
-    after = [
-        sensor.updated(PLACES, PLACES, EXACT, VISIBLE, np.full(3, odds)).reliability[0] for odds in (-9.0, -3.0, 0.0)
-    ]
+    after = [after_frame(sensor, PLACES, odds=odds).reliability[0, 0] for odds in (-9.0, -3.0, 0.0)]
     assert after[0] < 0.5 < after[1] < after[2]
-    hidden = sensor.updated(PLACES, PLACES, EXACT, np.zeros(3), np.full(3, -9.0))
+    hidden = after_frame(sensor, PLACES, visible=np.zeros(3), odds=-9.0)
     assert (hidden.reliability > 0.9).all(), "of what is hidden they say nothing"
 
 
@@ -150,7 +152,15 @@ def test_windows_that_see_a_part_elsewhere_speak_against_a_sensor():
 
 
 def said(z, var, sure):
-    return SensorReading(np.asarray(z, float), np.full(3, var), np.full(3, sure), SIDE**2 / 4)
+    """What one sensor says: z (K, 2), its variance and how sure it is."""
+    return np.asarray(z, float), np.full(3, var), np.full(3, sure)
+
+
+NOTHING = said(PLACES, 1.0, 0.0)
+
+
+def stacked(*each, area=AREA):
+    return SensorReading(*map(np.stack, zip(*each, strict=True)), area)
 
 
 @pytest.mark.parametrize(
@@ -163,34 +173,42 @@ def said(z, var, sure):
     ],
 )
 def test_two_readings_in_one(first, second, at, sure):
-    both = joined(*(said(PLACES + off, *rest) for off, *rest in (first, second)))
-    np.testing.assert_allclose(both.z, PLACES + at)
-    np.testing.assert_allclose(both.sure, sure)
-    if np.all(at == 0.8):
-        np.testing.assert_allclose(both.var, 1 / (1 / 4 + 1))
+    """Of regression and network, and of these with the detector."""
+    one, other = (said(PLACES + off, *rest) for off, *rest in (first, second))
+    z, shift, apart = fused(stacked(one, NOTHING, other), PLACES)
+    np.testing.assert_allclose(z, PLACES + at)
+    assert not apart, "the detector says nothing"
+    var = 1 / (1 / 4 + 1) if np.all(at == 0.8) else max(first, second, key=lambda one: one[2])[1]
+    var = second[1] if at is FAR_AWAY else var
+    np.testing.assert_allclose(shift, np.asarray(at) * SLIP**2 / (SLIP**2 + var) * np.ones(2), atol=1e-9)
+    z, shift, apart = fused(stacked(one, other, NOTHING), PLACES)
+    np.testing.assert_allclose(shift, np.asarray(at) * SLIP**2 / (SLIP**2 + var) * np.ones(2), atol=1e-9)
+    assert apart == (at is FAR_AWAY)
+    assert np.isnan(z).all() if first[2] == 0 else (z == one[0]).all()
 
 
-def test_two_readings_that_say_nothing_say_nothing():
-    neither = joined(*2 * [said(PLACES, 1.0, 0.0)])
-    assert np.isfinite([*neither.z.ravel(), *neither.var]).all() and (neither.sure == 0).all()
+def test_readings_that_say_nothing_say_nothing():
+    z, shift, apart = fused(stacked(NOTHING, NOTHING, NOTHING), PLACES)
+    assert np.isnan(z).all() and (shift == 0).all() and not apart
 
 
 def test_what_all_parts_move_together_is_the_head_s_and_what_one_moves_is_not():
-    var = 4.0
-    moved = common_shift(said(PLACES + TOGETHER, var, 0.9), PLACES)
-    np.testing.assert_allclose(moved, TOGETHER * SLIP**2 / (SLIP**2 + var))
+    def moved(z, sure=0.9):
+        one = said(z, 4.0, 0.9)
+        return fused(stacked((*one[:2], sure * np.ones(3)), NOTHING, NOTHING), PLACES)[1]
+
+    np.testing.assert_allclose(moved(PLACES + TOGETHER), TOGETHER * SLIP**2 / (SLIP**2 + 4))
     opened = PLACES.copy()
     opened[2, 1] += 15.0
-    np.testing.assert_allclose(common_shift(said(opened, var, 0.9), PLACES), 0, atol=1e-9)
-    two = said(PLACES + 6.0, var, 0.9)._replace(sure=np.array([0.9, 0.9, 0.2]))
-    np.testing.assert_array_equal(common_shift(two, PLACES), 0)
+    np.testing.assert_allclose(moved(opened), 0, atol=1e-9)
+    np.testing.assert_array_equal(moved(PLACES + 6.0, np.array([0.9, 0.9, 0.2])), 0)
 
 
 def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
     """Against integrals over the place of a part on a grid, for each set of those that are right."""
     rng, area, k = np.random.default_rng(5), 60.0**2, 3
     one, two, windows = (said(PLACES + 6 * rng.standard_normal((3, 2)), v, 0.9) for v in (9.0, 16.0, 4.0))
-    readings = [each._replace(area=area) for each in (one, two, windows)]
+    readings = stacked(one, two, windows, area=area)
     windows_see, regression_sees = rng.uniform(-3, 0, (8, k)), rng.uniform(-9, 5, (8, k))
     got = who_is_right(readings, windows_see, regression_sees)
     step = np.arange(-60, 60, 0.5)
@@ -200,12 +218,12 @@ def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
         # the order of `modes`: the last reading says something in the first half
         for index, off in enumerate(product([False, True], repeat=3)):
             right, density, p = off[::-1], np.ones(grid.shape[:2]) / area, 1.0
-            for is_off, each in zip(right, readings, strict=True):
+            for is_off, (z, var, _) in zip(right, (one, two, windows), strict=True):
                 if is_off:
                     p *= 0.1 / area
                 else:
-                    squared = np.sum((PLACES[part] + grid - each.z[part]) ** 2, axis=2)
-                    density = density * 0.9 * np.exp(-0.5 * squared / each.var[part]) / (2 * np.pi * each.var[part])
+                    squared = np.sum((PLACES[part] + grid - z[part]) ** 2, axis=2)
+                    density = density * 0.9 * np.exp(-0.5 * squared / var[part]) / (2 * np.pi * var[part])
             p *= 1.0 if all(off) else density.sum() * 0.25
             for scores in (windows_see, regression_sees):
                 p *= np.exp(np.clip(scores[index, part] - scores[:-1, part].max(), -MAX_LOG_ODDS, 0))
@@ -220,7 +238,7 @@ def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
 def test_what_two_sensors_say_alike_is_believed_though_windows_prefer_another_place(second, windows_right):
     one, two = said(PLACES + FAR_AWAY, 9.0, 0.97), said(PLACES + second, 9.0, 0.97)
     windows = said(PLACES, 1.0, 0.97)
-    readings = [each._replace(area=AREA) for each in (one, two, windows)]
+    readings = stacked(one, two, windows)
     there = np.array([-9.0 if (set_ >> 2) % 2 else 0.0 for set_ in range(8)])
     odds = who_is_right(readings, np.repeat(there[:, None], 3, axis=1)) + np.log(0.97 / 0.03)
     assert ((odds[2] > 0) == windows_right).all() and ((odds[0] < 0) == windows_right).all()
@@ -365,3 +383,54 @@ def test_what_was_still_for_long_is_followed_at_once_where_its_least_motion_says
         followed.append((one.at - still)[lids, 1].mean() / (0.12 * EYES))
         np.testing.assert_allclose(one.cov[:, 0, 0], one.var + (0.02 * EYES) ** 2)
     assert followed[0] > 0.85 and followed[1] < 0.6
+
+
+# --- kernels and their twins -----------------------------------------------------------------------------------------
+
+
+def any_readings(rng, z, x0):
+    """Places (S, K, 2) of which some are missing, in a face of which some parts are hidden, with a filter of them."""
+    z = np.where(rng.random(z.shape[:2])[..., None] < 0.25, np.nan, z)
+    z[rng.integers(3)] = np.nan if rng.random() < 0.3 else z[0] + 1
+    biases = BiasFilter.begin(z + rng.normal(0, 3, z.shape), x0, np.array([2.0, 3, 2]), np.ones(3), 0.98)
+    error_rate, reliability = rng.uniform(0.01, 0.9, (2, *z.shape[:2]))
+    return z, biases._replace(reliability=reliability, error_rate=error_rate)
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3, 14])
+@pytest.mark.parametrize("seed", range(12))
+def test_all_sensors_in_one_call_are_the_plain_twin(seed, parts):
+    rng = np.random.default_rng(seed)
+    at = MIDDLE + 30 * rng.standard_normal((parts, 2))
+    spread = rng.choice([1.0, 6.0, 15.0])
+    z, biases = any_readings(rng, at + rng.normal(0, 5, 2) + spread * rng.standard_normal((3, parts, 2)), at)
+    visible, root = rng.choice([0.0, 0.3, 1.0], parts), rng.standard_normal((parts, 2, 2))
+    cov = root @ root.transpose(0, 2, 1)
+    readings = biases.reading(z, visible)
+    for mine, plain in zip(readings[:3], twin.readings(z, visible, *biases[:5], biases.keep), strict=True):
+        np.testing.assert_allclose(mine, plain, rtol=1e-9)
+    together, shift, apart = fused(readings, at)
+    for mine, plain in zip((together, shift, apart), twin.fused(*readings[:3], at), strict=True):
+        np.testing.assert_allclose(mine, plain, rtol=1e-9, atol=1e-9)
+    all_, differ, cross = compared(readings, at, cov, visible)
+    for mine, plain in zip((*all_[:3], differ, cross), twin.compared(*readings[:3], at, cov, visible), strict=True):
+        np.testing.assert_allclose(mine, plain, rtol=1e-9, atol=1e-9)
+    odds = np.where(rng.random((3, parts)) < 0.5, np.nan, rng.normal(0, 4, (3, parts)))
+    before = [values.copy() for values in biases[:5]]
+    after = biases.updated(z, at, cov, visible, odds, cross)
+    plain = twin.updated(z, at, cov, visible, odds, cross, biases.min_std, biases.keep, *before)
+    for mine, written, old in zip(after[:5], plain, biases[:5], strict=True):
+        np.testing.assert_allclose(mine, written, rtol=1e-9, atol=1e-9)
+        assert mine is not old
+    for mine, old in zip(biases[:5], before, strict=True):
+        np.testing.assert_array_equal(mine, old, err_msg="a state is not changed")
+
+
+def test_what_a_regression_does_not_know_is_no_distance_from_a_network():
+    unknown = PLACES.copy()
+    unknown[0] = np.nan
+    nothing = np.full((3, 2), np.nan)
+    biases = BiasFilter.begin(np.stack([unknown, nothing, PLACES]), PLACES, np.ones(3), np.ones(3))
+    readings = biases.reading(np.stack([unknown, nothing, PLACES + 1]), VISIBLE)
+    cross = compared(readings, PLACES, EXACT, VISIBLE)[2]
+    np.testing.assert_allclose(cross, [[0, 0.5, 0.5], [0, 0, 0], [0, 0.5, 0.5]])

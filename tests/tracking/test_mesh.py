@@ -151,7 +151,8 @@ def test_a_network_that_sees_no_face_places_nothing_and_the_regression_says_what
     np.testing.assert_array_equal(parts.odds, load_regression().fit(seen).odds)
     sensors, points, _ = begun(sensors_of(PARTS, FakeMesh([None]), ("chin",)), np.zeros((5, 2)))
     assert points is None
-    assert (sensors[2].bias == 0).all() and (sensors[2].reading(network, np.ones(5)).sure == 0).all()
+    reading = sensors.reading(np.stack([parts.at, network, network]), np.ones(5))
+    assert (sensors.bias[1:] == 0).all() and (reading.sure[1:] == 0).all() and (reading.sure[0] > 0).all()
 
 
 @pytest.mark.parametrize("searched", [False, True])
@@ -159,11 +160,10 @@ def test_the_bias_of_sensors_fades_where_the_points_of_the_start_were_searched(s
     x0 = head_of(IN_CLIP).to_stabilized(moving.truth(IN_CLIP, 0)) + 1.5
     sensors = sensors_of(PARTS, FakeMesh([IN_CLIP]), searched=searched)
     found, _ = sensed(sensors)
-    (regression, detector, network), *_ = begun(
-        sensors, x0, Detection((0, 0, 9, 9), None, {"nose": tuple(x0[0] + 2.0)})
-    )
-    for one, least in ((regression, REGRESSION), (detector, DETECTOR), (network, NETWORK)):
-        assert (one.keep, one.min_std) == (FADES if searched else 1.0, least)
-    np.testing.assert_allclose(regression.bias, found.parts.at - x0)
-    np.testing.assert_allclose(network.bias, found.network - x0)
-    np.testing.assert_allclose(detector.bias, [[2, 2], *4 * [[0, 0]]])
+    biases, *_ = begun(sensors, x0, Detection((0, 0, 9, 9), None, {"nose": tuple(x0[0] + 2.0)}))
+    assert biases.keep == (FADES if searched else 1.0)
+    np.testing.assert_array_equal(biases.min_std, [REGRESSION, DETECTOR, NETWORK])
+    regression, detector, network = biases.bias
+    np.testing.assert_allclose(regression, found.parts.at - x0)
+    np.testing.assert_allclose(network, found.network - x0)
+    np.testing.assert_allclose(detector, [[2, 2], *4 * [[0, 0]]])

@@ -12,8 +12,9 @@ from facetrack_cli.trackers.appearance.affine import AffineWalk
 from facetrack_cli.trackers.appearance.settings import AffineWalkSettings
 from facetrack_cli.trackers.box.hidden_box import VisibleWalk
 from facetrack_cli.trackers.box.settings import VisibleWalkSettings
-from facetrack_cli.trackers.face.motion import JumpingWalk, SensorReading
+from facetrack_cli.trackers.face.motion import ANY, JumpingWalk, SensorReading
 from facetrack_cli.trackers.face.window_ncc import WindowNcc, WindowState
+from tests.twins import jumping_walk as twin
 
 HIDES = VisibleWalkSettings(type="visible_walk", sigma="2px", scale=0.02, hide=1e-6)
 DEFORMS = AffineWalkSettings(type="affine_walk", sigma="3px", deform=0.02, turn=0.03, shear=0.01)
@@ -118,7 +119,15 @@ MEASURED = SensorReading(
     np.array([0.95, 0.9, 0.8]),
     1600.0,
 )
-OTHER = SensorReading(MEASURED.z + np.array([3.0, 1.0]), np.array([0.5, 9.0, 1.0]), np.array([0.7, 0.95, 0.5]), 400.0)
+OTHER = MEASURED._replace(
+    z=MEASURED.z + np.array([3.0, 1.0]), var=np.array([0.5, 9.0, 1.0]), sure=np.array([0.7, 0.95, 0.5])
+)
+
+
+def stacked(measured):
+    if not measured:
+        return SensorReading(np.empty((0, 3, 2)), np.empty((0, 3)), np.empty((0, 3)), MEASURED.area)
+    return SensorReading(*map(np.stack, zip(*(each[:3] for each in measured), strict=True)), MEASURED.area)
 
 
 def test_jumping_draws_are_the_mixture_that_is_stated():
@@ -153,8 +162,8 @@ def test_the_density_of_a_jump_is_the_formula_and_integrates_to_one():
 def test_draws_given_sensors_are_of_the_posterior_by_their_weights(measured):
     """The mean of the weights is what sensors say of a parent."""
     parents = (PARENT + 3)[None].repeat(60_000, axis=0)
-    x = JUMPS.propagate_given(np.random.default_rng(1), parents, measured)
-    weights = JUMPS.log_measured(x, parents, measured)
+    x, weights = JUMPS.propose(np.random.default_rng(1), parents, stacked(measured))
+    np.testing.assert_allclose(JUMPS.log_measured(x, parents, stacked(measured)), weights, atol=1e-9)
     for part, (draws, log_w) in enumerate(zip(np.moveaxis(x, 1, 0), weights.T, strict=True)):
         p = jump_density(GRID[:, 0], parents[0, part], part)
         for one in measured:  # p(z | x) by its formula
@@ -175,7 +184,7 @@ def test_draws_given_sensors_are_of_the_posterior_by_their_weights(measured):
 
 def test_any_place_that_a_sensor_says_is_drawn_however_far_the_part_would_have_to_jump():
     far = MEASURED._replace(z=PARENT + 60.0)
-    x = JUMPS.propagate_given(np.random.default_rng(2), PARENT[None].repeat(300, axis=0), [far, MEASURED])
+    x, _ = JUMPS.propose(np.random.default_rng(2), PARENT[None].repeat(300, axis=0), stacked([far, MEASURED]))
     assert ((np.hypot(*(x - far.z).transpose(2, 0, 1)) < 30).sum(axis=0) >= 3).all()
 
 
@@ -189,23 +198,28 @@ def test_a_walk_that_never_or_always_jumps_is_a_gaussian_one(jumps):
     linear, plain = walk.linear(PARENT), same.linear(PARENT)
     for one, other in zip(linear, plain, strict=True):
         np.testing.assert_allclose(one, other)
-    assert np.isfinite(walk.log_measured(x + 1, x, [MEASURED])).all()
-    assert np.isfinite(walk.propagate_given(np.random.default_rng(6), x + 1e5, [MEASURED])).all()
+    assert np.isfinite(walk.log_measured(x + 1, x, stacked([MEASURED]))).all()
+    assert np.isfinite(walk.propose(np.random.default_rng(6), x + 1e5, stacked([MEASURED]))[0]).all()
 
 
 @pytest.mark.parametrize(
-    "measured", [[MEASURED], [MEASURED, OTHER], [MEASURED, OTHER, MEASURED._replace(sure=0 * REST[:, 0])]]
+    "measured", [[], [MEASURED], [MEASURED, OTHER], [MEASURED, MEASURED._replace(sure=0 * REST[:, 0]), OTHER]]
 )
-def test_one_kernel_draws_and_weighs_as_walk_and_windows_do(measured):
-    """The readable methods are its twin: the same draws, the same weights."""
+def test_one_kernel_draws_and_weighs_as_the_plain_twin_and_windows_do(measured):
     rng = np.random.default_rng(4)
     maps, corner = rng.uniform(-1, 1, (3, 9, 9)).astype(np.float32), np.round(REST) - 4
     windows = WindowNcc.__new__(WindowNcc)
     windows.settings = SimpleNamespace(sharpness=30.0)
     learned = WindowState(None, None, None, np.array([1.0, 0.5, 0.0]), None, None, maps=maps, corner=corner)
-    x = REST + rng.normal(0, 3, (200, 3, 2))
-    x = np.repeat(np.sort(x[:100], axis=0), 2, axis=0)  # parents that repeat
-    drawn, log_p = JUMPS.propose(np.random.default_rng(5), x, measured, windows.scored(learned))
-    np.testing.assert_allclose(drawn, JUMPS.propagate_given(np.random.default_rng(5), x, measured), rtol=1e-12)
-    plain = windows.score(learned, None, drawn, x) + JUMPS.log_measured(drawn, x, measured)
-    np.testing.assert_allclose(log_p, plain, atol=2e-3)
+    x = REST + rng.normal(0, 3, (40, 3, 2))
+    x = np.repeat(np.sort(x[:20], axis=0), 2, axis=0)  # parents that repeat
+    drawn, log_p = JUMPS.propose(np.random.default_rng(5), x, stacked(measured), windows.scored(learned))
+    again = np.random.default_rng(5)
+    uniform, normal = again.random(x.shape[:2]), again.standard_normal(x.shape)
+    score = windows.score(learned, None, drawn, x)
+    for n, k in np.ndindex(x.shape[:2]):
+        readings = [(one.z[k], one.var[k], one.sure[k]) for one in measured if one.sure.any()]
+        walk = JUMPS.sigma[k], JUMPS.jump[k], JUMPS.jumps, JUMPS.keep
+        found = twin.components(x[n, k], readings, MEASURED.area, walk, REST[k])
+        np.testing.assert_allclose(drawn[n, k], twin.drawn(uniform[n, k], normal[n, k], found, ANY), rtol=1e-9)
+        assert log_p[n, k] == pytest.approx(score[n, k] + twin.log_measured(drawn[n, k], found, ANY), abs=2e-3)

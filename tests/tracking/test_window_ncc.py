@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.trackers.face import window_ncc
+from facetrack_cli.trackers.face import landmark_kernels as kernels
+from facetrack_cli.trackers.face.landmark_kernels import NEW_BELOW, YOUNG, judge
 from facetrack_cli.trackers.face.settings import Length, ShiftPerPart, WindowNccSettings
-from facetrack_cli.trackers.face.window_ncc import NEW_BELOW, YOUNG, WindowNcc
+from facetrack_cli.trackers.face.window_ncc import WindowNcc, WindowState
 from tests.support.images import frame
 from tests.support.parts import section
 from tests.twins import window_ncc as naive
@@ -206,8 +207,8 @@ def test_v_is_the_chain_of_two_states_with_the_evidence_that_is_written():
         says = rng.uniform(-3, 3)
         r = naive.correlation(naive.channels(texture(0), 60, 45, 15, 15), naive.channels(now, 60, 45, 15, 15))
         q = (learned.good[0] - r) / (learned.good[0] - learned.beside[0])
-        odds = np.clip((window_ncc.HIDDEN - q) / window_ncc.SOFT, *window_ncc.BY_WINDOW) + says
-        before = chain * (1 - window_ncc.HIDE) + (1 - chain) * window_ncc.SHOW
+        odds = np.clip((kernels.HIDDEN - q) / kernels.SOFT, *kernels.BY_WINDOW) + says
+        before = chain * (1 - kernels.HIDE) + (1 - chain) * kernels.SHOW
         chain = before / (before + (1 - before) * np.exp(-odds))
         learned = step(model, learned, now, x, says=says)
         if learned.templates.number[0] > 1:  # r of the first one alone is compared
@@ -224,3 +225,28 @@ def test_where_a_track_begins_again_the_frame_is_looked_at_and_not_the_first_one
     np.testing.assert_array_equal(again.good, seen.good)
     np.testing.assert_array_equal(again.beside, seen.beside)
     assert again.maps is None and again.good[0] < learned.good[0]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_learned_of_all_parts_in_one_call_is_the_plain_twin(seed):
+    rng = np.random.default_rng(seed)
+    k, most, n = 12, int(rng.integers(1, 5)), 40
+    like, number, age = rng.uniform(-1, 1, (k, most)), rng.integers(1, most + 1, k), rng.integers(0, 9, (k, most))
+    age[:, 0], used = 3, rng.uniform(0, 1, (k, most))
+    good, beside, visible = rng.uniform(0.3, 1, k), rng.uniform(0, 0.8, k), rng.uniform(0, 1, k)
+    odds, usual, at = rng.normal(0, 4, k), rng.normal(0, 2, k), rng.uniform(20, 30, (k, 2))
+    x, log_w = at + rng.choice([0.3, 3.0]) * rng.standard_normal((n, k, 2)), np.log(rng.dirichlet(np.ones(n)))
+    maps, corner = rng.uniform(-1, 1, (k, 9, 9)).astype(np.float32), np.round(at) - 4
+    old = good.copy(), visible.copy(), usual.copy(), used.copy()
+    new, forgets = np.empty(k, bool), np.empty(k, bool)
+    there = like, number, age, maps, corner, beside, odds, at
+    changes = judge(*there, x, log_w, 1.0, good, visible, usual, used, new, forgets)
+    state = WindowState(None, None, None, None, None, None, maps=maps, corner=corner)
+    r = WindowNcc.correlation(None, state, at[None])[0]
+    for i in range(k):
+        before = like[i], number[i], age[i], beside[i], odds[i], at[i], x[:, i], np.exp(log_w)
+        plain = naive.learned(*before, *(one[i] for one in old), r[i], 1.0)
+        mine = good[i], visible[i], usual[i], used[i], new[i], forgets[i]
+        for one, other in zip(mine, plain, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-6)
+    assert changes == (new.any() or forgets.any())

@@ -43,3 +43,24 @@ def between(image, templates, x, y):
             (x0 + 1, y0 + 1, u * v),
         )
     )
+
+
+def learned(like, number, age, beside, odds, at, x, w, good, visible, usual, used, r, sure):
+    """What one part learns in a frame: (g, v, usual, used, whether it gives a template, whether young ones go).
+
+    `like` (T,) is its correlation with templates, r that of maps; particles x (N, 2) have weights w (N,).
+    """
+    old = [like[t] for t in range(number) if age[t] >= 3]
+    q = (good - max(old, default=-math.inf)) / max(good - beside, 0.05)
+    said = min(max(odds, -4), 4)
+    evidence = min(max((0.45 - q) / 0.1, -1), 6) + said
+    ahead = 0.99 * visible + 0.1 * (1 - visible)
+    v = ahead / (ahead + (1 - ahead) * math.exp(-evidence))
+    usual = usual + v / 50 * (said - usual)
+    spread = math.sqrt(max((w * (x[:, i] - at[i]) ** 2).sum() for i in range(2)))
+    clear = v > 0.5 and spread < sure and odds >= usual - 2
+    best = int(np.argmax(like[:number]))
+    new = clear and like[best] < 0.7 and len(used) > 1
+    if clear and not new:
+        used = 0.98 * used + 0.02 * (np.arange(len(used)) == best)
+    return good + v / 50 * (r - good), v, usual, used, new, v < 0.5 and len(old) < number

@@ -21,13 +21,13 @@ with the points that are visible,
 
 How far a point moves with expressions (s), and how much its measurements tremble (r), are running means of the clip.
 A hidden point lies where the visible ones say, up to s. Whether it is visible is a chain of two states, as in
-`window_ncc.py`.
+`window_ncc.py`. The arithmetic of all parts and sensors in a frame is in `landmark_kernels.py`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -35,52 +35,37 @@ import numpy as np
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.engine.protocols import Linear
 from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.trackers.face import landmark_kernels as kernels
 from facetrack_cli.trackers.face.cascaded_regression import PlacedPoints
+from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK, KEEP, MAX_LOG_ODDS
 from facetrack_cli.trackers.face.motion import SensorReading, modes
 from facetrack_cli.trackers.face.stabilized import EYES
-from facetrack_cli.trackers.face.window_ncc import BOUNDS, BY_SENSOR, visible_after
 
-# of sensors
-DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
 REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.02 * EYES, 0.05 * EYES  # the least r of a sensor
-MAX_NOISE: Final = 0.1 * EYES  # and the greatest
 FADES: Final = 0.98  # k of a start that a sensor has placed
-MISLED: Final = 0.1 * EYES  # r in a face of which a part is hidden: a sensor places all parts together
-LEARNS: Final = 0.02  # share of a measurement in r^2
-SLIP: Final = 0.1 * EYES  # standard deviation of what a head moves in a frame and its box does not
-MAX_SQUARED_DISTANCE: Final = 9.0  # of squared distances, in variances
-WINDOWS: Final = 0.97  # probability that windows see a part that is visible, and nothing like it
 SURE: Final = 0.97  # probability that a sensor says something of a part that is visible, before it is learned
-BLIND: Final = 0.1  # its share that is left of a part that is hidden
-ASTRAY: Final = 0.25 * EYES  # standard deviation of z where a sensor takes something else for the part
-AREA: Final = 4 * math.pi * ASTRAY**2  # square pixels
-ENDS: Final = 0.1  # probability a frame that it no longer does
-OFTEN: Final = 0.01  # share of a frame in how often it does
-LIMITS: Final = (0.01, 0.9)  # of that
-MAX_LOG_ODDS: Final = 4.0  # bound of what one frame says of it, and of what the head's filter is told
+AREA: Final = 4 * math.pi * (kernels.ASTRAY * EYES) ** 2  # square pixels, of what it takes for it
 # of whether a face is turned to the camera
 _HIDE, _SHOW = 0.01, 0.05  # probabilities a frame
 _FALSE: Final = 0.1  # probability that a face is found that does not look to the camera
 _MANY: Final = 50.0  # looks over which it is learned how often a face is found
 # of landmarks without windows
-KEEP: Final = 0.5
 NO_FACE: Final = -1.0  # log odds where the network sees no face
-MEMORY: Final = 100.0  # frames over which s and r are learned, and four times that for the place at rest
 MOTION, NOISE = 0.05 * EYES, 0.015 * EYES  # s and r at first, pixels
-MIN_MOTION, MIN_NOISE, MAX_LANDMARK_NOISE = 0.02 * EYES, 0.005 * EYES, 0.05 * EYES
+MIN_MOTION: Final = 0.02 * EYES
 BIAS: Final = 0.08 * EYES  # lasting error of the network itself
 
 
 class BiasFilter(NamedTuple):
-    """What is known of a sensor's errors of K parts, in pixels of the stabilized image.
+    """What is known of the errors of S sensors of K parts, in pixels of the stabilized image.
 
     Attributes
     ----------
-    bias, var : b (K, 2) and its variance (K,)
-    noise : r^2 (K,)
-    reliability : (K,), probability that it sees the part, and not something else
-    error_rate : (K,), how often it does not
-    min_std : the least r
+    bias, var : b (S, K, 2) and its variance (S, K)
+    noise : r^2 (S, K)
+    reliability : (S, K), probability that a sensor sees the part, and not something else
+    error_rate : (S, K), how often it does not
+    min_std : (S,), the least r
     keep : k
     """
 
@@ -89,88 +74,46 @@ class BiasFilter(NamedTuple):
     noise: Array
     reliability: Array
     error_rate: Array
-    min_std: float
+    min_std: Array
     keep: float = 1.0
 
     @classmethod
-    def begin(cls, z: Array, x0: Array, std: float, min_std: float, keep: float = 1.0) -> BiasFilter:
-        """After a first measurement z (K, 2) of parts at x0 (K, 2), nan where there is none; `std` is r at first."""
-        seen, ones = _measured(z), np.ones(len(x0))
-        bias, var = np.where(seen[:, None], z - x0, 0.0), np.where(seen, std**2, MAX_NOISE**2)
-        return cls(bias, var, std**2 * ones, SURE * ones, (1 - SURE) * ones, min_std, keep)
+    def begin(cls, z: Array, x0: Array, std: Array, min_std: Array, keep: float = 1.0) -> BiasFilter:
+        """After first measurements z (S, K, 2) of parts at x0 (K, 2), nan if there is none; std (S,) is r at first."""
+        seen, noise = np.isfinite(z[..., :1] + z[..., 1:]), np.repeat(std[:, None] ** 2, len(x0), axis=1)
+        bias, var = np.where(seen, z - x0, 0.0), np.where(seen[..., 0], noise, (kernels.MAX_NOISE * EYES) ** 2)
+        return cls(bias, var, noise, np.full_like(var, SURE), np.full_like(var, 1 - SURE), min_std, keep)
 
     def reading(self, z: Array, visible: Array) -> SensorReading:
-        """A measurement z (K, 2) without its bias, of parts that are visible with a probability (K,)."""
-        seen = _measured(z)
-        if not seen.any():
-            return SensorReading(np.zeros_like(z), self._var_ahead + self.noise, np.zeros(len(z)), AREA)
-        sure = np.where(seen, self._reliability_ahead * (BLIND + (1 - BLIND) * visible), 0.0)
-        at = np.where(seen[:, None], z - self.keep * self.bias, 0.0)
-        noise = self.noise + MISLED**2 * (1 - visible.min())
-        return SensorReading(at, self._var_ahead + noise, sure, AREA)
+        """Measurements z (S, K, 2) without their biases, of parts that are visible with a probability (K,)."""
+        said = SensorReading(np.empty_like(z), np.empty_like(self.var), np.empty_like(self.var), AREA)
+        kernels.read(z, visible, *self[:5], self.keep, EYES, *said[:3])
+        return said
 
-    def updated(
-        self,
-        z: Array,
-        state: Array,
-        cov: Array,
-        visible: Array,
-        log_odds: Array | float = math.nan,
-        cross: Array | float = 0.0,
-    ) -> BiasFilter:
+    def updated(self, z: Array, state: Array, cov: Array, visible: Array, log_odds: Array, cross: Array) -> BiasFilter:
         """The filter after a frame.
 
         Parameters
         ----------
-        z : (K, 2), the measurement; nan where there is none
+        z : (S, K, 2), the measurements; nan where there is none
         state, cov : (K, 2) and (K, 2, 2), where the particle filter has the parts
         visible : (K,), probability that a part is visible
-        log_odds : (K,), log odds by this frame that the sensor sees the part; nan where they follow from `state` alone
-        cross : (K,), its share of the squared distance from an independent sensor, in square pixels; `state` alone
-            would flatter a sensor that has moved it
+        log_odds : (S, K), log odds by this frame that a sensor sees the part; nan where they follow from `state` alone
+        cross : (S, K), a sensor's share of the squared distance from an independent one, in square pixels; `state`
+            alone would flatter a sensor that has moved it
         """
-        var, bias = self._var_ahead, self.keep * self.bias
-        if not np.isfinite(z).any():
-            return self._replace(bias=bias, var=var, reliability=self._reliability_ahead)
-        off, spread = z - bias - state, 0.5 * (cov[:, 0, 0] + cov[:, 1, 1])
-        squared = 0.5 * np.sum(off**2, axis=1)
-        seen, total = np.isfinite(squared), var + self.noise + spread
-        far = total + ASTRAY**2
-        alone = 0.5 * np.sum((off - in_common(off, seen)) ** 2, axis=1)
-        evidence = np.where(np.isnan(log_odds), np.log(far / total) - alone * (1 / total - 1 / far), log_odds)
-        ahead = self._reliability_ahead
-        bounded = np.nan_to_num(np.clip(evidence, -MAX_LOG_ODDS, MAX_LOG_ODDS))
-        reliability = 1 / (1 + np.exp(-(np.log(ahead / (1 - ahead)) + visible * bounded)))
-        rate = self.error_rate + OFTEN * seen * visible * (1 - reliability - self.error_rate)
-        # a hidden part misplaces all of them
-        use = np.where(seen & (squared < MAX_SQUARED_DISTANCE * total), visible * visible.min(), 0.0) * reliability
-        gain = use * var / total
-        noise = self.noise + LEARNS * use * (np.maximum(np.nan_to_num(squared), cross) - self.noise)
-        return self._replace(
-            bias=bias + gain[:, None] * np.nan_to_num(off),
-            var=(1 - gain) * var,
-            noise=np.clip(noise, self.min_std**2, MAX_NOISE**2),
-            reliability=reliability,
-            error_rate=np.clip(rate, *LIMITS),
-        )
+        after = [values.copy() for values in self[:5]]
+        kernels.learn(z, state, cov, visible, log_odds, cross, self.min_std, self.keep, EYES, *after)
+        return BiasFilter._make([*after, self.min_std, self.keep])
 
     def landmark_odds(self, landmarks: PlacedPoints, at: Array) -> Array:
-        """(J,): log odds that landmarks are visible, less where the sensor errs in the nearest of the parts (K, 2)."""
+        """(J,): log odds that landmarks are visible, less where the network errs in the nearest of its parts (K, 2)."""
         away = np.hypot(*(landmarks.at[:, None] - at).transpose(2, 0, 1))
-        p = self.reliability[np.where(np.isnan(away), np.inf, away).argmin(axis=1)]
+        p = self.reliability[BY_NETWORK, np.where(np.isnan(away), np.inf, away).argmin(axis=1)]
         return np.asarray(landmarks.odds + np.minimum(np.log(p / (1 - p)), 0))
 
-    @property
-    def _reliability_ahead(self) -> Array:
-        begins = np.minimum(ENDS * self.error_rate / (1 - self.error_rate), 1 - ENDS)
-        return np.asarray(self.reliability * (1 - begins) + (1 - self.reliability) * ENDS)
 
-    @property
-    def _var_ahead(self) -> Array:
-        return np.asarray(self.keep**2 * self.var + DRIFT**2)
-
-
-def who_is_right(readings: Sequence[SensorReading], *scores: Array) -> Array:
+def who_is_right(readings: SensorReading, *scores: Array) -> Array:
     """Log odds (S, K) by one frame that readings see the parts, and not something else.
 
     Each set of readings may be right, and is if its members agree and the parts are seen there; all other readings are
@@ -178,57 +121,54 @@ def who_is_right(readings: Sequence[SensorReading], *scores: Array) -> Array:
 
     Parameters
     ----------
-    readings : S of them; wrong ones are anywhere in the area of the first
+    readings : S of them
     scores : (2^S, K) each, log likelihoods of what is seen at the places of the sets, in the order of `modes`
     """
-    _, p, w = modes(readings, len(readings[0].sure))
+    _, p, w = modes(readings)
     log_p = w + sum(np.clip(score - score[:-1].max(axis=0), -MAX_LOG_ODDS, 0) for score in scores)
-    log_p[:-1] += np.log(2 * math.pi / p[:-1] / readings[0].area)
+    log_p[:-1] += np.log(2 * math.pi / p[:-1] / readings.area)
     share, sets = np.exp(log_p - log_p.max(axis=0)), np.arange(len(log_p))
     odds = []
-    for i, reading in enumerate(readings):
+    for i, sure in enumerate(np.clip(readings.sure, 1e-6, 1 - 1e-6)):
         member = (sets >> i) % 2 == 0
-        sure = np.clip(reading.sure, 1e-6, 1 - 1e-6)
         odds.append(np.log(share[member].sum(axis=0) / share[~member].sum(axis=0)) - np.log(sure / (1 - sure)))
     return np.stack(odds)
 
 
-def joined(first: SensorReading, second: SensorReading) -> SensorReading:
-    """Two readings in one; where they are far apart, the second alone."""
-    if not second.sure.any():
-        return first
-    weight = np.where(apart(first, second), 0.0, first.sure / first.var), second.sure / second.var
-    total = np.maximum(weight[0] + weight[1], 1e-12)
-    z = (weight[0][:, None] * first.z + weight[1][:, None] * second.z) / total[:, None]
-    sure = np.maximum(first.sure, second.sure)
-    return SensorReading(z, np.where(sure > 0, sure / total, first.var), sure, first.area)
+def fused(readings: SensorReading, before: Array) -> tuple[Array, Array, bool]:
+    """Where the sensors together have the parts, which were at `before` (K, 2).
+
+    Two readings in one have the product of their normal densities; where they are too far apart, the second counts.
+
+    Returns
+    -------
+    (K, 2), regression and network in one, nan where neither sees a part; (2,), how far all parts have moved together,
+    which the head has not followed: the mean under N(0, SLIP^2 I) of the shift, whose measurement is the median of the
+    parts'; whether the detector is too far from regression and network in any part.
+    """
+    at, shift = np.empty_like(before), np.empty(2)
+    apart = kernels.fuse(*(values.copy() for values in readings[:3]), before, EYES, at, shift)
+    return at, shift, apart
 
 
-def apart(first: SensorReading, second: SensorReading) -> Mask:
-    """(K,): the parts of which two readings cannot both be right."""
-    if not (both := np.minimum(first.sure, second.sure) > 0).any():
-        return np.asarray(both)
-    far = np.sum((first.z - second.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (first.var + second.var)
-    return np.asarray(both & far)
+def compared(readings: SensorReading, at: Array, cov: Array, visible: Array) -> tuple[SensorReading, Mask, Array]:
+    """The sensors' readings beside that of windows, of parts at `at` (K, 2) with `cov` (K, 2, 2), `visible` (K,).
+
+    Returns
+    -------
+    S + 1 readings, those of sensors without the shift that the parts have in common (then the head has slipped, and no
+    sensor errs); (K,), the parts of which two cannot both be right; `cross` as in `BiasFilter.updated`.
+    """
+    (sensors, parts), differ = readings.sure.shape, np.empty(len(at), np.bool_)
+    all_ = np.empty((sensors + 1, parts, 2)), np.empty((sensors + 1, parts)), np.empty((sensors + 1, parts))
+    kernels.compare(*readings[:3], at, cov, visible, *all_, differ, cross := np.empty_like(readings.sure))
+    return SensorReading(*all_, readings.area), differ, cross
 
 
 def in_common(offsets: Array, mask: Mask) -> Array:
-    """(2,): the median of the offsets (K, 2) in the `mask` (K,): the head has slipped by that, and no sensor errs."""
-    count = int(mask.sum())
-    if count < 3:
-        return np.zeros(2)
-    each = np.sort(offsets[mask], axis=0)  # NumPy's median takes ten times as long
-    return np.asarray(0.5 * (each[(count - 1) // 2] + each[count // 2]))
-
-
-def common_shift(reading: SensorReading, state: Array) -> Array:
-    """(2,): how far all parts have moved together from `state` (K, 2), which the head has not followed.
-
-    The mean under N(0, SLIP^2 I) of the shift, whose measurement is the median of the parts'.
-    """
-    sure = reading.sure > 0.5
-    shift = in_common(reading.z - state, sure)
-    return np.asarray(shift * SLIP**2 / (SLIP**2 + np.median(reading.var[sure]))) if shift.any() else shift
+    """(2,): the median of the offsets (K, 2) in the `mask` (K,), and 0 of less than three."""
+    kernels.median_shift(offsets, mask, shift := np.empty(2))
+    return shift
 
 
 class Facing(NamedTuple):
@@ -263,11 +203,6 @@ class Facing(NamedTuple):
         shown = self.shown * here / (self.shown * here + (1 - self.shown) * elsewhere)
         keep = 1 - 1 / _MANY
         return Facing(shown, (keep * yes + shown * detected, keep * no + shown * (not detected)))
-
-
-def _measured(z: Array) -> Mask:
-    """(K,): the parts of which z (K, 2) has a place."""
-    return np.asarray(np.isfinite(z).all(axis=1), np.bool_)
 
 
 class LandmarkFilter(NamedTuple):
@@ -316,8 +251,8 @@ class LandmarkFilter(NamedTuple):
 
     def mapped(self, to: Callable[[Array], Array]) -> LandmarkFilter:
         """In another stabilized image; the similarity `to` maps places of this image to it."""
-        carried = to(self.carried)
-        return self._replace(rest=to(self.rest), carried=carried, offset=to(self.at) - carried, last=to(self.last))
+        places = to(np.concatenate([self.rest, self.carried, self.at, *self.last])).reshape(5, -1, 2)
+        return self._replace(rest=places[0], carried=places[1], offset=places[2] - places[1], last=places[3:])
 
     def after(self, z: Array | None, log_odds: Array | float) -> LandmarkFilter:
         """A frame later.
@@ -327,28 +262,10 @@ class LandmarkFilter(NamedTuple):
         z : (J, 2), None where the sensor sees no face
         log_odds : (J,), log odds by this frame that the landmarks are visible
         """
-        v = visible_after(self.visible, np.clip(log_odds, *BY_SENSOR))
-        offset, var = KEEP * self.offset, KEEP**2 * self.var + (1 - KEEP**2) * self.motion_var
-        if z is None:
-            return self._replace(offset=offset, var=var, visible=v)
-        carried = carried_by(self.rest, z, v)
-        gain = v * var / (var + self.noise_var)
-        offset = offset + gain[:, None] * (z - carried - offset)
-        rate = v / MEMORY
-        jitter = np.sum((z - 2 * self.last[1] + self.last[0]) ** 2, axis=1) / 12  # noise of z, where it is smooth
-        # what moves is no noise
-        noise = self.noise_var + rate * (np.minimum(jitter, 4 * self.noise_var) - self.noise_var)
-        motion = self.motion_var + rate * (0.5 * np.sum(offset**2, axis=1) - self.motion_var)
-        return self._replace(
-            rest=self.rest + (rate / 4)[:, None] * offset,
-            offset=offset,
-            var=(1 - gain) * var,
-            motion_var=np.maximum(motion, self.min_motion**2),
-            noise_var=np.clip(noise, MIN_NOISE**2, MAX_LANDMARK_NOISE**2),
-            visible=v,
-            carried=carried,
-            last=np.stack([self.last[1], z]),
-        )
+        after = [values.copy() for values in self[:8]]
+        odds = np.full(len(self.var), log_odds, np.float64)
+        kernels.follow(z is not None, self.carried if z is None else z, odds, EYES, *after, self.min_motion)
+        return LandmarkFilter._make([*after, self.bias_std, self.min_motion])
 
     def belief(self) -> Belief:
         """For the smoother. The lasting error of the sensor does not move, and is left out."""
@@ -356,13 +273,3 @@ class LandmarkFilter(NamedTuple):
         noise = ((1 - KEEP**2) * self.motion_var)[:, None, None] * eye
         motion = Linear(KEEP * eye, (1 - KEEP) * self.carried, noise)
         return Belief(self.at, self.var[:, None, None] * eye, motion, self.visible < 0.5)
-
-
-def carried_by(rest: Array, z: Array, weight: Array) -> Array:
-    """`rest` (J, 2) moved, turned and scaled to come nearest to z (J, 2), by least squares with weights (J,)."""
-    w = np.clip(weight, *BOUNDS) / np.clip(weight, *BOUNDS).sum()
-    a, b = rest @ (1, 1j), z @ (1, 1j)
-    middle, to = w @ a, w @ b
-    turn = (w * np.conj(a - middle)) @ (b - to) / max(float(w @ np.abs(a - middle) ** 2), 1e-9)
-    place = to + turn * (a - middle)
-    return np.stack([place.real, place.imag], axis=1)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.face_points import GROUPS, IRISES, MESH
-from facetrack_cli.core.types import Array, Frame, Point
+from facetrack_cli.core.types import Array, Frame, Mask, Point, Whole
 from facetrack_cli.trackers.face.cascaded_regression import MAX_LOG_ODDS, PlacedPoints, face_channels, load_regression
 from facetrack_cli.trackers.face.closer import again
 from facetrack_cli.trackers.face.detectors import Detection, Detector
@@ -90,27 +91,27 @@ class LandmarkSensors:
 
     def begin(
         self, frame: Frame, similarity: Similarity, image: Frame, detection: Detection | None, x0: Array
-    ) -> tuple[tuple[BiasFilter, ...], LandmarkFilter | None, LandmarkFilter | None]:
+    ) -> tuple[BiasFilter, LandmarkFilter | None, LandmarkFilter | None]:
         """Filters after the first frame, whose parts are at x0 (K, 2) in the stabilized image.
 
         Returns
         -------
-        Bias filters of regression, detector and network; the filter of the network's further points, None where it
+        Bias filter of regression, detector and network; the filter of the network's further points, None where it
         sees no face; that of the eyes, None where they have no rows.
         """
         _, parts, network, others, eyes = self.read(frame, similarity, image)
         keep, std = FADES if self.searched else 1.0, float(load_regression().std.mean())
         detected = self.places({} if detection is None else detection.points)
-        starts = (parts.at, std, REGRESSION), (detected, DETECTOR, DETECTOR), (network, std, NETWORK)
-        filters = tuple(BiasFilter.begin(z, x0, r, min_std, keep) for z, r, min_std in starts)
+        z, least = np.stack([parts.at, detected, network]), np.array([REGRESSION, DETECTOR, NETWORK])
+        biases = BiasFilter.begin(z, x0, np.array([std, DETECTOR, std]), least, keep)
         mesh_filter = None if others is None else LandmarkFilter.begin(others.at)
         if eyes is None:
-            return filters, mesh_filter, None
+            return biases, mesh_filter, None
         bias, motion = np.full(len(OF_EYES), IRIS_BIAS), np.full(len(OF_EYES), BLINKS)
         bias[np.array(SIDES)], motion[CORNERS] = load_eyes().std, MIN_MOTION
         index = [OF_EYES.index(part) for part in self.eyes]
         eye_filter = LandmarkFilter.begin(eyes.at, bias[index], motion[index])
-        return filters, mesh_filter, eye_filter._replace(visible=0.5 * eye_filter.visible).after(*eyes)
+        return biases, mesh_filter, eye_filter._replace(visible=0.5 * eye_filter.visible).after(*eyes)
 
     def read(
         self, frame: Frame, similarity: Similarity, image: Frame, around: Sequence[Array] = ()
@@ -122,8 +123,7 @@ class LandmarkSensors:
         regression, channels = load_regression(), face_channels(image.bgr)
         crops = None if self.mesh is None else self.mesh.measure(frame, similarity)
         at, odds = regression.fit(image.bgr, around, channels)
-        index = [regression.parts.index(part) if part in regression.parts else -1 for part in self.parts]
-        trained = np.array(index) >= 0
+        index, trained = self._trained
         mesh = None if crops is None else crops.mean(axis=0)
         eyes = self._eyes(frame, similarity, channels, at, mesh)
         at = np.where(trained[:, None], at[index], np.nan)
@@ -141,11 +141,17 @@ class LandmarkSensors:
         network = np.where(trained[:, None], core[index], np.nan)
         return LandmarkReadings(channels, parts, network, PlacedPoints(others, core_odds[nearest]), eyes)
 
+    @cached_property
+    def _trained(self) -> tuple[Whole, Mask]:
+        """(K,) each: the indices of the parts in the regression, and whether it knows them."""
+        known = load_regression().parts
+        index = np.array([known.index(part) if part in known else -1 for part in self.parts])
+        return index, index >= 0
+
     def log_odds_at(self, channels: NDArray[np.float32], places: Array) -> Array:
         """(M, K): log odds that the parts are visible at `places` (M, K, 2); 0 of parts that were not trained."""
         regression, odds = load_regression(), np.zeros(places.shape[:2])
-        trained = [k for k, part in enumerate(self.parts) if part in regression.parts]
-        index = [regression.parts.index(self.parts[k]) for k in trained]
+        index, trained = self._trained[0][self._trained[1]], self._trained[1]
         at = np.zeros((len(regression.parts), 2))
         for row, place in zip(odds, places, strict=True):
             at[index] = place[trained]

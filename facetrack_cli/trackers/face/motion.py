@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -12,16 +11,16 @@ from numpy.typing import NDArray
 from facetrack_cli.core.types import Array
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context
+from facetrack_cli.trackers.face.landmark_kernels import add_up, jump
 from facetrack_cli.trackers.face.settings import JumpingWalkSettings
-from facetrack_cli.trackers.face.window_kernels import jump
 
 ANY: Final = 0.3  # share of draws that do not follow what a sensor and the last place make likely
 
 
 class SensorReading(NamedTuple):
-    """What a sensor says of K parts in one frame, in pixels of the stabilized image.
+    """What S sensors say of K parts in one frame, in pixels of the stabilized image.
 
-    With probability `sure` (K,), z (K, 2) is the part's place plus N(0, var I); `var` (K,) is in square pixels.
+    With probability `sure` (S, K), z (S, K, 2) is the part's place plus N(0, var I); `var` (S, K) is in square pixels.
     Otherwise z is anywhere in an `area` of so many square pixels.
     """
 
@@ -41,29 +40,16 @@ class ScoredMaps(NamedTuple):
     floor: float
 
 
-def _proposed(log_p: Array) -> Array:
-    """How often components (C, N, K) are drawn: the likely ones, and any, whose place windows may prefer."""
-    p = np.exp(log_p - log_p.max(axis=0))
-    return np.asarray((1 - ANY) * p / p.sum(axis=0) + ANY / len(p))
+def modes(measured: SensorReading) -> tuple[Array, Array, Array]:
+    """p(z | a) as sum_m exp(w_m - p_m |a - z_m|^2 / 2): z (M, K, 2), p and w (M, K).
 
-
-def _log_sum(values: Array) -> Array:
-    highest = values.max(axis=0)
-    return np.asarray(highest + np.log(np.exp(values - highest).sum(axis=0)))
-
-
-def modes(measured: Sequence[SensorReading], parts: int) -> tuple[Array, Array, Array]:
-    """p(z | a) as sum_m exp(w_m - p_m |a - z_m|^2 / 2), a mode for each set of sensors that say something."""
-    z, p, w = np.zeros((1, parts, 2)), np.zeros((1, parts)), np.zeros((1, parts))
-    for reading in (each for each in measured if each.sure.any()):
-        sure, new = np.clip(reading.sure, 1e-6, 1 - 1e-6), 1 / reading.var
-        total = p + new
-        apart = np.sum((reading.z - z) ** 2, axis=2) * p * new / total
-        z = np.concatenate([(p[..., None] * z + new[:, None] * reading.z) / total[..., None], z])
-        p = np.concatenate([total, p])
-        says = w + np.log(sure) - 0.5 * apart - np.log(2 * np.pi * reading.var)
-        w = np.concatenate([says, w + np.log1p(-sure) - np.log(reading.area)])
-    return z, p, w
+    There is a mode for each set of sensors that are right, of those that say something. Sets with the last one come
+    first.
+    """
+    shape = 2 ** int(measured.sure.any(axis=1).sum()), measured.sure.shape[1]
+    found = np.empty((*shape, 2)), np.empty(shape), np.empty(shape)
+    add_up(*measured, *found)
+    return found
 
 
 @dataclass(frozen=True)
@@ -91,42 +77,25 @@ class JumpingWalk(Motion):
         step = np.where(rng.random(x.shape[:2]) < self.jumps, self.jump, self.sigma)
         return np.asarray(self.expect(x) + step[..., None] * rng.standard_normal(x.shape))
 
-    def propagate_given(self, rng: np.random.Generator, x: Array, measured: Sequence[SensorReading]) -> Array:
-        """x (N, K, 2) moved by one frame, given what sensors measured in it."""
-        mean, var, log_p = self._components(x, measured)
-        below = np.cumsum(_proposed(log_p), axis=0)
-        chosen = (rng.random(x.shape[:2]) > below[:-1]).sum(axis=0), *np.indices(x.shape[:2])
-        return np.asarray(
-            mean[chosen] + np.sqrt(var[chosen[0], 0, chosen[2]])[..., None] * rng.standard_normal(x.shape)
-        )
-
-    def log_measured(self, x: Array, parents: Array, measured: Sequence[SensorReading]) -> Array:
+    def log_measured(self, x: Array, parents: Array, measured: SensorReading) -> Array:
         """log of p(x, z | a^-) of each part over the density by which x was drawn; x, parents (N, K, 2) -> (N, K)."""
-        mean, var, log_p = self._components(parents, measured)
-        log_n = -0.5 * np.sum((x - mean) ** 2, axis=3) / var - np.log(2 * np.pi * var)
-        return np.asarray(_log_sum(log_p + log_n) - _log_sum(np.log(_proposed(log_p)) + log_n))
+        return self._drawn(parents, np.empty((0, 0)), x.copy(), measured, None)
 
     def propose(
-        self, rng: np.random.Generator, x: Array, measured: Sequence[SensorReading], windows: ScoredMaps
+        self, rng: np.random.Generator, x: Array, measured: SensorReading, windows: ScoredMaps | None = None
     ) -> tuple[Array, Array]:
-        """`propagate_given`, and `log_measured` with the score by `windows` of what it gives, (N, K), in one kernel."""
-        uniform, normal = rng.random(x.shape[:2]), rng.standard_normal(x.shape)
-        steps = self.sigma, self.jump, self.jumps
-        return jump(x, uniform, normal, modes(measured, x.shape[1]), steps, self.rest, self.keep, ANY, *windows)
+        """x (N, K, 2) moved by one frame, given what sensors measured; `log_measured` of it, with windows' score."""
+        uniform, moved = rng.random(x.shape[:2]), rng.standard_normal(x.shape)
+        return moved, self._drawn(x, uniform, moved, measured, windows)
 
-    def _components(self, x: Array, measured: Sequence[SensorReading]) -> tuple[Array, Array, Array]:
-        """Means (C, N, K, 2) and variances (C, 1, K) of a part, log p(z and this | a^-) (C, N, K).
-
-        For each set of sensors that say something, with a step and with a jump.
-        """
-        rest = self.expect(x)
-        z, precision, w = modes(measured, x.shape[1])
-        z, precision, w = (np.repeat(mode, 2, axis=0)[:, None] for mode in (z, precision, w))
-        var = np.tile(np.stack([self.sigma**2, self.jump**2]), (len(z) // 2, 1))[:, None]
-        share = np.tile(np.log([max(1 - self.jumps, 1e-12), max(self.jumps, 1e-12)]), len(z) // 2)[:, None, None]
-        wider, off = 1 + var * precision, z - rest
-        log_p = w + share - 0.5 * np.sum(off**2, axis=3) * precision / wider - np.log(wider)
-        return rest + (1 - 1 / wider)[..., None] * off, var / wider, log_p
+    def _drawn(
+        self, x: Array, uniform: Array, moved: Array, measured: SensorReading, windows: ScoredMaps | None
+    ) -> Array:
+        walk, log_p = (self.sigma, self.jump, self.jumps, self.rest, self.keep, ANY), np.empty(x.shape[:2])
+        if windows is None:  # each place has a score of 0
+            windows = ScoredMaps(np.zeros((x.shape[1], 1, 1), np.float32), 0 * self.rest, 0 * self.sigma, 1.0, 0.0)
+        jump(x, uniform, *modes(measured), *walk, *windows, moved, log_p)
+        return log_p
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         """log p(x_n | parents_m) of each part: x (N, K, 2), parents (M, K, 2) -> (N, M, K)."""
@@ -161,15 +130,14 @@ class MeasuredWalk(JumpingWalk):
     With `windows`, which score the parts, draws are weighed as they are drawn; `draws` keeps both by id.
     """
 
-    measured: Sequence[SensorReading]
+    measured: SensorReading
     windows: ScoredMaps | None
     draws: dict[int, tuple[Array, Array]] = field(default_factory=dict)
 
     def propagate(self, rng: np.random.Generator, x: Array) -> Array:
-        if self.windows is None:
-            return self.propagate_given(rng, x, self.measured)
         drawn, log_p = self.propose(rng, x, self.measured, self.windows)
-        self.draws[id(drawn)] = drawn, log_p
+        if self.windows is not None:
+            self.draws[id(drawn)] = drawn, log_p
         return drawn
 
     def weighed(self, x: Array) -> Array | None:

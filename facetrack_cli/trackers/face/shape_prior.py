@@ -32,14 +32,14 @@ class StudentPrior(Prior):
 
     def __init__(self, bound: BoundPrior, freedom: float) -> None:
         self.first, self.length, self.freedom = bound.first, bound.length, freedom
-        self._stable, self._moving = bound.stable, bound.moving
-        h = bound.shapes[:, self._moving].reshape(len(bound.shapes), -1)
+        h = bound.shapes[:, bound.moving].reshape(len(bound.shapes), -1)
         self.cov = h.T @ h / len(h) + MIN_SIGMA**2 * np.eye(h.shape[1])
-        self._inverse = np.linalg.inv(self.cov)
+        # q^T C^-1 q is the square of q L, where C^-1 = L L^T and q = (x - first) D
+        relative = np.eye(len(self.first))[:, bound.moving] - np.eye(len(self.first))[:, [bound.stable]]
+        self._to_unit = np.kron(relative, np.eye(2)) @ np.linalg.cholesky(np.linalg.inv(self.cov)) / self.length
 
     def log_density(self, x: Array) -> Array:
         """(N,): the log density, at most 0."""
-        moved = (x - self.first) / self.length
-        q = (moved - moved[:, [self._stable]])[:, self._moving].reshape(len(x), len(self.cov))
-        squared = np.sum(q @ self._inverse * q, axis=1)
-        return np.asarray(-0.5 * (self.freedom + q.shape[1]) * np.log1p(squared / self.freedom))
+        unit = (x - self.first).reshape(-1, len(self._to_unit)) @ self._to_unit
+        squared = np.sum(unit**2, axis=1)
+        return np.asarray(-0.5 * (self.freedom + unit.shape[1]) * np.log1p(squared / self.freedom))

@@ -19,6 +19,7 @@ from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import Sighting
 from facetrack_cli.trackers.face.landmark_filters import BiasFilter, Facing, LandmarkFilter
+from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.landmark_sensors import LandmarkReadings, LandmarkSensors
 from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.settings import HeadSettings
@@ -58,7 +59,7 @@ class FaceState(NamedTuple):
     head: ParticleState
     features: ParticleState
     feature_rows: Rows
-    bias_filters: tuple[BiasFilter, ...]
+    bias_filters: BiasFilter
     facing: Facing
     pose: Array
     pose_var: Array
@@ -84,7 +85,7 @@ class FaceView(NamedTuple):
     checked : whether the detector has looked
     detection : the face that it saw, in the stabilized image
     landmarks : what regression and network say
-    places : (K, 2) by each sensor, in pixels of the stabilized image, nan where it says nothing
+    places : (S, K, 2) by the sensors, in pixels of the stabilized image, nan where they say nothing
     readings : the same without the sensors' biases
     fused : (K, 2), regression and network together, without biases
     shift : (2,) pixels, how far the face is from where the head was expected
@@ -96,8 +97,8 @@ class FaceView(NamedTuple):
     checked: bool
     detection: Detection | None
     landmarks: LandmarkReadings
-    places: tuple[Array, ...]
-    readings: tuple[SensorReading, ...]
+    places: Array
+    readings: SensorReading
     fused: Array
     shift: Array
     log_odds: float
@@ -181,7 +182,7 @@ class FaceParts:
             EVIDENCE.name: sum(rows.evidence for rows in (box, state.feature_rows) if rows.frame == frame.index),
         }
         if self.sensors.mesh is not None:
-            values[NETWORK.name] = state.bias_filters[2].reliability.mean()
+            values[NETWORK.name] = state.bias_filters.reliability[BY_NETWORK].mean()
         of_time = {name: np.array([value], np.float64) for name, value in values.items()}
         diagnostics = {self.name: Diagnostics(self.diagnostics, np.array([frame.index]), of_time)}
         rows = filtered = of_frame(self._names, frame, diagnostics, **columns)

@@ -22,7 +22,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
@@ -49,18 +48,15 @@ from facetrack_cli.trackers.face.evidence import (
     probabilities,
 )
 from facetrack_cli.trackers.face.landmark_filters import (
-    AREA,
     NO_FACE,
-    WINDOWS,
-    BiasFilter,
     Facing,
     LandmarkFilter,
-    apart,
-    common_shift,
+    compared,
+    fused,
     in_common,
-    joined,
     who_is_right,
 )
+from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, SensorReading, modes
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, moved, updated
@@ -245,13 +241,11 @@ class FaceTarget(FaceParts):
             around.append((before + (detected - before)[measured].mean(axis=0)).mean(axis=0))
         landmarks = self.sensors.read(frame, similarity, image, around)
         visible = self._visible(state.features)
-        places = landmarks.parts.at, detected, landmarks.network
-        readings = tuple(bias.reading(z, visible) for bias, z in zip(state.bias_filters, places, strict=True))
-        fused = joined(readings[0], readings[2])
-        shift = common_shift(joined(fused, readings[1]), before)
-        log_odds = 0.0 if apart(fused, readings[1]).any() else landmarks.parts.log_odds
-        fused_at = np.where(fused.sure[:, None] > 0, fused.z, np.nan)
-        return FaceView(similarity, image, due, detection, landmarks, places, readings, fused_at, shift, log_odds)
+        places = np.stack([landmarks.parts.at, detected, landmarks.network])
+        readings = state.bias_filters.reading(places, visible)
+        at, shift, apart = fused(readings, before)
+        log_odds = 0.0 if apart else landmarks.parts.log_odds
+        return FaceView(similarity, image, due, detection, landmarks, places, readings, at, shift, log_odds)
 
     def _followed(
         self, rng: Generator, state: FaceState, view: FaceView, frame: Frame, box: Rows | None
@@ -262,10 +256,10 @@ class FaceTarget(FaceParts):
         """
         features, info = self._tracked(rng, state.features, view)
         estimated, visible = features.estimated, self._visible(features)
-        sensor_odds, window_odds = self._judged(state.features, view, estimated)
-        biases = self._biases(state.bias_filters, view, sensor_odds, estimated, visible)
+        odds, cross = self._judged(state.features, view, estimated)
+        biases = state.bias_filters.updated(view.places, estimated.state, estimated.cov, visible, odds[:-1], cross)
         if isinstance(features.learned, window_ncc.WindowState):
-            features = replace(features, learned=window_ncc.doubted(features.learned, window_odds))
+            features = replace(features, learned=window_ncc.doubted(features.learned, odds[-1]))
         rows = self.features.rows(features, frame, info)
         facing = state.facing if self.sensors.detector is None else state.facing.predicted()
         others, mesh, eyes = state.others, view.landmarks.others, state.eyes
@@ -274,7 +268,7 @@ class FaceTarget(FaceParts):
         elif mesh is None:
             others = others.after(None, NO_FACE)
         else:
-            others = others.after(mesh.at, biases[2].landmark_odds(mesh, view.places[2]))
+            others = others.after(mesh.at, biases.landmark_odds(mesh, view.places[BY_NETWORK]))
         if eyes is not None and view.landmarks.eyes is not None:
             eyes = eyes.after(*view.landmarks.eyes)
         head = state.head
@@ -320,44 +314,28 @@ class FaceTarget(FaceParts):
         windows = isinstance(features.learned, window_ncc.WindowState)
         return np.asarray(features.learned.visible if windows else np.ones(len(self.features.parts)))
 
-    def _within(self, before: Estimate, readings: Sequence[SensorReading]) -> float:
+    def _within(self, before: Estimate, readings: SensorReading) -> float:
         """Pixels from where they are expected, within which the points are by their spread and by the readings."""
-        expected, far = self.features.motion.expect(before.state[None])[0], 0.0
-        for reading in readings:
-            far = max(far, np.abs(np.where(reading.sure[:, None] > 0.5, reading.z - expected, 0.0)).max())
+        expected = self.features.motion.expect(before.state[None])[0]
+        far = np.abs(np.where(readings.sure[..., None] > 0.5, readings.z - expected, 0.0)).max()
         return float(far + 3 * math.sqrt(before.cov[:, [0, 1], [0, 1]].max()))
 
     def _judged(self, features: ParticleState, view: FaceView, estimated: Estimate) -> tuple[Array, Array]:
-        """Log odds by this frame that the sensors (S, K) and that the windows (K,) see the parts.
+        """Log odds (S + 1, K) by this frame that sensors and windows see the parts; `cross` of `BiasFilter.updated`.
 
         They are judged where some of them are too far apart to be right together; elsewhere, nan.
         """
-        likelihood, at, readings = self.features.likelihood, estimated.state, view.readings
-        odds = np.full((len(readings) + 1, len(at)), np.nan)
-        var = 0.5 * (estimated.cov[:, 0, 0] + estimated.cov[:, 1, 1])
-        windows = SensorReading(at, var, WINDOWS * self._visible(features), AREA)
-        own = [reading._replace(z=reading.z - in_common(reading.z - at, reading.sure > 0)) for reading in readings]
-        index = [i for i, reading in enumerate((*readings, windows)) if reading.sure.any()]
-        judged = [(*own, windows)[i] for i in index]
-        differ = np.any([apart(*pair) for pair in combinations(judged, 2)], axis=0)
+        likelihood, at = self.features.likelihood, estimated.state
+        all_, differ, cross = compared(view.readings, at, estimated.cov, self._visible(features))
+        odds = np.full(all_.sure.shape, np.nan)
         if isinstance(likelihood, window_ncc.WindowNcc) and differ.any():
-            learned, places = likelihood.look(features.learned, view.image, at), modes(judged, len(at))[0]
+            index = all_.sure.any(axis=1)
+            judged = all_._replace(z=all_.z[index], var=all_.var[index], sure=all_.sure[index])
+            learned, places = likelihood.look(features.learned, view.image, at), modes(judged)[0]
             by_windows = likelihood.score(learned, view.image, places, at)
             by_regression = self.sensors.log_odds_at(view.landmarks.channels, places)
             odds[index] = np.where(differ, who_is_right(judged, by_windows, by_regression), np.nan)
-        return odds[:-1], odds[-1]
-
-    def _biases(
-        self, filters: Sequence[BiasFilter], view: FaceView, log_odds: Array, estimated: Estimate, visible: Array
-    ) -> tuple[BiasFilter, ...]:
-        """The sensors' bias filters after a frame whose points are estimated."""
-        regression, _, network = view.readings
-        cross: Array | float = 0.0
-        if network.sure.any():
-            squared = np.sum((network.z - regression.z) ** 2, axis=1)
-            cross = np.where((network.sure > 0) & ~apart(network, regression), 0.25 * squared, 0.0)
-        each = zip(filters, view.places, log_odds, (cross, 0.0, cross), strict=True)
-        return tuple(bias.updated(z, estimated.state, estimated.cov, visible, *rest) for bias, z, *rest in each)
+        return odds, cross
 
     def _posed(self, state: FaceState, view: FaceView) -> FaceState:
         """With the pose by the detected box, and by the line of parts left and right, or else of the eyes."""
@@ -388,7 +366,7 @@ class FaceTarget(FaceParts):
         def to(x: Array) -> Array:
             return np.asarray((x.reshape(-1, 2) @ turned + shift).reshape(x.shape))
 
-        biases = tuple(bias._replace(bias=bias.bias @ turned) for bias in state.bias_filters)
+        biases = state.bias_filters._replace(bias=state.bias_filters.bias @ turned)
         others, eyes = (landmarks and landmarks.mapped(to) for landmarks in (state.others, state.eyes))
         return state._replace(features=moved(state.features, to), bias_filters=biases, others=others, eyes=eyes)
 

@@ -34,26 +34,18 @@ from numpy.typing import NDArray
 from facetrack_cli.core.types import Array, Frame, Mask, Particles, Whole
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
+from facetrack_cli.trackers.face import landmark_kernels as kernels
 from facetrack_cli.trackers.face.image_kernels import looks
 from facetrack_cli.trackers.face.motion import ScoredMaps
 from facetrack_cli.trackers.face.settings import WindowNccSettings
 from facetrack_cli.trackers.face.window_kernels import greatest, matched, stride
 
 Channels = NDArray[np.float32]
-MEMORY: Final = 50.0  # frames over which g and b are learned
-NEW_BELOW: Final = 0.7  # correlation with all templates below which a visible part gives a new one
 SURE: Final = 0.06  # standard deviation of a part, in reaches, up to which a new template is learned
-HIDDEN, SOFT = 0.45, 0.1
-BY_WINDOW, BY_SENSOR = (-1.0, 6.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
-YOUNG: Final = 3  # frames
-UNLIKE: Final = 2.0  # below what a sensor usually says of a part, which then may be half covered
-HIDE, SHOW = 0.01, 0.1  # probabilities a frame
-BOUNDS: Final = (0.001, 0.98)  # of v
 FLOOR: Final = 0.5  # 1 - r of a hidden part
 MAX_OFF: Final = 0.55  # of the reach: from there on a window shows what is beside the part
 LEAST: Final = 4  # pixels around where parts are expected, in which r is always known
 RARELY: Final = 4  # frames from one look beside the parts to the next
-USED: Final = 0.02  # rate at which it is learned how often a template matches best
 
 
 class Templates(NamedTuple):
@@ -71,11 +63,6 @@ class Templates(NamedTuple):
     number: Whole
     used: Array
     age: Whole
-
-    @property
-    def old(self) -> Mask:
-        """(K, T): those that are there, and no longer young."""
-        return np.asarray((np.arange(self.age.shape[1]) < self.number[:, None]) & (self.age >= YOUNG))
 
 
 class WindowState(NamedTuple):
@@ -124,7 +111,7 @@ class WindowNcc(Likelihood):
         none = np.zeros((k, most), np.int64)
         templates = Templates(empty, np.ones(k, np.int64), none.astype(np.float64), none)
         empty[:, 0] = self._matched(frame, templates, x0[None])[0]
-        templates.used[:, 0], templates.age[:, 0] = 1.0, YOUNG
+        templates.used[:, 0], templates.age[:, 0] = 1.0, kernels.YOUNG
         ones = np.ones(k)
         beside = self._beside(frame, templates, x0)
         return WindowState(templates, 0.9 * ones, beside, ones, 0 * ones, 0 * ones)
@@ -150,14 +137,14 @@ class WindowNcc(Likelihood):
 
     def score(self, learned: WindowState, frame: Frame, x: Array, parents: Array) -> Array:
         """log p(y | x) of each part but for a constant, x (N, K, 2) -> (N, K); parents do not matter."""
-        v, s = np.clip(learned.visible, *BOUNDS), self.settings.sharpness
+        v, s = np.clip(learned.visible, *kernels.BOUNDS), self.settings.sharpness
         return np.logaddexp(np.log(v) + s * (self.correlation(learned, x) - 1), np.log1p(-v) - FLOOR * s)
 
     def scored(self, learned: WindowState) -> ScoredMaps:
         """What `score` reads."""
         assert learned.maps is not None and learned.corner is not None
         return ScoredMaps(
-            learned.maps, learned.corner, np.clip(learned.visible, *BOUNDS), self.settings.sharpness, FLOOR
+            learned.maps, learned.corner, np.clip(learned.visible, *kernels.BOUNDS), self.settings.sharpness, FLOOR
         )
 
     def distances(self, learned: WindowState, frame: Frame, x: Array) -> Array:
@@ -169,29 +156,24 @@ class WindowNcc(Likelihood):
         """v (K,) of the frame that was learned last."""
         return learned.visible
 
-    def presence(self, learned: WindowState, like: Array) -> Array:
-        """v (K,) of parts whose windows at the estimate are `like` (K, T) the templates."""
-        r = np.where(learned.templates.old, like, -np.inf).max(axis=1)
-        q = (learned.good - r) / np.maximum(learned.good - learned.beside, 0.05)
-        evidence = np.clip((HIDDEN - q) / SOFT, *BY_WINDOW) + np.clip(learned.sensor_odds, *BY_SENSOR)
-        return visible_after(learned.visible, evidence)
-
     def learn(self, learned: WindowState, frame: Frame, state: Array, particles: Particles) -> WindowState:
         """g where a part is visible, b always, and new templates."""
         if learned.maps is None:  # a track that begins again has no maps of the frame yet
             learned = self.look(learned, frame, state)
         windows, like = self._matched(frame, learned.templates, state[None])
-        visible, r = self.presence(learned, like[0]), self.correlation(learned, state[None])[0]
-        good = learned.good + visible / MEMORY * (r - learned.good)
+        k, odds = len(state), np.asarray(learned.sensor_odds, np.float64)
+        good, visible, usual = learned.good.copy(), learned.visible.copy(), learned.usual_odds.copy()
+        new, forgets, (_, number, used, age) = np.empty(k, np.bool_), np.empty(k, np.bool_), learned.templates
+        there = like[0], number, age, learned.maps, learned.corner, learned.beside, odds, state
+        used = used.copy()
+        after = good, visible, usual, used, new, forgets
+        changes = kernels.judge(*there, particles.x, particles.log_w, SURE * 2 * self.reach, *after)
+        templates = learned.templates._replace(used=used, age=age + 1)
+        if changes:
+            templates = _kept(templates, windows, new, forgets)
         beside = learned.beside
         if learned.looks % RARELY == 0:  # it follows slowly
-            beside = beside + (self._beside(frame, learned.templates, state) - beside) * (RARELY / MEMORY)
-        w = np.exp(particles.log_w)
-        spread = np.sqrt(np.einsum("n,nkd->kd", w, (particles.x - state) ** 2)).max(axis=1)
-        odds, usual = learned.sensor_odds, learned.usual_odds
-        usual = usual + visible / MEMORY * (np.clip(odds, *BY_SENSOR) - usual)
-        clear = (visible > 0.5) & (spread < SURE * 2 * self.reach) & (odds >= usual - UNLIKE)
-        templates = self._kept(learned.templates, windows, like[0], clear, visible < 0.5)
+            beside = beside + (self._beside(frame, learned.templates, state) - beside) * (RARELY / kernels.MEMORY)
         return WindowState(templates, good, beside, visible, odds, usual, learned.looks + 1)
 
     def relearn(self, learned: WindowState, frame: Frame, x0: Array, parts: Mask) -> WindowState:
@@ -204,33 +186,6 @@ class WindowNcc(Likelihood):
         templates = Templates(*map(either, fresh.templates, learned.templates))
         good, beside, visible = map(either, fresh[1:4], learned[1:4])
         return WindowState(templates, good, beside, visible, learned.sensor_odds, learned.usual_odds)
-
-    def _kept(self, templates: Templates, windows: Channels, like: Array, clear: Mask, hidden: Mask) -> Templates:
-        """The templates after a frame in which `windows` (K, 2, L) of the parts correlate with them by `like` (K, T).
-
-        `clear` and `hidden` (K,) say which parts may give a template, and which are not seen.
-        """
-        stored, count, used, age = templates
-        most = age.shape[1]
-        there = np.arange(most) < count[:, None]
-        best = np.where(there, like, -np.inf).argmax(axis=1)
-        new = clear & (like[np.arange(len(like)), best] < NEW_BELOW) if most > 1 else np.zeros_like(clear)
-        matched = (clear & ~new)[:, None]
-        used = np.where(matched, (1 - USED) * used + USED * (np.arange(most) == best[:, None]), used)
-        changes = np.flatnonzero(new | (hidden & (there & (age < YOUNG)).any(axis=1)))
-        age = age + 1
-        if changes.size:
-            stored, count = stored.copy(), count.copy()
-        for k in changes.tolist():
-            kept = np.flatnonzero(templates.old[k]) if hidden[k] else np.arange(count[k])
-            if new[k] and len(kept) == most:
-                kept = np.delete(kept, 1 + int(np.argmin(used[k, 1:])))
-            count[k] = n = len(kept)
-            stored[k, :n], used[k, :n], age[k, :n] = stored[k, kept], used[k, kept], age[k, kept]
-            if new[k]:
-                stored[k, n], used[k, n], age[k, n] = windows[k], 0.5, 0
-                count[k] += 1
-        return Templates(stored, count, used, age)
 
     def _beside(self, frame: Frame, templates: Templates, state: Array) -> Array:
         """(K,): the mean of r at 16 places around the parts at `state` (K, 2)."""
@@ -247,20 +202,27 @@ class WindowNcc(Likelihood):
         return windows, like
 
 
-def visible_after(before: Array, evidence: Array) -> Array:
-    """P(visible) a frame later than `before`, given the log ratio of the likelihoods of visible and hidden."""
-    return _weighed(before * (1 - HIDE) + (1 - before) * SHOW, evidence)
+def _kept(templates: Templates, windows: Channels, new: Mask, forgets: Mask) -> Templates:
+    """The templates, to which the windows (K, 2, L) of `new` (K,) parts come, and from which young ones go."""
+    stored, number, used, age = templates
+    stored, number = stored.copy(), number.copy()
+    for k in np.flatnonzero(new | forgets).tolist():
+        kept = np.flatnonzero(age[k, : number[k]] > kernels.YOUNG * forgets[k])
+        if new[k] and len(kept) == age.shape[1]:
+            kept = np.delete(kept, 1 + int(np.argmin(used[k, 1:])))
+        number[k] = n = len(kept)
+        stored[k, :n], used[k, :n], age[k, :n] = stored[k, kept], used[k, kept], age[k, kept]
+        if new[k]:
+            stored[k, n], used[k, n], age[k, n] = windows[k], 0.5, 0
+            number[k] += 1
+    return Templates(stored, number, used, age)
 
 
 def doubted(learned: WindowState, odds: Array) -> WindowState:
     """After log odds (K,) by other sensors that windows follow the parts; only doubt counts, nan says nothing."""
-    against = np.clip(np.nan_to_num(odds), -BY_WINDOW[1], 0)
-    return learned._replace(visible=_weighed(np.clip(learned.visible, *BOUNDS), against))
-
-
-def _weighed(p: Array, evidence: Array) -> Array:
-    """Probabilities after evidence in log odds."""
-    return np.asarray(1 / (1 + (1 - p) / p * np.exp(-evidence)))
+    against = np.maximum(np.fmin(odds, 0), -kernels.BY_WINDOW[1])
+    p = np.minimum(np.maximum(learned.visible, kernels.BOUNDS[0]), kernels.BOUNDS[1])
+    return learned._replace(visible=1 / (1 + (1 - p) / p * np.exp(-against)))
 
 
 def channels(frame: Frame) -> Channels:

@@ -1,0 +1,354 @@
+# mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
+"""Loops over the points of a face: steps of particles, and what is learned of windows, sensors and landmarks.
+
+`motion.py`, `window_ncc.py` and `landmark_filters.py` say what they compute. S sensors measure K parts: places z are
+(S, K, 2), and all else that is said of each part is (S, K). `eyes` are the pixels between the eyes.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from facetrack_cli.engine.kernels.compiled import exact, part, read_at
+
+BY_REGRESSION, BY_DETECTOR, BY_NETWORK = 0, 1, 2  # the order of the sensors
+# of sensors; lengths in those between the eyes
+DRIFT: Final = 0.001  # standard deviation of b in a frame
+MAX_NOISE: Final = 0.1  # the greatest r of a sensor
+MISLED: Final = 0.1  # r in a face of which a part is hidden: a sensor places all parts together
+LEARNS: Final = 0.02  # share of a measurement in r^2
+SLIP: Final = 0.1  # standard deviation of what a head moves in a frame and its box does not
+MAX_SQUARED_DISTANCE: Final = 9.0  # of squared distances, in variances
+WINDOWS: Final = 0.97  # probability that windows see a part that is visible, and nothing like it
+BLIND: Final = 0.1  # a sensor's share that is left of a part that is hidden
+ASTRAY: Final = 0.25  # standard deviation of z where a sensor takes something else for the part
+ENDS: Final = 0.1  # probability a frame that it no longer does
+OFTEN: Final = 0.01  # share of a frame in how often it does
+LIMITS: Final = (0.01, 0.9)  # of that
+MAX_LOG_ODDS: Final = 4.0  # bound of what one frame says of it, and of what the head's filter is told
+# of landmarks without windows
+KEEP: Final = 0.5
+LANDMARK_MEMORY: Final = 100.0  # frames over which s and r are learned, and four times that for the place at rest
+LANDMARK_NOISE: Final = (0.005, 0.05)  # bounds of r, in lengths between the eyes
+# of what is learned of windows, as window_ncc.py says
+MEMORY: Final = 50.0  # frames over which g and b are learned
+NEW_BELOW: Final = 0.7  # correlation with all templates below which a visible part gives a new one
+HIDDEN, SOFT = 0.45, 0.1
+BY_WINDOW, BY_SENSOR = (-1.0, 6.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
+YOUNG: Final = 3  # frames
+UNLIKE: Final = 2.0  # below what a sensor usually says of a part, which then may be half covered
+HIDE, SHOW = 0.01, 0.1  # probabilities a frame
+BOUNDS: Final = (0.001, 0.98)  # of v
+USED: Final = 0.02  # rate at which it is learned how often a template matches best
+
+
+@part
+def visible_after(before, evidence):
+    """P(visible) a frame later than `before`, by the log ratio of the likelihoods of visible and hidden."""
+    ahead = before * (1.0 - HIDE) + (1.0 - before) * SHOW
+    return 1.0 / (1.0 + (1.0 - ahead) / ahead * math.exp(-evidence))
+
+
+@part
+def _ahead(reliability, error_rate):
+    begins = min(ENDS * error_rate / (1.0 - error_rate), 1.0 - ENDS)
+    return reliability * (1.0 - begins) + (1.0 - reliability) * ENDS
+
+
+@part
+def _median(values, mask):
+    """Of the values (K,) in the mask (K,); 0 of less than three."""
+    each, count = np.empty(len(values)), 0
+    for k in range(len(values)):
+        if mask[k]:
+            i, count = count, count + 1
+            while i > 0 and each[i - 1] > values[k]:
+                each[i] = each[i - 1]
+                i -= 1
+            each[i] = values[k]
+    return 0.5 * (each[(count - 1) // 2] + each[count // 2]) if count > 2 else 0.0
+
+
+@exact
+def median_shift(offsets, mask, shift):
+    """`shift` (2,): the median of the offsets (K, 2) in the mask (K,); 0 of less than three."""
+    shift[0], shift[1] = _median(offsets[:, 0], mask), _median(offsets[:, 1], mask)
+
+
+@part
+def _apart(z, var, sure, one, other, k):
+    squared = (z[one, k, 0] - z[other, k, 0]) ** 2 + (z[one, k, 1] - z[other, k, 1]) ** 2
+    both = min(sure[one, k], sure[other, k]) > 0.0
+    return both and squared > MAX_SQUARED_DISTANCE * (var[one, k] + var[other, k])
+
+
+@exact
+def read(z, visible, bias, var, noise, reliability, error_rate, keep, eyes, at, spread, sure):
+    """The reading `at`, `spread` and `sure` of measurements z, by the fields of a `BiasFilter`."""
+    least, drift = np.inf, (DRIFT * eyes) ** 2
+    for k in range(len(visible)):
+        least = min(least, visible[k])
+    for s in range(len(z)):
+        for k in range(len(visible)):
+            spread[s, k] = keep**2 * var[s, k] + drift + (noise[s, k] + (MISLED * eyes) ** 2 * (1.0 - least))
+            known = math.isfinite(z[s, k, 0]) and math.isfinite(z[s, k, 1])
+            right = _ahead(reliability[s, k], error_rate[s, k])
+            sure[s, k] = right * (BLIND + (1.0 - BLIND) * visible[k]) if known else 0.0
+            for i in range(2):
+                at[s, k, i] = z[s, k, i] - keep * bias[s, k, i] if known else 0.0
+
+
+@part
+def _join(z, var, sure, one, other, k):
+    """Two readings of a part in the place of the first."""
+    if sure[other, k] == 0.0:
+        return
+    first = 0.0 if _apart(z, var, sure, one, other, k) else sure[one, k] / var[one, k]
+    second = sure[other, k] / var[other, k]
+    total = max(first + second, 1e-12)
+    for i in range(2):
+        z[one, k, i] = (first * z[one, k, i] + second * z[other, k, i]) / total
+    sure[one, k] = max(sure[one, k], sure[other, k])
+    var[one, k] = sure[one, k] / total
+
+
+@exact
+def fuse(z, var, sure, before, eyes, fused, shift):
+    """The results of `landmark_filters.fused`: `fused` (K, 2), `shift` (2,), returned `apart`. Overwrites readings."""
+    apart, off, seen = False, np.empty_like(before), np.empty(len(before), np.bool_)
+    for k in range(len(before)):
+        _join(z, var, sure, BY_REGRESSION, BY_NETWORK, k)
+        for i in range(2):
+            fused[k, i] = z[BY_REGRESSION, k, i] if sure[BY_REGRESSION, k] > 0.0 else np.nan
+        apart |= _apart(z, var, sure, BY_REGRESSION, BY_DETECTOR, k)
+        _join(z, var, sure, BY_REGRESSION, BY_DETECTOR, k)
+        off[k, 0], off[k, 1] = z[BY_REGRESSION, k, 0] - before[k, 0], z[BY_REGRESSION, k, 1] - before[k, 1]
+        seen[k] = sure[BY_REGRESSION, k] > 0.5
+    median_shift(off, seen, shift)
+    share = 1.0 / (1.0 + _median(var[BY_REGRESSION], seen) / (SLIP * eyes) ** 2)
+    shift[0], shift[1] = share * shift[0], share * shift[1]
+    return apart
+
+
+@exact
+def compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross):
+    """The results of `landmark_filters.compared`: readings `own`, `spread`, `certain` (S + 1, K), `differ`, `cross`."""
+    last, off, seen, shift = len(z), np.empty_like(at), np.empty(len(at), np.bool_), np.empty(2)
+    for s in range(last):
+        for k in range(len(at)):
+            off[k, 0], off[k, 1], seen[k] = z[s, k, 0] - at[k, 0], z[s, k, 1] - at[k, 1], sure[s, k] > 0.0
+        median_shift(off, seen, shift)
+        for k in range(len(at)):
+            own[s, k, 0], own[s, k, 1] = z[s, k, 0] - shift[0], z[s, k, 1] - shift[1]
+            spread[s, k], certain[s, k], cross[s, k] = var[s, k], sure[s, k], 0.0
+    for k in range(len(at)):
+        own[last, k, 0], own[last, k, 1], spread[last, k] = at[k, 0], at[k, 1], 0.5 * (cov[k, 0, 0] + cov[k, 1, 1])
+        certain[last, k], differ[k] = WINDOWS * visible[k], False
+        for one in range(1, last + 1):
+            for other in range(one):
+                differ[k] |= _apart(own, spread, certain, one, other, k)
+        both = min(sure[BY_REGRESSION, k], sure[BY_NETWORK, k]) > 0.0
+        if both and not _apart(z, var, sure, BY_REGRESSION, BY_NETWORK, k):
+            squared = (z[0, k, 0] - z[BY_NETWORK, k, 0]) ** 2 + (z[0, k, 1] - z[BY_NETWORK, k, 1]) ** 2
+            cross[BY_REGRESSION, k] = cross[BY_NETWORK, k] = 0.25 * squared
+
+
+@exact
+def learn(z, state, cov, visible, log_odds, cross, least, keep, eyes, bias, var, noise, reliability, error_rate):
+    """The fields of a `BiasFilter` after a frame, overwritten; `least` (S,) are the least r."""
+    parts, off, seen, shift = len(visible), np.empty_like(state), np.empty(len(visible), np.bool_), np.empty(2)
+    lowest, drift, astray, most = np.inf, (DRIFT * eyes) ** 2, (ASTRAY * eyes) ** 2, (MAX_NOISE * eyes) ** 2
+    for k in range(parts):
+        lowest = min(lowest, visible[k])
+    for s in range(len(z)):
+        says = False
+        for k in range(parts):
+            for i in range(2):
+                bias[s, k, i] *= keep
+                off[k, i] = z[s, k, i] - bias[s, k, i] - state[k, i]
+            var[s, k] = keep**2 * var[s, k] + drift
+            reliability[s, k] = _ahead(reliability[s, k], error_rate[s, k])
+            seen[k] = math.isfinite(off[k, 0]) and math.isfinite(off[k, 1])
+            says |= seen[k]
+        if not says:
+            continue
+        median_shift(off, seen, shift)
+        for k in range(parts):
+            total = var[s, k] + noise[s, k] + 0.5 * (cov[k, 0, 0] + cov[k, 1, 1])
+            far, evidence, before = total + astray, log_odds[s, k], reliability[s, k]
+            if math.isnan(evidence):
+                evidence = 0.0
+                if seen[k]:
+                    alone = 0.5 * ((off[k, 0] - shift[0]) ** 2 + (off[k, 1] - shift[1]) ** 2)
+                    evidence = math.log(far / total) - alone * (1.0 / total - 1.0 / far)
+            evidence = min(max(evidence, -MAX_LOG_ODDS), MAX_LOG_ODDS)
+            right = 1.0 / (1.0 + math.exp(-(math.log(before / (1.0 - before)) + visible[k] * evidence)))
+            reliability[s, k] = right
+            squared, use, rate = 0.0, 0.0, error_rate[s, k]
+            if seen[k]:
+                squared = 0.5 * (off[k, 0] ** 2 + off[k, 1] ** 2)
+                rate += OFTEN * visible[k] * (1.0 - right - rate)
+                # a hidden part misplaces all of them
+                use = visible[k] * lowest * right if squared < MAX_SQUARED_DISTANCE * total else 0.0
+                for i in range(2):
+                    bias[s, k, i] += use * var[s, k] / total * off[k, i]
+            error_rate[s, k] = min(max(rate, LIMITS[0]), LIMITS[1])
+            wide = noise[s, k] + LEARNS * use * (max(squared, cross[s, k]) - noise[s, k])
+            noise[s, k] = min(max(wide, least[s] ** 2), most)
+            var[s, k] *= 1.0 - use * var[s, k] / total
+
+
+@exact
+def follow(seen, z, log_odds, eyes, rest, offset, var, motion_var, noise_var, visible, carried, last, least):
+    """The fields of a `LandmarkFilter` a frame later, overwritten; z (J, 2) counts where the sensor has `seen` a face.
+
+    `least` (J,) are the least s.
+    """
+    total, fx, fy, tx, ty, size, along, across = 0.0, 0.0, 0.0, 0.0, 0.0, 1e-9, 0.0, 0.0
+    weight = np.empty(len(rest))
+    for j in range(len(rest)):
+        visible[j] = visible_after(visible[j], min(max(log_odds[j], BY_SENSOR[0]), BY_SENSOR[1]))
+        offset[j, 0], offset[j, 1] = KEEP * offset[j, 0], KEEP * offset[j, 1]
+        var[j] = KEEP**2 * var[j] + (1.0 - KEEP**2) * motion_var[j]
+        weight[j] = min(max(visible[j], BOUNDS[0]), BOUNDS[1])
+        total += weight[j]
+    if not seen:
+        return
+    # `rest` moved, turned and scaled to come nearest to z by least squares
+    for j in range(len(rest)):
+        weight[j] /= total
+        fx, fy = fx + weight[j] * rest[j, 0], fy + weight[j] * rest[j, 1]
+        tx, ty = tx + weight[j] * z[j, 0], ty + weight[j] * z[j, 1]
+    for j in range(len(rest)):
+        x, y, u, v = rest[j, 0] - fx, rest[j, 1] - fy, z[j, 0] - tx, z[j, 1] - ty
+        along, across = along + weight[j] * (x * u + y * v), across + weight[j] * (x * v - y * u)
+        size += weight[j] * (x * x + y * y)
+    for j in range(len(rest)):
+        x, y = (rest[j, 0] - fx) / size, (rest[j, 1] - fy) / size
+        carried[j, 0], carried[j, 1] = tx + along * x - across * y, ty + across * x + along * y
+        gain, rate = visible[j] * var[j] / (var[j] + noise_var[j]), visible[j] / LANDMARK_MEMORY
+        bend, moved = 0.0, 0.0
+        for i in range(2):
+            offset[j, i] += gain * (z[j, i] - carried[j, i] - offset[j, i])
+            bend += (z[j, i] - 2.0 * last[1, j, i] + last[0, j, i]) ** 2 / 12.0  # noise of z, where it is smooth
+            moved += 0.5 * offset[j, i] ** 2
+            rest[j, i] += rate / 4.0 * offset[j, i]
+            last[0, j, i], last[1, j, i] = last[1, j, i], z[j, i]
+        var[j] *= 1.0 - gain
+        # what moves is no noise
+        noise = noise_var[j] + rate * (min(bend, 4.0 * noise_var[j]) - noise_var[j])
+        noise_var[j] = min(max(noise, (LANDMARK_NOISE[0] * eyes) ** 2), (LANDMARK_NOISE[1] * eyes) ** 2)
+        motion_var[j] = max(motion_var[j] + rate * (moved - motion_var[j]), least[j] ** 2)
+
+
+@exact
+def judge(
+    like, number, age, maps, corner, beside, odds, state, x, log_w, sure, good, visible, usual, used, new, forgets
+):  # fmt: skip
+    """What parts at `state` (K, 2) that correlate by `like` (K, T) teach a `WindowState`; some of it is overwritten.
+
+    `new` (K,): parts whose window becomes a template, where the standard deviation of particles x (N, K, 2) is below
+    `sure` pixels. `forgets` (K,): parts whose young ones go. Returns whether there are any.
+    """
+    changes, w = False, np.exp(log_w)
+    for k in range(len(like)):
+        r, best, young = -np.inf, 0, False
+        for t in range(number[k]):
+            young |= age[k, t] < YOUNG
+            if age[k, t] >= YOUNG:
+                r = max(r, like[k, t])
+            if like[k, t] > like[k, best]:
+                best = t
+        q, said = (good[k] - r) / max(good[k] - beside[k], 0.05), min(max(odds[k], BY_SENSOR[0]), BY_SENSOR[1])
+        v = visible_after(visible[k], min(max((HIDDEN - q) / SOFT, BY_WINDOW[0]), BY_WINDOW[1]) + said)
+        r = read_at(maps[k], state[k, 0] - corner[k, 0], state[k, 1] - corner[k, 1])
+        visible[k] = v
+        good[k] += v / MEMORY * (r - good[k])
+        usual[k] += v / MEMORY * (said - usual[k])
+        square = np.zeros(2)
+        for n in range(len(x)):
+            for i in range(2):
+                square[i] += w[n] * (x[n, k, i] - state[k, i]) ** 2
+        clear = v > 0.5 and math.sqrt(max(square[0], square[1])) < sure and odds[k] >= usual[k] - UNLIKE
+        new[k] = clear and like[k, best] < NEW_BELOW and used.shape[1] > 1
+        forgets[k] = v < 0.5 and young
+        if clear and not new[k]:
+            for t in range(used.shape[1]):
+                used[k, t] = (1.0 - USED) * used[k, t] + (USED if t == best else 0.0)
+        changes |= new[k] or forgets[k]
+    return changes
+
+
+@exact
+def add_up(z, var, sure, area, at, p, w):
+    """The modes `at`, p and w of `motion.modes`."""
+    at[0], p[0], w[0], m = 0.0, 0.0, 0.0, 1
+    for s in range(len(z)):
+        if not sure[s].any():
+            continue
+        for k in range(z.shape[1]):
+            right, new = min(max(sure[s, k], 1e-6), 1.0 - 1e-6), 1.0 / var[s, k]
+            for i in range(m):
+                # it may say nothing
+                at[m + i, k, 0], at[m + i, k, 1], p[m + i, k] = at[i, k, 0], at[i, k, 1], p[i, k]
+                w[m + i, k] = w[i, k] + math.log1p(-right) - math.log(area)
+                total = p[i, k] + new
+                off = (z[s, k, 0] - at[i, k, 0]) ** 2 + (z[s, k, 1] - at[i, k, 1]) ** 2
+                w[i, k] += math.log(right) - 0.5 * (off * p[i, k] * new / total) - math.log(2.0 * math.pi * var[s, k])
+                for d in range(2):
+                    at[i, k, d] = (p[i, k] * at[i, k, d] + new * z[s, k, d]) / total
+                p[i, k] = total
+        m *= 2
+
+
+@exact
+def jump(
+    x, uniform, z, p, w, sigma, wide, jumps, rest, keep, anywhere, maps, corner, visible, sharpness, floor, moved, log_p
+):  # fmt: skip
+    """Particles x (N, K, 2) `moved` by a JumpingWalk given sensors, and their log likelihoods (N, K) with that of maps.
+
+    `uniform` (N, K) and `moved` (N, K, 2) are draws; without the former, `moved` are places to weigh. z, p and
+    w are the modes of what is measured, `anywhere` is the share of draws that is even. `maps`, `corner`, `visible`,
+    `sharpness` and `floor` are those of WindowNcc.
+    """
+    many = 2 * len(z)
+    middle, (above, drawn, width, fall, target, proposal) = np.empty((2, many)), np.empty((6, many))
+    mx = my = top = 0.0
+    for k in range(x.shape[1]):
+        hidden = (1.0 - visible[k]) * math.exp(-floor * sharpness)
+        for n in range(len(x)):
+            if n == 0 or x[n, k, 0] != x[n - 1, k, 0] or x[n, k, 1] != x[n - 1, k, 1]:  # parents come in order
+                mx, my = rest[k, 0] + keep * (x[n, k, 0] - rest[k, 0]), rest[k, 1] + keep * (x[n, k, 1] - rest[k, 1])
+                top = -math.inf
+                for c in range(many):
+                    m, square = c // 2, sigma[k] ** 2 if c % 2 == 0 else wide[k] ** 2
+                    wider = 1.0 + square * p[m, k]
+                    u, v = z[m, k, 0] - mx, z[m, k, 1] - my
+                    middle[0, c], middle[1, c] = mx + (1.0 - 1.0 / wider) * u, my + (1.0 - 1.0 / wider) * v
+                    width[c], fall[c] = math.sqrt(square / wider), -0.5 * wider / square
+                    often = max(1.0 - jumps if c % 2 == 0 else jumps, 1e-12)
+                    above[c] = w[m, k] + math.log(often) - 0.5 * (u**2 + v**2) * p[m, k] / wider - math.log(wider)
+                    top = max(top, above[c])
+                total = 0.0
+                for c in range(many):
+                    above[c] = math.exp(above[c] - top)
+                    total += above[c]
+                for c in range(many):
+                    drawn[c] = (1.0 - anywhere) * above[c] / total + anywhere / many
+                    target[c], proposal[c] = above[c] / width[c] ** 2, drawn[c] / width[c] ** 2
+            if len(uniform) > 0:
+                left, c = uniform[n, k] - drawn[0], 0
+                while left > 0.0 and c < many - 1:
+                    c += 1
+                    left -= drawn[c]
+                moved[n, k, 0] = middle[0, c] + width[c] * moved[n, k, 0]
+                moved[n, k, 1] = middle[1, c] + width[c] * moved[n, k, 1]
+            u, v, wanted, given = moved[n, k, 0], moved[n, k, 1], 0.0, 0.0
+            for c in range(many):
+                density = math.exp(fall[c] * ((u - middle[0, c]) ** 2 + (v - middle[1, c]) ** 2))
+                wanted += target[c] * density
+                given += proposal[c] * density
+            r = read_at(maps[k], u - corner[k, 0], v - corner[k, 1])
+            score = (visible[k] * math.exp(sharpness * (r - 1.0)) + hidden) * (wanted / given)
+            log_p[n, k] = top + math.log(score) if wanted > 0.0 else -math.inf
