@@ -191,6 +191,19 @@ def files_of(recipe: Recipe) -> list[Path]:
 
 def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Recipe:
     source = _read_file(path)
+    recipe, more = _made(path, source, tuple(overrides)), []
+    for name, head in recipe.heads.items():
+        network, key = head.landmarks.network, f"{above(name)}head.landmarks."
+        if network == "auto":
+            network = "mesh" if installed and model_path("mesh") else None
+            more.append(f"{key}network={network or 'null'}")
+        if head.landmarks.iris == "auto":
+            more.append(f"{key}iris={'iris' if network and installed and model_path('iris') else 'null'}")
+    return _made(path, source, (*overrides, *more)) if more else recipe  # what continues a run uses the same networks
+
+
+@lru_cache(8)  # a run asks twice, once to see whether its calibration holds
+def _made(path: Path, source: Source, overrides: tuple[str, ...]) -> Recipe:
     root = parse(source)
     if root is None or root.value is None:
         shipped = "start from a shipped recipe: facetrack recipes show factorized"
@@ -199,20 +212,6 @@ def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Re
         raise YamlProblems([Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this")])
     for override in overrides:
         assign(root, "--set", override)
-    recipe, more = _validated(path, root), []
-    for name, head in recipe.heads.items():
-        network, key = head.landmarks.network, f"{above(name)}head.landmarks."
-        if network == "auto":
-            network = "mesh" if installed and model_path("mesh") else None
-            more.append(f"{key}network={network or 'null'}")
-        if head.landmarks.iris == "auto":
-            more.append(f"{key}iris={'iris' if network and installed and model_path('iris') else 'null'}")
-    for override in more:  # in the recipe, so that what continues a run uses the same networks
-        assign(root, "--set", override)
-    return _validated(path, root) if more else recipe
-
-
-def _validated(path: Path, root: Node) -> Recipe:
     kind = _kind(root)
     try:
         return kind.model_validate(root.plain(), context={"path": path, "root": root})

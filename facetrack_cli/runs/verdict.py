@@ -6,7 +6,6 @@ no part in the tracking, so that a track of something else is told from one of a
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -102,7 +101,7 @@ class RunMonitor(Sink):
             self._ended()
             return
         for diagnostics in rows.diagnostics.values():
-            if math.isfinite(share := float(diagnostics.get(NETWORK.name)[-1])):
+            if np.isfinite(share := float(diagnostics.get(NETWORK.name)[-1])):
                 self.placed, self.borne_out = self.placed + 1, self.borne_out + share
         index = int(rows.frame[0])
         if not self.frames:

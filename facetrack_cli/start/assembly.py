@@ -34,7 +34,6 @@ from facetrack_cli.trackers.face.detectors import PARTS, NotHereError
 if TYPE_CHECKING:
     from facetrack_cli.trackers.skin.cloud import SkinModel
 
-# trackers are imported where a recipe has them: a short run takes as long as its imports
 MIN_WINDOW_PX: Final = 3.0  # pixels; windows are not made smaller
 MAX_SEARCHED_PX: Final = 400  # pixels of the longer side, at most, of the image that is searched for hands
 MIN_SKIN: Final = 0.2  # of a region's pixels, smoothed over a tenth of the face

@@ -420,15 +420,17 @@ class InitHeader(StartRecord):
         return self.start_from(self.origin)
 
 
-class SplitHeader(BaseModel, frozen=True, defer_build=True):
+class SplitHeader(BaseModel):
     """How a clip was cut into chunks, as --split takes it."""
 
+    model_config = ConfigDict(frozen=True, defer_build=True)
     length: str
 
 
-class SeamHeader(BaseModel, frozen=True, defer_build=True):
+class SeamHeader(BaseModel):
     """Where two chunks of a clip meet: the first frame of the later one's rows, the share of frames that agree."""
 
+    model_config = ConfigDict(frozen=True, defer_build=True)
     frame: FrameNumber
     agreement: float | None
     agrees: bool

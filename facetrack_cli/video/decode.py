@@ -186,8 +186,9 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
 
         packets, at = self._container.demux(self._video, *self._sound), self.next
         while (packet := self._demux(packets, at)) is not None:
-            if packet.size and packet.time_base and (stamp := packet.dts if packet.pts is None else packet.pts):
-                end_s = float((stamp + (packet.duration or 0)) * packet.time_base)
+            stamp = packet.dts if packet.pts is None else packet.pts
+            if packet.size and stamp and (tick := packet.time_base):
+                end_s = (stamp + (packet.duration or 0)) * tick.numerator / tick.denominator
                 self.end_s = max(self.end_s, end_s - self._begin_s)
             if packet.stream.index != self._video.index:
                 continue

@@ -81,10 +81,9 @@ Event: TypeAlias = Literal["", "maybe", "none", "cut"]
 class Passing(NamedTuple):
     """Cuts and dissolves of a clip as it passes; `images` are the last small ones, `waits` the frames to a decision.
 
-    `step` is the mean difference of the last two images.
-
-    A cut is known when some frames after it are there. Until then it is a `maybe`, since a flash and fast motion look
-    alike; then it was a "cut" or "none". A dissolve is known half a second after its end.
+    `step` is the mean difference of the last two images. A cut is known when some frames after it are there. Until then
+    it is a `maybe`, since a flash and fast motion look alike; then it was a "cut" or "none". A dissolve is known half a
+    second after its end.
     """
 
     images: tuple[Image, ...]

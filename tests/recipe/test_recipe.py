@@ -165,6 +165,14 @@ def test_a_recipe_is_found_by_name_and_by_path(write, tmp_path, monkeypatch):
     assert isinstance(load_recipe("factorized").filter, FactorizedSettings)  # a folder is no recipe
 
 
+def test_a_file_that_has_changed_is_read_again(write):
+    mine = write(GOOD)
+    first = load_recipe(mine, ["seed=3"])
+    assert load_recipe(mine, ["seed=3"]) == first != load_recipe(mine, ["seed=4"])
+    assert load_recipe(write(GOOD.replace("for tests", "of tomorrow"))).description == "A recipe of tomorrow"
+    assert load_recipe(mine, ["seed=3"]).seed == 3
+
+
 def test_a_miss_names_the_nearest_and_all(tmp_path):
     with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*adaptive, .*contour, .*skin_ncc_robust$'):
         load_recipe("factorised.yaml")

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.face_points import GROUPS
+from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
@@ -87,6 +88,11 @@ def test_a_head_that_rolls_says_so(degrees):
     # the box is turned as its angle says
     across = rows[-1].corners[5, 1] - rows[-1].corners[5, 0]
     assert np.degrees(np.arctan2(across[1], across[0])) == pytest.approx(roll, abs=1e-6)
+    box, turned = rows[-1].take(slice(5, 6)), np.exp(1j * np.radians(roll))
+    way = np.array([[turned.real, -turned.imag, turned.imag, turned.real]])
+    size = np.stack([box.w - 1, box.h - 1], axis=1)  # from the middles of the outermost pixels
+    assert box.corners == pytest.approx(corners(way, np.stack([box.x, box.y], axis=1), size))
+    assert np.isnan(np.delete(rows[-1].corners, 5, axis=0)).all()
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,11 @@ class CachedLibrary(JITCodeLibrary):
 
     def get_pointer_to_function(self, name: str) -> Any:
         engine = self._codegen._engine
-        return engine.get_function_address(name) if self._bitcode else super().get_pointer_to_function(name)
+        if self._bitcode and name.startswith("_ZN7cpython"):  # by which Python calls it: each kernel has it
+            engine._defined_symbols.add(name)
+        elif self._bitcode:
+            engine._load_defined_symbols(self._get_module_for_linking())
+        return super().get_pointer_to_function(name)
 
 
 class KernelCache(caching.FunctionCache):

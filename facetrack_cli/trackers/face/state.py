@@ -174,17 +174,16 @@ class FaceParts:
     def result(self, state: FaceState, box: Rows, frame: Frame) -> TargetResult:
         """The rows of all parts, with the particles of the points, in the frame."""
         similarity = self.map_to_frame(state.head.estimated.state, state.pose)
-        columns = self._columns(state, box.columns, similarity)
+        columns, both = self._columns(state, box.columns, similarity), (box, state.feature_rows)
         values = {
-            SCALE.name: similarity.scale * FACE / self.side,
-            ROLL.name: math.degrees(state.pose[0]),
+            SCALE.name: np.array([similarity.scale * FACE / self.side]),
+            ROLL.name: np.array([math.degrees(state.pose[0])]),
             # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
-            EVIDENCE.name: sum(rows.evidence for rows in (box, state.feature_rows) if rows.frame == frame.index),
+            EVIDENCE.name: np.array([sum((rows.evidence for rows in both if rows.frame == frame.index), 0.0)]),
         }
         if self.sensors.mesh is not None:
-            values[NETWORK.name] = state.bias_filters.reliability[BY_NETWORK].mean()
-        of_time = {name: np.array([value], np.float64) for name, value in values.items()}
-        diagnostics = {self.name: Diagnostics(self.diagnostics, np.array([frame.index]), of_time)}
+            values[NETWORK.name] = state.bias_filters.reliability[BY_NETWORK].mean(keepdims=True)
+        diagnostics = {self.name: Diagnostics(self.diagnostics, np.array([frame.index]), values)}
         rows = filtered = of_frame(self._names, frame, diagnostics, **columns)
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.features.size * self.side / FACE)
