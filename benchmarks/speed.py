@@ -219,7 +219,7 @@ for line in sys.stdin:
     print("took", time.process_time() - began, flush=True)
 """
 ONE_THREAD: Final = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "NUMBA")}
-WARM: Final = 5  # frames of a run that is subtracted: start-up
+WARM: Final = 15  # frames of a run that is subtracted: start-up, and a film has people to name in them
 
 
 class Worker:

@@ -199,7 +199,7 @@ class ColourModel:
 
 
 def _bins(window: Image) -> Array:
-    small = cv2.resize(window, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA) >> (8 - _BITS)
+    small = np.asarray(cv2.resize(window, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA), np.uint8) >> (8 - _BITS)
     b, g, r = (np.asarray(plane, np.int64) for plane in cv2.split(small))
     return np.asarray((b << 2 * _BITS) | (g << _BITS) | r)
 
