@@ -69,7 +69,7 @@ def find_recipe(name_or_path: str) -> Path:
     wanted = name_or_path.removesuffix(".yaml")
     if wanted in shipped:
         return shipped[wanted]
-    near = suggest(path.name.removesuffix(".yaml"), list(shipped), "")
+    near = suggest(wanted, list(shipped), "")
     hint = f"{near} " if near.startswith("did") else "give a file or a name; "
     what = "a folder, not a recipe" if folder else "neither a file nor a shipped recipe"
     raise RecipeError(f'"{name_or_path}" is {what}; {hint}shipped are {", ".join(shipped)}')

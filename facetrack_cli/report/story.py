@@ -282,7 +282,8 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     what = whose if each else f"{count(len(history.parts), 'part')} of {whose}"
     long = f"{count(frames, 'frame')}, {lasting(clock.duration)}"
     facts = [f"The recipe {header.recipe_name} looked for {what} in {header.clip_name} over {long}."]
-    who, lost = "It" if one else "At least one part", [part.name for part in history.parts if part.spans]
+    some = "At least one of them" if each else "At least one part"
+    who, lost = "It" if one else some, [part.name for part in history.parts if part.spans]
     gone, absent = history.ending("lost"), history.ending("absent")
     if not any(part.judged for part in history.parts):
         facts.append("The tracker does not report when it is lost.")

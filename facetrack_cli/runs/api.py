@@ -325,7 +325,7 @@ class Tracker:
 
     Raises
     ------
-    RecipeError, InputError : for a recipe, an init file or a state that is none.
+    RecipeError, InputError, UsageError : for a recipe, an init file, a state or a rate that is none.
     """
 
     def __init__(
@@ -337,6 +337,7 @@ class Tracker:
         fps: float = 25.0,
         state: str | Path | None = None,
     ) -> None:
+        _rate(fps)  # may refuse it
         self.recipe, self.fps = chosen_recipe(recipe, seed, init), fps
         begin = chosen_start(init)
         self.start: Start | None = begin if isinstance(begin, Start) else None

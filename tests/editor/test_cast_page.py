@@ -1,7 +1,9 @@
 """The cast of a film on a page: what its server does, and the page in a real browser."""
 
 import json
+import os
 import shutil
+import signal
 
 import cv2
 import numpy as np
@@ -15,7 +17,7 @@ from facetrack_cli.trajectory.people import read_people
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.seek import Frames
 from tests.support.film_run import FILM, film_run
-from tests.support.page_client import Client
+from tests.support.page_client import Client, drive
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +127,16 @@ def test_the_page_goes_with_no_correction_of_the_command_line(ran, capsys, more)
     assert main(["people", str(ran), "--page", *more]) == ExitCode.USAGE
     names = ", ".join(word for word in more if word.startswith("--"))
     assert f"--page corrects on the page alone; give {names} in a command without it" in capsys.readouterr().err
+
+
+def test_interrupted_the_page_says_what_is_not_saved(ran, tmp_path, monkeypatch, capsys):
+    def act(client):
+        change(client, "rename", "person_1", to="Ann")
+        os.kill(os.getpid(), signal.SIGINT)
+
+    drive(monkeypatch, tmp_path, act)
+    assert main(["people", str(ran), "--page", "--open"]) == ExitCode.INTERRUPTED
+    assert "interrupted; nothing was written; not saved: rename person_1=Ann" in capsys.readouterr().err
 
 
 def test_the_page_in_a_browser(page, windows):

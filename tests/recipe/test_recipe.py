@@ -176,8 +176,9 @@ def test_a_file_that_has_changed_is_read_again(write):
 def test_a_miss_names_the_nearest_and_all(tmp_path):
     with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*adaptive, .*contour, .*skin_ncc_robust$'):
         load_recipe("factorised.yaml")
-    with pytest.raises(RecipeError, match="neither a file nor a shipped recipe; give a file or a name; shipped are "):
-        load_recipe("zzzz")
+    for name in ("zzzz", "recipes/mine.yaml"):
+        with pytest.raises(RecipeError, match="neither a file nor a shipped recipe; give a file or a name; shipped "):
+            load_recipe(name)
     with pytest.raises(RecipeError, match="is a folder, not a recipe"):
         load_recipe(str(tmp_path))
     with pytest.raises(RecipeError, match="neither a file"):

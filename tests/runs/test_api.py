@@ -109,6 +109,7 @@ def test_a_grey_image_is_tracked_and_drawn(images):
         (lambda: follow([np.zeros((8, 8, 4), np.uint8)]), facetrack.InputError, r"image 0: is uint8 \(8, 8, 4\)"),
         (lambda: follow([NOISE, NOISE[:, 1:]]), facetrack.InputError, "image 1: is 79x60, not 80x60 as the first"),
         (lambda: follow([]), facetrack.InputError, "there is no frame 0"),
+        (lambda: follow([NOISE], fps=0), facetrack.FacetrackError, "fps 0 is no rate"),
         (lambda: follow([NOISE], lag=1.5), facetrack.FacetrackError, r"lag 1\.5 is no whole number"),
         (lambda: record(formats=("xml",)), facetrack.FacetrackError, "formats: 'xml' is not"),
         (lambda: record(fps=float("nan")), facetrack.FacetrackError, "fps nan is no"),

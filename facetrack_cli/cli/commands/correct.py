@@ -296,7 +296,9 @@ def _serve_cast(folder: Path, elsewhere: Path | None, page: options.Page, *, vid
         session = CastSession(folder, frames, clip, video=video)
         if page.serve(session, stop):
             return 0
-        say(f"facetrack: {stop.reason}; {'what was saved stays' if session.saved else 'nothing was written'}")
+        left = ", ".join(session.state()["changes"])
+        what = "what was saved stays" if session.saved else "nothing was written"
+        say(f"facetrack: {stop.reason}; {what}{'; not saved: ' * bool(left)}{left}")
         return stop.code or ExitCode.FAULT
 
 
