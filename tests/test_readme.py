@@ -97,12 +97,21 @@ def folder(tmp_path, facetrack):
 
 def calls(command):
     """The arguments of each line of a block that calls facetrack alone; None of a block that takes a shell."""
-    lines = [shlex.split(line, comments=True) for line in command.replace("\\\n", " ").splitlines()]
+    try:
+        lines = [shlex.split(line, comments=True) for line in command.replace("\\\n", " ").splitlines()]
+    except ValueError:  # a quotation that goes on in the next line
+        return None
     lines = [words for words in lines if words]
     plain = (
         words[0] == "facetrack" and ">" not in words[:-2] and not {*"|&;<$*"} & {*"".join(words)} for words in lines
     )
     return [words[1:] for words in lines] if all(plain) else None
+
+
+def is_ended_by_hand(words):
+    """Whether a command serves a page, or follows a camera."""
+    page = {"--pick", "--page"} & {*words} or (words[0] == "fix" and not {"--init", "--import"} & {*words})
+    return page or words[1:3] == ["0", "--live"] or any(word.startswith("rtsp:") for word in words)
 
 
 def called(command, folder, facetrack):
@@ -111,12 +120,8 @@ def called(command, folder, facetrack):
         return bash(command, folder)
     code, printed = 0, ""
     for words in lines:
-        if (
-            code
-            or {"--pick", "--page", "--live"} & {*words}
-            or (words[0] == "fix" and not {"--init", "--import"} & {*words})
-        ):
-            continue  # which somebody ends
+        if code or is_ended_by_hand(words):
+            continue
         code, out, err = facetrack(*(words[:-2] if ">" in words else words))
         if ">" in words:
             Path(words[-1]).write_text(out)

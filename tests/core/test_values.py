@@ -22,17 +22,43 @@ def naive_blocks(picture, factor):
     return picture
 
 
-anywhere = st.tuples(st.floats(-300, 300), st.floats(-300, 300), st.floats(0, 200), st.floats(0, 200))
+@given(
+    factor=st.sampled_from([2, 4, 8]),
+    extents=st.lists(
+        st.tuples(st.floats(-300, 300), st.floats(-300, 300), st.floats(0, 200), st.floats(0, 200)),
+        min_size=1,
+        max_size=4,
+    ),
+    order=st.permutations([2, 4, 8]),
+)
+def test_blocks_are_the_same_whatever_was_asked_before(factor, extents, order):
+    picture = np.random.default_rng(0).integers(0, 256, (101, 147, 3), dtype=np.uint8)
+    frame = Frame(0, 0.0, picture)
+    for x, y, w, h in extents:
+        for f in (*order, factor):
+            small, left, top = frame.reduced(f, (x, y, x + w, y + h))
+            assert left % f == top % f == 0
+            whole = naive_blocks(picture, f)
+            i, j = top // f, left // f
+            np.testing.assert_allclose(small, whole[i : i + small.shape[0], j : j + small.shape[1]], atol=1)
+            # all that lies in the image and in the extent is there
+            rows, columns = whole.shape[:2]
+            assert left <= max(min(x, (columns - 1) * f), 0)
+            assert top <= max(min(y, (rows - 1) * f), 0)
+            assert left + small.shape[1] * f >= min(max(x + w, 0), columns * f)
+            assert top + small.shape[0] * f >= min(max(y + h, 0), rows * f)
 
 
-@given(calls=st.lists(st.tuples(st.booleans(), st.sampled_from([1, 2, 4, 8]), anywhere), min_size=1, max_size=8))
-def test_a_reduced_part_is_that_of_the_whole_picture_whatever_was_asked_before(calls):
-    picture = np.random.default_rng(1).integers(0, 256, (101, 147, 3), dtype=np.uint8)
+anywhere = st.tuples(st.floats(-90, 190), st.floats(-90, 150), st.floats(0, 120), st.floats(0, 90))
+
+
+@given(calls=st.lists(st.tuples(st.booleans(), st.sampled_from([1, 2, 4]), anywhere), min_size=1, max_size=8))
+def test_grey_is_that_of_the_whole_picture_whatever_was_asked_before(calls):
+    picture = np.random.default_rng(1).integers(0, 256, (61, 98, 3), dtype=np.uint8)
     frame = Frame(0, 0.0, picture)
     for grey, factor, (x, y, w, h) in calls:
         seen, left, top = (frame.grey if grey else frame.reduced)(factor, (x, y, x + w, y + h))
-        whole = Frame(0, 0.0, picture).reduced(factor, (0, 0, 147, 101))[0]
-        np.testing.assert_allclose(whole, naive_blocks(picture, factor), atol=1)
+        whole = Frame(0, 0.0, picture).reduced(factor, (0, 0, 98, 61))[0]
         whole = cv2.cvtColor(whole, cv2.COLOR_BGR2GRAY) if grey else whole
         i, j = top // factor, left // factor
         assert left % factor == top % factor == 0
