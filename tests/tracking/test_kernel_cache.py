@@ -129,17 +129,6 @@ def test_the_user_is_told_once_and_files_that_power_loss_cuts_are_compiled_anew_
     assert (again.stdout, again.stderr) == ("2 2\n", "")
 
 
-def test_a_kernel_of_the_cache_is_linked_into_another(package):
-    run, cache = package
-    run()
-    three = "from two import add, exact\n@exact\ndef twice(a):\n    return add(a, a)\n"
-    (cache.parent / "three.py").write_text(three)
-    script = "import three; print(three.add(1, 2), three.twice(4), sum(three.add.stats.cache_hits.values()))"
-    path = os.pathsep.join([str(cache.parent), str(Path.cwd())])
-    for _ in range(2):
-        assert python(script, PYTHONPATH=path, NUMBA_CACHE_DIR=str(cache)).stdout == "3 8 1\n"
-
-
 # --- before they are called ----------------------------------------------------------------------------------------
 
 

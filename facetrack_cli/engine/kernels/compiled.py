@@ -10,39 +10,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numba.core import caching
-from numba.core.codegen import JITCodeLibrary, ll  # type: ignore[attr-defined]
 from numba.core.runtime.nrt import rtsys
 
 from facetrack_cli.core.errors import warn
 from facetrack_cli.engine.kernels.cache import compiling
-
-
-class CachedLibrary(JITCodeLibrary):
-    """Machine code of the cache. Its bitcode is parsed where another kernel is linked with it, which is not to run."""
-
-    _bitcode = b""
-
-    @classmethod
-    def _unserialize(cls, codegen: Any, state: Any) -> Any:
-        library, (code, bitcode) = codegen.create_library(state[0]), state[2]
-        library.enable_object_caching()
-        library._set_compiled_object(code)
-        library._finalize_final_module()
-        library._bitcode = bitcode
-        return library
-
-    def _get_module_for_linking(self) -> Any:
-        if self._bitcode and self._shared_module is None:
-            self._shared_module = ll.parse_bitcode(self._bitcode)
-        return super()._get_module_for_linking()
-
-    def get_pointer_to_function(self, name: str) -> Any:
-        engine = self._codegen._engine
-        if self._bitcode and name.startswith("_ZN7cpython"):  # by which Python calls it: each kernel has it
-            engine._defined_symbols.add(name)
-        elif self._bitcode:
-            engine._load_defined_symbols(self._get_module_for_linking())
-        return super().get_pointer_to_function(name)
 
 
 class KernelCache(caching.FunctionCache):
@@ -58,7 +29,6 @@ class KernelCache(caching.FunctionCache):
         rtsys.initialize(target_context)  # enough to load; numba makes the compiler ready too, which takes 0.3 s
         found = None
         try:
-            target_context.codegen()._library_class = CachedLibrary
             with self._guard_against_spurious_io_errors():
                 found = self._load_overload(sig, target_context)
         except Exception as error:
