@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import itertools
 import re
 from collections.abc import Callable, Iterator
@@ -156,19 +155,14 @@ def run_command(
     4 lost (--fail-on-lost), 5 some of several inputs failed,
     130 interrupted, 143 terminated.
     """
-    gc.disable()
-    try:
-        from facetrack_cli.engine.kernels import cache
-        from facetrack_cli.run_folder.status import check_networks, write_batch
-        from facetrack_cli.runs.batch import expand, folders, run_batch, variant_name
-        from facetrack_cli.runs.plan import Job, Split, check_smoothing, default_reason, follows_everyone
-        from facetrack_cli.runs.progress import progress
-        from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.runs.workers import cores
-        from facetrack_cli.video.source import brings_rate, is_live
-    finally:
-        gc.freeze()  # to look through what is imported, and stays, takes the collector a tenth of a short run
-        gc.enable()
+    from facetrack_cli.engine.kernels import cache
+    from facetrack_cli.run_folder.status import check_networks, write_batch
+    from facetrack_cli.runs.batch import expand, folders, run_batch, variant_name
+    from facetrack_cli.runs.plan import Job, Split, check_smoothing, default_reason, follows_everyone
+    from facetrack_cli.runs.progress import progress
+    from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.runs.workers import cores
+    from facetrack_cli.video.source import brings_rate, is_live
 
     if live or any(is_live(path) for path in inputs):
         return _live(inputs, live, out, extent, partial(_recipe, config, overrides, seed), faces, gallery)
