@@ -202,7 +202,7 @@ def test_a_file_appears_when_it_is_whole_or_not_at_all(tmp_path):
     for _ in range(2):
         sink.discard()
     assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
-    with pytest.raises(OutputError, match=r"cannot be written: No such file .*--out"):
+    with pytest.raises(OutputError, match=r"cannot be written: No such file .*choose another place"):
         Alone(tmp_path / "none" / "t.csv")
 
 
