@@ -397,7 +397,7 @@ def test_a_part_learned_anew_is_judged_by_what_it_looks_like_now():
     target, first = begun("factorized", FACE)
     kept, anew = (
         target.restart(
-            np.random.default_rng(0), FACE.frames[30], first, TargetStart(points=FACE.points(30)), anew=parts
+            np.random.default_rng(0), FACE.frames[30], first, TargetStart(points=FACE.points(30)), relearned=parts
         )[0].judgement
         for parts in ((), ("lip_lower",))
     )
