@@ -184,7 +184,18 @@ def _move(
 
 
 def weighted(model: FrameModel, x: Array, parents: Array, base: Array | float) -> Stepped:
-    """Whole particles x by their observation, with log weights `base` (N,) before it."""
+    """Whole particles, weighed by their observation: the last step of a filter over the joint state.
+
+    Parameters
+    ----------
+    model : the tracker with this frame bound in.
+    x, parents : (N, K, D), the particles, and those of the frame before that they come from.
+    base : (N,) or one number, their log weights before the observation, unnormalised.
+
+    Returns
+    -------
+    particles, info : x with normalised log weights (N,); their effective sample size (K,) and the log evidence.
+    """
     log_w, log_sum = summed(_log_observation(model, x, parents) + base)
     # a joint weight says the same of every part
     ess = np.full(x.shape[1], float(effective_sample_size(log_w)))

@@ -98,7 +98,17 @@ class FirstOrder(Motion):
 
 
 def log_normal(off: Array, cov: Array) -> Array:
-    """log N(off; 0, cov) over the last axis; of a singular cov, the density on its support."""
+    """log N(off; 0, cov); of a singular cov, the density on its support.
+
+    Parameters
+    ----------
+    off : (..., D), deviations from the mean.
+    cov : (D, D), in the squares of their units.
+
+    Returns
+    -------
+    (...) : log densities, -inf beside the support.
+    """
     values, vectors = np.linalg.eigh(cov)
     along = off @ vectors
     spread = values > 1e-12 * max(float(values[-1]), 1e-300)

@@ -119,7 +119,17 @@ SCHEMES: dict[str, Resampling] = {scheme.__name__: scheme for scheme in (systema
 
 
 def effective_share(terms: Array, *, ring: bool = False) -> float:
-    """n_e / n of terms (rows, columns) or (n,), 1 / n to 1; on a `ring` the last is the first one's neighbour."""
+    """The share of the terms of a sum that count as independent, n_e / n.
+
+    Parameters
+    ----------
+    terms : (rows, columns) or (n,), log-likelihoods of pixels at the estimate.
+    ring : whether the last term is a neighbour of the first.
+
+    Returns
+    -------
+    1 / n to 1; 1 of fewer than four terms, and of terms that are all equal.
+    """
     field = np.atleast_2d(np.asarray(terms, np.float64))
     off = field - field.mean()
     n, energy = off.size, float(np.sum(off * off))

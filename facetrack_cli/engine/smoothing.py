@@ -89,7 +89,7 @@ def names(p: Array, exchanged: Array) -> Array:
 def chain(beliefs: Sequence[Belief], lost: Mask, gone: Mask, by_hand: Mask | None = None) -> Chain:
     """Of beliefs of T frames; `lost` (T, K) as the tracker judged, `gone` where there is no part to know of.
 
-    In frames that are `given` (T,) corrections placed the parts. A part is `lost` only after some frames in doubt,
+    In the frames `by_hand` (T,) corrections placed the parts. A part is `lost` only after some frames in doubt,
     which did not show it either. Those of the last stretch, after which it is never seen again, say nothing of what
     was before.
     """

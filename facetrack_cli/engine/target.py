@@ -121,22 +121,22 @@ class ParticleTarget:
         rng: Generator,
         frame: Frame,
         first: ParticleState,
-        given: TargetStart,
+        start: TargetStart,
         absent: Names = (),
-        anew: Names = (),
+        relearned: Names = (),
     ) -> tuple[ParticleState, TargetResult]:
-        """As `begin`, where `given` says that the target is in `frame`, with what the `first` frame taught.
+        """As `begin`, where `start` says that the target is in `frame`, with what the `first` frame taught.
 
-        `given` has the target's box, or the points of all parts but those `absent`, which follow the others from then
-        on, in the shape of the start, and have rows without a place. What the points `anew` look like is learned.
+        `start` has its box, or the points of all parts but those `absent`, which follow the others from then on, in
+        the shape of the first frame, and have rows without a place. What the points `relearned` look like is learned.
         """
-        hidden, fresh = np.isin(self.parts, absent), np.isin(self.parts, anew)
+        hidden, fresh = np.isin(self.parts, absent), np.isin(self.parts, relearned)
         if isinstance(self.space, PointSpace):
-            x0 = np.array([given.points.get(part, (0.0, 0.0)) for part in self.parts], dtype=float)
+            x0 = np.array([start.points.get(part, (0.0, 0.0)) for part in self.parts], dtype=float)
             x0, scatter = self.follow(x0[None], hidden)[0], None
         else:
-            assert given.box is not None
-            x0, scatter = self.space.at(given.box), None if self.scatter is None else np.array([given.box[2:]])
+            assert start.box is not None
+            x0, scatter = self.space.at(start.box), None if self.scatter is None else np.array([start.box[2:]])
         particles, still = self._fresh(rng, x0, scatter)
         learned, judgement = first.learned, first.judgement
         if fresh.any():
@@ -283,8 +283,8 @@ class ParticleTarget:
             motion = motion._replace(cov=motion.cov * ahead.noise**2)
         doubt = np.zeros(len(self.parts), dtype=np.bool_) if judged is None else judged.below > 0
         counted = Particles(state.particles.x, self.space.counted(state.particles))
-        known = belief(counted, motion, estimated.cov, doubt)
-        return (known if self.calibration is None else self.calibration.believed(self.parts, known),)
+        filtered = belief(counted, motion, estimated.cov, doubt)
+        return (filtered if self.calibration is None else self.calibration.believed(self.parts, filtered),)
 
     @cached_property
     def size(self) -> float:

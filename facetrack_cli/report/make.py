@@ -196,8 +196,8 @@ class KeyImages:
 def key_images(
     table: Trajectory, header: Header, wanted: Sequence[int], clip: Path | None, annotated: Path | None, report: Report
 ) -> KeyImages:
-    """Images of the `wanted` frames, from the clip `given` or the header's, else from the MP4 `annotated`. Raises
-    InputError if the clip `given` is not the run's; what is wrong with the header's becomes a note.
+    """Images of the `wanted` frames, from `clip` or the header's, else from the MP4 `annotated`. Raises
+    InputError if `clip` is not the run's; what is wrong with the header's becomes a note.
     """
     maker = _Maker(table, header)
     best = maker.read(clip or Path(header.source.path), wanted, report)

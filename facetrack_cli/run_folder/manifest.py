@@ -211,9 +211,9 @@ def made_by(name: str) -> str:
 def commit(
     lock: FolderLease, folder: Path, files: Sequence[Path], run: Manifest | None, gone: Sequence[Path] = ()
 ) -> None:
-    """Let the temporary files of these paths replace them, and then run.json: `known`, and their checksums.
+    """Let the temporary files of these paths replace them, and then run.json: `run`, and their checksums.
 
-    Of the files that a run writes, those that `known` does not keep are removed. Without `known` (the run of an older
+    Of the files that a run writes, those that `run` does not keep are removed. Without `run` (that of an older
     version) there is no run.json, and only `gone` is removed. On a full disk the files are kept without a run.json.
     Raises OSError; OutputError if the lock was taken over, and nothing is replaced then.
     """

@@ -182,8 +182,8 @@ def outcome_of_crash(job: Job, error: Exception) -> Outcome:
     frames, plan = 0 if job.out is None else recover_interrupted(job.out), None
     with contextlib.suppress(FacetrackError):
         plan = resolve(job)
-    if plan is not None and plan.known is not None:  # an earlier turn may have come farther
-        frames = max(frames, plan.known.frames)
+    if plan is not None and plan.previous is not None:  # an earlier turn may have come farther
+        frames = max(frames, plan.previous.frames)
     kept = f"the frames that it had tracked are kept ({frames})" if frames else "nothing was kept"
     error_line = FacetrackError(f"{job.clip}: {error}; {kept}")
     log = error.log if isinstance(error, DiedError) else ()

@@ -211,7 +211,7 @@ def _on_worker(version: str, folder: str, batch: str, sent: bytes) -> Outcome | 
         if after is not None and outcome.error is None and not smoothed and not stop():
             try:
                 outcome.warnings = (*outcome.warnings, *after(outcome, stop)[1])
-                outcome.again = outcome.again and resolve(job).known
+                outcome.again = outcome.again and resolve(job).previous
             except StoppedError:  # before it was smoothed
                 return None
             except Exception as e:

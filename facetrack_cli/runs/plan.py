@@ -171,8 +171,9 @@ class ClipRequest:
 
     def origin(self, start: Start | None) -> str:
         """What says in which frame to begin."""
-        given = "the search" if start is None else start.origin
-        return given if self.init_frame is None else "--init-frame"
+        if self.init_frame is not None:
+            return "--init-frame"
+        return "the search" if start is None else start.origin
 
     def frame(self, index: int, origin: str = "a correction") -> Frame:
         """One frame of the clip, which `origin` asks for."""
@@ -348,14 +349,14 @@ class Plan:
         A digest of all that is asked for but the clip: of recipe, start, frames, options, and their files.
     everyone : bool
         Whether everybody in a film is followed, from entry to exit, and over cuts.
-    known : Manifest or None
+    previous : Manifest or None
         The run.json of an earlier run of the same job and the same clip, whose files are whole.
     """
 
     job: Job
     asked: str
     everyone: bool
-    known: Manifest | None
+    previous: Manifest | None
 
     @property
     def draws(self) -> bool:
@@ -370,18 +371,18 @@ class Plan:
     @property
     def tracked(self) -> Manifest | None:
         """The run.json of a run that came to its end, named or not, and is not to be replaced."""
-        known = None if self.job.overwrite else self.known
-        return known if known is not None and known.error is None and known.stopped is None else None
+        previous = None if self.job.overwrite else self.previous
+        return previous if previous is not None and previous.error is None and previous.stopped is None else None
 
     def ended(self) -> Outcome | None:
         """What became of a job that is done, or, in a batch, has failed; None if the clip is to be tracked."""
-        known, job = self.known, self.job
-        if known is None or job.overwrite:
+        previous, job = self.previous, self.job
+        if previous is None or job.overwrite:
             return None
-        named = not self.names or PEOPLE in known.files
-        whole = self.tracked is not None and named and (VIDEO in known.files or not job.video)
-        failed_before = known.error is not None and job.batch and not job.retry_failed
-        return Outcome.of(job, known) if whole or failed_before else None
+        named = not self.names or PEOPLE in previous.files
+        whole = self.tracked is not None and named and (VIDEO in previous.files or not job.video)
+        failed_before = previous.error is not None and job.batch and not job.retry_failed
+        return Outcome.of(job, previous) if whole or failed_before else None
 
 
 def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
@@ -412,19 +413,19 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
         check_plain(job.out)
     if not locked:
         recover_interrupted(job.out, lambda: True)
-    known, there = previous_run(job.out, asked, job.clip)
+    previous, there = previous_run(job.out, asked, job.clip)
     # what is cut short is replaced, and what failed
-    overwrite = job.overwrite or known is not None or (there is not None and there.is_failure)
+    overwrite = job.overwrite or previous is not None or (there is not None and there.is_failure)
     init = job.init if isinstance(job.init, Path) else None
     inputs = job.clip, init, job.recipe.path
     try:
         check_folder(job.out, OWNED, overwrite=overwrite, inputs=inputs)
     except OutputError:  # another facetrack may have written the same results since, or be writing them
-        known, _ = previous_run(job.out, asked, job.clip)
-        if locked or (known is None and not is_held(job.out)):
+        previous, _ = previous_run(job.out, asked, job.clip)
+        if locked or (previous is None and not is_held(job.out)):
             raise
         check_folder(job.out, OWNED, overwrite=True, inputs=inputs)
-    return Plan(job, asked, everyone, known)
+    return Plan(job, asked, everyone, previous)
 
 
 def follows_everyone(recipe: Recipe) -> bool:

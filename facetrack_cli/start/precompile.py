@@ -136,8 +136,8 @@ def signature(name: str) -> tuple[Any, ...]:
 
 def of_recipe(settings: Mapping[str, Any]) -> list[str]:
     """The names of the kernels that a recipe calls, given as `to_dict` does; the dearest first."""
-    found = set(_settings("", settings))
-    return [name for name, (_, by) in KERNELS.items() if not found.isdisjoint(by.split())]
+    types = set(_settings("", settings))
+    return [name for name, (_, by) in KERNELS.items() if not types.isdisjoint(by.split())]
 
 
 def _settings(key: str, settings: Any) -> Iterator[str]:

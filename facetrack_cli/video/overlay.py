@@ -166,8 +166,8 @@ class Overlay:
             corners = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
         corners = corners + table[:, None, :2]
         if rows.corners is not None:
-            known = np.isfinite(rows.corners).all(axis=(1, 2), keepdims=True)
-            corners = np.where(known, np.clip(rows.corners, -self._reach, self._reach), corners)
+            turned = np.isfinite(rows.corners).all(axis=(1, 2), keepdims=True)
+            corners = np.where(turned, np.clip(rows.corners, -self._reach, self._reach), corners)
         bounds = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
         shown = np.flatnonzero(fine)
         cloud = target.cloud[:, shown[shown < target.cloud.shape[1]]] if target.cloud.ndim == 3 else target.cloud
@@ -314,8 +314,8 @@ class Overlay:
         share = np.where(shape.lost & (side >= _SMALL * self._line), 0.3, 0.2)
         large = np.maximum(2 * self._line, share * np.minimum(side, 40 * self._line))
         dots = np.where(side >= _ROOM * self._line, 1.25 * self._line, 0.0)
-        found: list[float] = np.where(shape.rows.status == "tracked", dots, large).tolist()
-        return found
+        sizes: list[float] = np.where(shape.rows.status == "tracked", dots, large).tolist()
+        return sizes
 
     def _ellipses(self, shape: Shape) -> tuple[Array, list[int]]:
         """Two standard deviations around centres, (R, 32, 2), and whose; only where that is more than the mark."""

@@ -525,10 +525,10 @@ def summary(rows: Trajectory) -> tuple[Status, list[str]]:
             return unseen, [*both, whole, *several, f"{unseen} {count}/{len(rows)}", unseen]
     init = rows.status == "init"
     status: Status = "init" if (init | (rows.status == "absent")).all() else "tracked"
-    given = rows.by_hand & init
+    by_hand = rows.by_hand & init
     sayings: list[str] = [status]
-    if given.any():
-        status, sayings = "init", [f"{', '.join(_named(rows, given))} by hand", "by hand"]
+    if by_hand.any():
+        status, sayings = "init", [f"{', '.join(_named(rows, by_hand))} by hand", "by hand"]
     both = [f"{sayings[0]}; {missing}", missing, f"absent {absent}/{len(rows)}"] if missing else []
     return status, [*both, *sayings]
 

@@ -271,7 +271,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
 
     `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from the first frame written to the end of
     the last. Odd sizes are padded by one black line or column, which H.264 requires. With `replace=False` the finished
-    file stays `beside` its path. Pieces go to the folder `pieces`; those of a video that was written up to a `Cut` are
+    file keeps its temporary name. Pieces go to the folder `pieces`; those of a video that was written up to a `Cut` are
     there. `aspect` is the width of a pixel over its height. `warnings` (one line each) says what could not be
     kept, `published` whether the file is at `path`. Raises OutputError when the file cannot be written.
     """

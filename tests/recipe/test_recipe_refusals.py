@@ -14,6 +14,7 @@ WRONG = [
     ("factorized", "prior=null", "prior needs a prior; add a prior section"),
     ("factorized", "prior=null filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 needs a prior"),
     ("factorized", "filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 goes with reweight: prior"),
+    ("factorized", "filter.reweight=both filter.particles=2001", "compares every two particles; give 2,000 at most"),
     ("factorized", "prior.sigma=0.001", "prior.sigma must be at least 0.005, not 0.001"),
     ("auxiliary_prior", "filter.type=independent", "makes no use of a prior"),
     ("sir", f"motion={{type: first_order, position: {DYNAMICS}, scale: {DYNAMICS}}}",
@@ -22,7 +23,8 @@ WRONG = [
      'likelihood type "product" does not go with target type "points"; write colour_ratio'),
     ("sir", "filter={type: adaptive, particles: 10}", 'type "adaptive" does not go with target type "points"'),
     # regions
-    (REGION, "target.scale=[1.5, 2]", "with 1, the size at the start, between them"),
+    (REGION, "target.scale=[1, 2]", "with 1, the size at the start, between them"),
+    (REGION, "target.scale=[0.5, 1]", "with 1, the size at the start, between them"),
     (REGION, "target.scale=[0, 2]", "target.scale[1] must be greater than 0"),
     (REGION, "target.scale=[0.5]", "target.scale must have 2 items, not 1"),
     (REGION, "target.type=null", "target.type cannot be empty (null); it is one of: points, region"),

@@ -397,7 +397,7 @@ def test_a_part_learned_anew_is_judged_by_what_it_looks_like_now():
     target, first = begun("factorized", FACE)
     kept, anew = (
         target.restart(
-            np.random.default_rng(0), FACE.frames[30], first, TargetStart(points=FACE.points(30)), anew=parts
+            np.random.default_rng(0), FACE.frames[30], first, TargetStart(points=FACE.points(30)), relearned=parts
         )[0].judgement
         for parts in ((), ("lip_lower",))
     )
@@ -460,9 +460,18 @@ def test_what_is_given_is_certain_though_nothing_is_learned():
     assert min(part(put[6], name).confidence for name in PARTS) < 0.9
 
 
-@pytest.mark.parametrize("learn", [None, False])
-def test_where_nothing_judges_nothing_is_certain(head, learn):
-    said, alone = given(5, "head", box=head.box(5), learn=learn), ("likelihood.contour=null",)
-    put = run("contour_correlation", head, said, overrides=alone, stop=7)
+def test_what_is_confirmed_is_certain_and_all_else_is_as_it_was():
+    put, plain = (run("factorized", FACE, *said, stop=15) for said in ([given(13, confirmed=("lip_lower",))], ()))
+    for result, before in zip(put, plain, strict=True):
+        for one, same in zip(parts_of(result.targets[0]), parts_of(before.targets[0]), strict=True):
+            sure = result.frame.index == 13 and one.part == "lip_lower"
+            assert vars(one) == vars(same) | ({"confidence": 1.0, "by_hand": True} if sure else {})
+    assert {part(plain[13], name).confidence < 1 for name in ("lip_lower", "mouth_right")} == {True}
+
+
+@pytest.mark.parametrize(("said", "status"), [({}, "init"), ({"learn": False}, "init"), (None, "tracked")])
+def test_where_nothing_judges_nothing_is_certain(head, said, status):
+    said = {"confirmed": True} if said is None else {"box": head.box(5), **said}
+    put = run("contour_correlation", head, given(5, "head", **said), overrides=("likelihood.contour=null",), stop=7)
     seen = [(part(r, "box").status, part(r, "box").confidence) for r in put[4:7]]
-    assert seen == [("tracked", None), ("init", None), ("tracked", None)]
+    assert seen == [("tracked", None), (status, None), ("tracked", None)]

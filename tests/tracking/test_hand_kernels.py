@@ -29,7 +29,7 @@ def test_hands_move_as_their_plain_twin_says(count):
     rng = np.random.default_rng(count)
     x, seen, parted = cloud(rng)
     luck, noise = rng.random((2, 4, len(x))), rng.standard_normal((2, 3, len(x), 2))
-    peaks, often = rng.uniform(0, 48, (count, 2)), rng.dirichlet(np.ones(count)) if count else np.empty(0)
+    peaks, often = rng.uniform(-3, 51, (count, 2)), rng.dirichlet(np.ones(count)) if count else np.empty(0)
     evidence, covered = maps(rng, 2)
     given = luck, noise, peaks, often, STEPS, SHARES, np.array([0.4, 0.2, 0.3]), 20.0, evidence, covered, FACE, SIZE
     expected = naive.move(x, seen, parted, *given, SCALE)

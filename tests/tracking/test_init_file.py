@@ -309,6 +309,13 @@ def test_what_the_clip_and_the_recipe_refuse(target, said):
         check_start(Start(0, {"face": target}, "here.yaml"), (320, 240), ("nose", "mouth_left"))
 
 
+@pytest.mark.parametrize("box", [(-1, 10, 321, 40), (10, -1, 40, 241)])
+def test_a_corrected_box_is_no_larger_than_the_frame_along_either_side(box):
+    start = Start(0, {"face": TargetStart((10, 10, 40, 40))}, "here.yaml", (Correction(3, "face", TargetStart(box)),))
+    with pytest.raises(InputError, match=r"^here\.yaml: the box of face at frame 3, .* is larger than the frame"):
+        check_start(start, (320, 240), ())
+
+
 def test_what_they_accept():
     target = TargetStart((-10, -10, 40, 40), {"nose": (-0.5, 239.5), "chin": (319.5, 0)}, {"nose": (320, 240)})
     check_start(Start(4, {"face": target}, ""), (320, 240), ["nose"], frames=5)

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.resampling import logsumexp, normalise, uniform
+from facetrack_cli.engine.spaces import Estimate
 from facetrack_cli.trackers.box import box_kernels as walk
-from facetrack_cli.trackers.box.hidden_box import VISIBLE
+from facetrack_cli.trackers.box.hidden_box import VISIBLE, VisibleBoxSpace
 from tests.support.parts import visible_walk
 from tests.twins import walk as naive
 
@@ -50,6 +51,15 @@ def test_the_scale_stays_within_its_limits(limits, drawn):
     s = one.propagate(np.random.default_rng(0), state(PARENTS[0], 1000))[:, 0, 2]
     assert limits[0] <= s.min() and s.max() <= limits[1]
     assert (np.isin(s, limits).sum() > 0) == drawn
+
+
+def test_presence_is_the_weight_of_what_is_visible_within_half_a_box():
+    # of a box of 12x8 pixels at scale 1.5: at its corner, beyond a side of it, and within
+    table = [((59, 46), 0.8, 0.4), ((59.1, 40), 1.0, 0.2), ((50, 33.9), 1.0, 0.1), ((41, 34), 0.5, 0.3)]
+    x = np.array([[(*place, 1.0, 0.0, 0.0, visible)] for place, visible, _ in table])
+    estimated = Estimate(np.array([[50.0, 40.0, 1.5, 0.0, 0.0, 0.9]]), np.zeros((1, 2, 2)))
+    presence = VisibleBoxSpace((12.0, 8.0)).presence(Particles(x, np.log([w for *_, w in table])), estimated)
+    assert presence == pytest.approx([0.8 * 0.4 + 0.5 * 0.3])
 
 
 def crowd(seed=3, n=30):

@@ -149,6 +149,8 @@ def test_the_centre_of_an_eye_is_between_its_corners():
     found = {part.part: part for part in with_eyes(table.of_target("face"))}
     left = found["eye_left"]
     np.testing.assert_allclose((left.x[0], left.y[0], left.std_x[0]), (270, 200, 2 / np.sqrt(2)))
+    tied = [replace(part, cov_xy=np.full(2, 0.8)) for part in table.parts]
+    assert with_eyes(tied)[-1].cov_xy.tolist() == [0.4, 0.4]
     assert list(left.status) == ["tracked"] * 2 and len(with_eyes(found.values())) == len(found)
     assert head_pose(moving_face(2).of_target("face")).std[0, 0] < head_pose(moving_face(2, names=FIVE).parts).std[0, 0]
 
@@ -179,9 +181,11 @@ def test_the_noise_is_less_than_the_spread_unless_the_head_moves():
     ]
     np.testing.assert_allclose(column, one.noise, atol=1e-4)
     nearer = moving_face(200, std=2.0, noise=0.2)
-    grown = replace(nearer, w=np.where(np.arange(len(nearer)) % 200 >= 100, nearer.w * 1.4, nearer.w))
+    grown = replace(nearer, w=np.where(np.arange(len(nearer)) % 200 >= 140, nearer.w * 1.4, nearer.w))
     grown = grown.measures["face"]["mouth_opening"]
-    assert grown.doubt[50] > 2 * one.doubt[50], "the head comes nearer"
+    assert grown.doubt[170] > 2 * one.doubt[170], "the head comes nearer"
+    moved = np.sqrt(grown.doubt[170] ** 2 - (0.15 * grown.std[170]) ** 2)
+    assert moved == pytest.approx(np.hypot(grown.std[170], 0.2 * grown.value[170])), "so may its unit be off"
 
 
 def test_a_length_that_is_hardly_known_is_absent():

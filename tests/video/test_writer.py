@@ -101,10 +101,12 @@ def test_times_never_fall(tmp_path: Path) -> None:
     np.testing.assert_allclose([t for t, _ in pictures], [0, 1.0, 1.0, 1.5], atol=0.001)
 
 
-@pytest.mark.parametrize(("gap", "shown"), [(11, 11.0), (100, 2**29 / 36e6)])
-def test_a_gap_of_many_hours(tmp_path: Path, gap: int, shown: float) -> None:
+@pytest.mark.parametrize(
+    ("gap", "shown", "fps"), [(11, 11.0, FPS), (100, 2**29 / 36e6, FPS), (20, 20.0, Fraction(1, 60))]
+)
+def test_a_gap_of_many_hours(tmp_path: Path, gap: int, shown: float, fps: Fraction) -> None:
     times = [0.0, 0.04, gap * 3600, gap * 3600 + 0.04, gap * 3600 + 3600]
-    with VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS) as writer:
+    with VideoWriter(tmp_path / "out.mp4", media.SIZE, fps) as writer:
         for index, moment in enumerate(times):
             writer.write(media.numbered(index), moment)
     assert ["a gap of 100.0 hours at" in warning for warning in writer.warnings] == [True] * (gap > shown)
@@ -170,6 +172,12 @@ def test_sound_stays_in_step(tmp_path: Path, suffix: str) -> None:
     assert len(sound) / 44100 == pytest.approx((45 - start) / 25, abs=0.06)
     assert [media.number(picture) for _, picture in media.read_timed(out)] == list(range(start, 45))
     assert left_behind(tmp_path) == [f"clip{suffix}", "out.mp4"]
+
+
+def test_sound_lasts_as_long_as_the_last_picture(tmp_path: Path) -> None:
+    source = media.write_video(tmp_path / "clip.mp4", frames=6, fps=2, sound=BEEP)
+    copy(source, tmp_path / "out.mp4", stop=4)
+    assert len(media.read_sound(tmp_path / "out.mp4")) / 44100 == pytest.approx(4 / 2, abs=0.06)
 
 
 @pytest.mark.parametrize("delay", [-0.2, 0.24])

@@ -49,9 +49,9 @@ def _temporary() -> str:
     folder = Path(tempfile.gettempdir(), f"facetrack-kernels-{os.getuid()}")
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
+        status = folder.lstat()
         # its files are executed: nobody else may have written them
-        if found.st_uid == os.getuid() and not folder.is_symlink() and found.st_mode & 0o077 == 0:
+        if status.st_uid == os.getuid() and not folder.is_symlink() and status.st_mode & 0o077 == 0:
             return str(folder)
     except OSError:
         pass

@@ -17,7 +17,7 @@ from facetrack_cli.engine.kernels.cache import compiling
 
 
 class KernelCache(caching.FunctionCache):
-    """numba's cache of one kernel, which compiles a kernel anew where its files are damaged.
+    """numba's cache of one kernel, which compiles a kernel again where its files are damaged.
 
     numba writes a file under another name first, so that a kill or a full disk damages none. Power loss may: numba then
     raises whatever the bytes make of it, in each run.
@@ -27,25 +27,25 @@ class KernelCache(caching.FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         rtsys.initialize(target_context)  # enough to load; numba makes the compiler ready too, which takes 0.3 s
-        found = None
+        overload = None
         try:
             with self._guard_against_spurious_io_errors():
-                found = self._load_overload(sig, target_context)
+                overload = self._load_overload(sig, target_context)
         except Exception as error:
             if not KernelCache.warned:
                 KernelCache.warned = True
                 warn(f"compiled kernels in {self._cache_path} are damaged ({type(error).__name__}): compiled anew")
             with contextlib.suppress(OSError):
                 self.flush()
-        if found is None:
+        if overload is None:
             compiling()
-        return found
+        return overload
 
     def holds(self, kernel: Any, sig: Any) -> bool:
         """Whether `kernel` need not be compiled for `sig`. `load_overload` reports damaged files."""
         try:
-            known = self._cache_file._load_index()
-            return sig in kernel.overloads or self._index_key(sig, kernel.targetctx.codegen()) in known
+            index = self._cache_file._load_index()
+            return sig in kernel.overloads or self._index_key(sig, kernel.targetctx.codegen()) in index
         except Exception:
             return True
 

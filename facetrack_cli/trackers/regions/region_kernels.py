@@ -99,7 +99,7 @@ def nearest_edges(image, x, origin_x, origin_y, factor, points, normals, reach, 
     together = max(_MOST // count, 1)
     room = together * count
     places, parts = np.empty((4, room), np.float32), np.empty((2, room), np.float32)
-    ats, quads, found = np.empty(room, np.uint32), np.empty(room, np.uint64), np.empty(room, np.float32)
+    ats, quads, distances = np.empty(room, np.uint32), np.empty(room, np.uint64), np.empty(room, np.float32)
     values, contrasts = np.empty((8, room), np.float32), np.empty((6, room), np.float32)
     for first in range(0, len(x), together):
         last = min(first + together, len(x))
@@ -114,7 +114,7 @@ def nearest_edges(image, x, origin_x, origin_y, factor, points, normals, reach, 
                 places[2, lane], places[3, lane] = normals[k, 0], normals[k, 1]
         lanes = (last - first) * count
         place, part, at, four = places[:, :lanes], parts[:, :lanes], ats[:lanes], quads[:lanes]
-        g, c, nearest = values[:, :lanes], contrasts[:, :lanes], found[:lanes]
+        g, c, nearest = values[:, :lanes], contrasts[:, :lanes], distances[:lanes]
         nearest[:] = _INF
         # rows of g: 0 to 3 the last values outwards, 4 to 7 inwards; of c: 0 to 2 the last contrasts, 3 to 5 inwards
         for k in range(6):

@@ -173,7 +173,11 @@ def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
     """The tracks: status visible, hidden (occluded) or absent (outside); `by_hand` are keyframes.
 
     Tracks of the same label are one part, as after a split: of two in a frame the visible one counts. A track of
-    several points has the parts point_01, ... InputError, with the track and the frame, for what cannot be read.
+    several points has the parts point_01, ...; pixels are counted from 0, and so are frames, to which `shift` is added.
+
+    Raises
+    ------
+    InputError : with the track and the frame, for what cannot be read, as a ZIP archive.
     """
     if path.is_file():
         with path.open("rb") as file:
@@ -240,9 +244,15 @@ def _shape_marks(place: str, label: str, shape: ET.Element) -> Iterator[tuple[tu
 
 
 def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, name: str) -> str:
-    """The JSON text; `size` (width, height) of the clip, `fps`, the configuration's framerate, and the clip's name.
+    """The JSON text of one task, in which each part is a rectangle.
 
     Points without windows are left out where other parts have some, else they are an InputError.
+
+    Parameters
+    ----------
+    size : (width, height) of the clip, in pixels.
+    fps : the framerate of the labelling configuration, in frames per second.
+    name : of the clip.
     """
     numbers, pictures = _frames_of(*every_frame(table), fps)
     shown, count = dict(zip(pictures.tolist(), numbers.tolist(), strict=True)), int(numbers[-1])
@@ -310,12 +320,21 @@ class _Task(BaseModel):
 def read_labelstudio(
     path: Path, size: tuple[int, int], clock: tuple[Whole, Array] | None = None, *, fps: float = 0.0
 ) -> Trajectory:
-    """The regions of the one task in an export (JSON) of images of `size`: visible, or absent where not enabled.
+    """The regions of the one task in an export (JSON): visible, or absent where not enabled.
 
-    `clock` has the frames of the clip and their seconds, as `every_frame` gives them, and `fps` is the framerate where
-    the file tells none; without them a frame is a picture. Of the places that are on one picture the last that is not
-    interpolated counts; it is `by_hand`. Frames between two places have no row. InputError for more than one task or
-    annotation, for regions without a label, and for two regions of one label in a frame.
+    Of the places that are on one picture the last that is not interpolated counts; it is `by_hand`. Frames between two
+    places have no row.
+
+    Parameters
+    ----------
+    path : the export.
+    size : (width, height) of the clip, in pixels.
+    clock : the frames (T,) of the clip and their seconds (T,), as `every_frame` gives them; None: a frame is a picture.
+    fps : the framerate beside a clock where the file tells none, in frames per second.
+
+    Raises
+    ------
+    InputError : for more than one task or annotation, regions without a label, or two of one label in a frame.
     """
     try:
         content = json.loads(read_text(path))

@@ -232,7 +232,16 @@ def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
 
 
 def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
-    """VOT ground truth or results, also binary; line i, from 0, is frame i + `shift`. InputError also for masks."""
+    """VOT ground truth or results, also binary; line i, from 0, is frame i + `shift`.
+
+    Returns
+    -------
+    Trajectory : (T,) rows of one target with `corners` (T, 4, 2), in pixels from 0; `corners` is None without polygons.
+
+    Raises
+    ------
+    InputError : with the line, for masks, for polygons of other than four corners, and for what is no region.
+    """
     lines = _binary(path) if path.suffix.lower() == ".bin" else Lines.by_frame(path)
     between = delimiter(next((text for text in lines.texts if "," in text), ""))
     shapes = np.array([len(text.split(between)) for text in lines.texts], dtype=np.int64)
@@ -270,7 +279,22 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
 
 
 def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Trajectory:
-    """A series for each id; `results`: column 7 is a confidence, not a flag; None: look. InputError, with the line."""
+    """Ground truth or results of MOTChallenge.
+
+    Parameters
+    ----------
+    path : the file, whose frames, ids and pixels are counted from 1.
+    shift : is added to every frame number, once it is counted from 0.
+    results : whether column 7 is a confidence, and not a flag; None looks at its values.
+
+    Returns
+    -------
+    Trajectory : a target for each id, with the part `box`, in pixels from 0.
+
+    Raises
+    ------
+    InputError : with the line, for what cannot be read; where no row counts, or the classes do not say which.
+    """
     lines = Lines.with_frame(path)
     count = len(lines.texts[0].split(delimiter(lines.texts[0])))
     layouts = f"{count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}"

@@ -99,6 +99,10 @@ def write_measures(clips: Sequence[Clip], many: bool = False) -> str:
     """A CSV with a row for each frame and target: those measures that any target has, and of each `_std` and `_noise`.
 
     Of `many` clips the first column has their names.
+
+    Raises
+    ------
+    InputError : where no clip has the points, or the hands, that a measure needs.
     """
     measures = [{target: measured for target, measured in clip.table.measures.items() if measured} for clip in clips]
     names_known = {name for targets in measures for measured in targets.values() for name in measured}
