@@ -15,7 +15,7 @@ from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.report.make import make_report
 from facetrack_cli.report.story import history_of, key_frames
-from facetrack_cli.runs import batch
+from facetrack_cli.runs import batch, split
 from facetrack_cli.runs.plan import Split
 from facetrack_cli.runs.split import OVERLAP_S, ChunkPlan, Seam, agreeing, cut_by_length, read_plan, renamed, stitch
 from facetrack_cli.start.init_file import write_init
@@ -248,6 +248,16 @@ BLIND = face(0, 9, nose=(np.nan, np.nan))
 )
 def test_where_two_tracks_agree(ours, theirs, agree):
     assert agreeing(ours, theirs).tolist() == agree
+
+
+@pytest.mark.parametrize(("status", "begins"), [("tracked", "init"), ("lost", "lost")])
+def test_who_begins_at_a_seam_is_marked_where_seen(status, begins, monkeypatch):
+    table = joined([box("a", 0, 9, status=status), box("b", 0, 9)])
+    monkeypatch.setattr(split, "read_run", lambda path: table)
+    rows = split._Part(Path("x"), 3, 6, {"a": "c", "b": "b"}, frozenset({"c"})).rows()
+    assert rows.frames.tolist() == [3, 4, 5] and rows.targets == ("c", "b")
+    assert rows.find("c", "box").status.tolist() == [begins, status, status]
+    assert set(rows.find("b", "box").status) == {"tracked"}
 
 
 def test_chunks_meet_in_the_middle_of_the_frames_that_both_have():

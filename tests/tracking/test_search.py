@@ -13,7 +13,17 @@ from facetrack_cli.core.types import BOX, Frame
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.start.search import ALONE_S, MIN_LOOKS, SEARCHED_FRAMES, STILL_S, box_start, search_start
+from facetrack_cli.start.search import (
+    ALONE_S,
+    MIN_LOOKS,
+    SEARCHED_FRAMES,
+    STILL_S,
+    _Candidate,
+    _change,
+    _Search,
+    box_start,
+    search_start,
+)
 from facetrack_cli.trackers.face.cascaded_regression import PlacedPoints, load_regression
 from facetrack_cli.trackers.face.closer import again, everywhere, righted
 from facetrack_cli.trackers.face.detectors import Detection, Haar, YuNet, yunet_model
@@ -356,6 +366,31 @@ def test_of_two_posters_the_larger_one_is_taken_and_it_says_so():
     assert start.targets["face"].box[2] == POSTER.side
     assert "none of them moves: if another one is meant, name it by --box X,Y,W,H" in start.note
     assert STILL_S <= max(detector.looks) < STILL_S + 0.5
+
+
+def candidate(side, change=1.0, contrast=50.0):
+    box = (0, 0, side, side)
+    boxes = [(frame, box) for frame in range(60)]
+    return _Candidate(Detection(box), boxes, contrast=[contrast], begins={0: None}, features=True, change=change)
+
+
+def faces(*candidates, ended=True):
+    """The sides of those that are faces, the best first, after 60 frames."""
+    search = _Search((), Fake(None), lambda _, start: start, 0.0)
+    search.candidates, search.frames, search.times = candidates, [*range(60)], [frame / 25 for frame in range(60)]
+    return [face.size for face in search.faces(ended=ended)]
+
+
+def test_of_those_that_hardly_move_one_that_changes_ten_times_as_much_comes_first():
+    assert faces(candidate(60, 0.1), candidate(40, 1.1)) == [40, 60]
+    assert faces(candidate(60, 0.2), candidate(40, 1.1)) == [60, 40]
+    picture = np.full((24, 24), 100, np.uint8)
+    assert _change(picture + np.uint8(20), picture) == 0, "light that changes is no movement"
+
+
+def test_a_dark_face_is_taken_at_the_end_and_if_no_other_is_lit():
+    dark, lit = candidate(60, contrast=2.0), candidate(40)
+    assert (faces(dark, ended=False), faces(dark), faces(dark, lit)) == ([], [60], [40])
 
 
 def test_one_that_keeps_still_alone_is_waited_for_less():

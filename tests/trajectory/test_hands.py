@@ -53,6 +53,8 @@ def test_speed_is_in_sizes_of_the_face_and_what_is_held_is_told_from_what_moves(
     assert (speed.unit, held.unit) == ("face sizes a second", "probability")
     assert speed.value[24:27] == pytest.approx(4, abs=0.5) and (speed.value[np.r_[2:17, 34:58]] < 0.7).all()
     assert (held.value[23:28] < 0.01).all() and (held.value[np.r_[2:17, 34:58]] > 0.8).all()
+    np.testing.assert_array_equal(held.value > 0.5, speed.value < 1)
+    assert ((speed.value > 1) & (speed.value < 2)).any(), "also of speeds that are nearly holds"
     assert 0.02 < speed.std[0] < 0.5
     still = table(np.full(N, 100.0), STAYS).measures["left_hand"]["speed"].value
     assert np.median(still) < 0.3  # what noise alone makes of a speed is taken off

@@ -124,5 +124,8 @@ def test_rows_without_enough_points_have_no_pose():
 def test_points_that_are_one_point_tell_nothing_and_noise_makes_spread():
     angles, covariance, *_ = fit(np.full((2, 5, 2), 100.0))
     assert np.isnan(angles).all() and np.isnan(covariance).all()
-    exact, vague = (head_pose(list(rows(FIVE, np.arange(3), std=std))).std for std in (0.5, 8.0))
+    stds = (0.5, 8.0, 0.1, np.nan, 60.0)
+    exact, vague, less, none, most = (head_pose(list(rows(FIVE, np.arange(3), std=std))).std for std in stds)
     assert (vague > 1.3 * exact).all()
+    assert np.array_equal(exact, less) and np.array_equal(exact, none), "half a pixel is the least"
+    assert np.isnan(most).all(), "77 degrees say nothing"

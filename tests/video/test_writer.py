@@ -99,6 +99,7 @@ def test_times_never_fall(tmp_path: Path) -> None:
             writer.write(media.numbered(index), moment)
     pictures = media.read_timed(tmp_path / "out.mp4")
     np.testing.assert_allclose([t for t, _ in pictures], [0, 1.0, 1.0, 1.5], atol=0.001)
+    assert (np.diff([t for t, _ in pictures]) > 0).all()
 
 
 @pytest.mark.parametrize(
