@@ -340,11 +340,9 @@ def _to_our_matrix(planes: Image, matrix: int) -> None:
         cv2.addWeighted(chroma[0], u, chroma[1], v, 128 - 128 * (u + v)) for _, u, v in _to_bt601(matrix).tolist()
     )
     chroma[0][:], chroma[1][:] = others
-    # up and down by themselves, since bytes end at 0 and at 255; in place, since new memory costs more than the sums
-    for change, by in ((cv2.add, np.maximum(more, 128) - 128), (cv2.subtract, 128 - np.minimum(more, 128))):
-        pairs = cv2.merge((by, by)).reshape(by.shape[0], -1)
-        for rows in (luma[::2], luma[1::2]):
-            change(rows, pairs, dst=rows)
+    pairs = cv2.merge((more, more)).reshape(more.shape[0], -1)
+    for rows in (luma[::2], luma[1::2]):
+        cv2.addWeighted(rows, 1, pairs, 1, -128, dst=rows)  # in place, since new memory costs more than the sums
 
 
 @lru_cache
