@@ -285,7 +285,10 @@ def add_up(z, var, sure, area, at, p, w):
     """The modes `at`, p and w of `motion.modes`."""
     at[0], p[0], w[0], m = 0.0, 0.0, 0.0, 1
     for s in range(len(z)):
-        if not sure[s].any():
+        says = False
+        for k in range(z.shape[1]):  # any() of an array brings all of SciPy into the process
+            says |= sure[s, k] > 0.0
+        if not says:
             continue
         for k in range(z.shape[1]):
             right, new = min(max(sure[s, k], 1e-6), 1.0 - 1e-6), 1.0 / var[s, k]
