@@ -26,7 +26,7 @@ from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.trackers.face.cascaded_regression import AROUND, CORNER, GRID, PlacedPoints
-from facetrack_cli.trackers.face.image_kernels import DIRECTIONS, grey_channels, run_stages
+from facetrack_cli.trackers.face.image_kernels import DIRECTIONS, grey_channels, read, run_stages
 from facetrack_cli.trackers.face.stabilized import EYES, Similarity, slope
 
 KIND = Kind("facetrack-eyes", 1, "eye descent", "python tools/eye_descent.py")
@@ -112,7 +112,7 @@ def views(head: Similarity, middles: Array) -> list[Similarity]:
 
 def phi(patch: Image) -> NDArray[np.float32]:
     """(WIDTH,) of a patch in grey (SIDE, SIDE)."""
-    return np.append(grey_channels(patch, _GRID).ravel(), np.float32(1))
+    return np.append(read(grey_channels(patch), np.zeros((1, 2)), _GRID).ravel(), np.float32(1))
 
 
 @lru_cache(maxsize=8)

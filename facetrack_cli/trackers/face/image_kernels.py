@@ -50,38 +50,33 @@ def smoothed_channels(image: Image) -> Single:
     brightness and the slope of redness down the image. All is relative to what is around. H and W are 24 or more; the
     border reflects.
     """
-    seen = looks(np.asarray(image, np.uint8))
+    return _smoothed(looks(np.asarray(image, np.uint8)), DIRECTIONS + 3)
+
+
+def grey_channels(image: Image) -> Single:
+    """As `smoothed_channels`, of means over 3 x 3 grey levels of (H, W): no redness, relative to the whole image."""
+    seen = np.empty((1, *image.shape), np.float32)
+    _grey_looks(np.ascontiguousarray(image), _GREY, seen)
+    return _smoothed(seen, DIRECTIONS + 1)
+
+
+def _smoothed(seen: Single, channels: int) -> Single:
     height, width = seen.shape[1:]
-    out = np.empty((DIRECTIONS + 3, height, width + 2 * _REACH), np.float32)
-    _channels(seen, _WAYS, True, np.empty((9, height, width), np.float32), out)
+    out = np.empty((channels, height, width + 2 * _REACH), np.float32)
+    _channels(seen, _WAYS, len(seen) > 1, np.empty((9, height, width), np.float32), out)
     return out
 
 
-def grey_channels(image: Image, at: Array) -> Single:
-    """(G, C): the channels of grey levels (H, W) at the pixels nearest to G places `at` (G, 2).
-
-    The image is smoothed by means over 3 x 3 pixels first. Channels are as those of colours, without redness, and
-    relative to the whole image.
-    """
-    out = np.empty((1, len(at), DIRECTIONS + 1), np.float32)
-    _grey_channels(np.ascontiguousarray(image), _GREY, _WAYS, at, out)
-    return out.reshape(len(at), -1)
-
-
 @fast
-def _grey_channels(image, greys, ways, at, out):
+def _grey_looks(image, greys, out):
     height, width = image.shape
-    seen, scratch = np.empty((1, height, width), np.float32), np.empty((9, height, width), np.float32)
-    channels = np.empty((len(ways) + 1, height, width + 2 * _REACH), np.float32)
     for y in range(height):
         above, here, below = image[abs(y - 1)], image[y], image[height - 1 - abs(height - 2 - y)]
         for x in range(width):
             left, right, total = abs(x - 1), width - 1 - abs(width - 2 - x), np.int32(0)
             for row in (above, here, below):
                 total += np.int32(row[left]) + np.int32(row[x]) + np.int32(row[right])
-            seen[0, y, x] = greys[(16 * total + 9) // 18]  # eighths of the mean of nine
-    _channels(seen, ways, False, scratch, channels)
-    _read(channels, np.zeros((1, 2)), at, 1.0, out)
+            out[0, y, x] = greys[(16 * total + 9) // 18]  # eighths of the mean of nine
 
 
 @fast
