@@ -214,8 +214,8 @@ for line in sys.stdin:
     stop, clip = line.rstrip().split(" ", 1)
     began, capture = time.process_time(), cv2.VideoCapture(clip)
     model = mediapipe.solutions.face_mesh.FaceMesh(max_num_faces=1)
-    for _ in range(int(stop)):
-        model.process(cv2.cvtColor(capture.read()[1], cv2.COLOR_BGR2RGB))
+    for there, image in itertools.islice(iter(capture.read, (False, None)), int(stop)):
+        model.process(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
     print("took", time.process_time() - began, flush=True)
 """
 ONE_THREAD: Final = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "NUMBA")}
