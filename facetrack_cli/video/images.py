@@ -164,15 +164,21 @@ def numbers(path: Path, data: bytes | None = None, page: int = 0, held: dict[Pat
             check_pixels(path, width, height)
             options: dict[str, Any] = {"index": page, "rotate": True, "mode": _READ_AS.get(mode)}
             pixels: Any = np.asarray(file.read(**options))
-    except UnreadableError:
-        raise
-    except Exception as error:  # whatever Pillow raises
+    except _damaged() as error:
         if "can not handle the given uri" in str(error):
             raise UnreadableError(path, "is not an image, or of an unknown kind") from error
         raise UnreadableError(path, f"cannot be read as an image ({reason(error)})") from error
     deep = _sixteen(path, data) if mode == "RGB" and not page and path.suffix.lower() in _DEEP else None
     pixels = deep if deep is not None and deep.shape == pixels.shape else pixels
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
+
+
+def _damaged() -> tuple[type[Exception], ...]:
+    """What Pillow raises."""
+    from PIL.Image import DecompressionBombError
+
+    known = OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError
+    return *known, DecompressionBombError
 
 
 def _opened(path: Path, data: bytes | None = None) -> Any:
@@ -238,7 +244,7 @@ def durations(path: Path) -> list[float]:
     """How long each picture of an animated WebP is shown, in s; empty of what says nothing."""
     shown_s: list[float] = []
     if path.suffix.lower() == ".webp":
-        with contextlib.suppress(Exception), _opened(path) as image:
+        with contextlib.suppress(*_damaged()), _opened(path) as image:
             check_pixels(path, *image.size)
             for page in range(int(getattr(image, "n_frames", 1))):
                 image.seek(page)

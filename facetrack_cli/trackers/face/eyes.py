@@ -18,6 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -112,7 +113,8 @@ def views(head: Similarity, middles: Array) -> list[Similarity]:
 
 def phi(patch: Image) -> NDArray[np.float32]:
     """(WIDTH,) of a patch in grey (SIDE, SIDE)."""
-    return np.append(read(grey_channels(patch), np.zeros((1, 2)), _GRID).ravel(), np.float32(1))
+    seen = grey_channels(np.asarray(cv2.boxFilter(patch, cv2.CV_32S, (3, 3), normalize=False), np.int32))
+    return np.append(read(seen, np.zeros((1, 2)), _GRID).ravel(), np.float32(1))
 
 
 @lru_cache(maxsize=8)

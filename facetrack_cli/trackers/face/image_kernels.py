@@ -21,6 +21,7 @@ _FLAT, _EVEN, _TINY = np.float32(0.02), np.float32(0.05), np.float32(1e-6)
 _REACH = 4  # pixels that smoothing reads on either side
 _NEAR, _AROUND = 13, 23  # pixels on either side of a mean
 _GREY = np.log(np.arange(8 * 255 + 1) / 8 + 16).astype(np.float32)  # by an eighth of a grey level
+_OF_NINE = _GREY[(16 * np.arange(9 * 255 + 1) + 9) // 18]  # by the sum of nine grey levels
 _COLOUR = np.log(np.arange(256) + 8.0).astype(np.float32)
 _TURNS = np.arange(8) * (2 * np.pi / 8)
 _WAYS = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1).astype(np.float32)
@@ -53,11 +54,9 @@ def smoothed_channels(image: Image) -> Single:
     return _smoothed(looks(np.asarray(image, np.uint8)), DIRECTIONS + 3)
 
 
-def grey_channels(image: Image) -> Single:
-    """As `smoothed_channels`, of means over 3 x 3 grey levels of (H, W): no redness, relative to the whole image."""
-    seen = np.empty((1, *image.shape), np.float32)
-    _grey_looks(np.ascontiguousarray(image), _GREY, seen)
-    return _smoothed(seen, DIRECTIONS + 1)
+def grey_channels(sums: NDArray[np.int32]) -> Single:
+    """As `smoothed_channels`, of sums over 3 x 3 grey levels (H, W): without redness, relative to the whole image."""
+    return _smoothed(_OF_NINE[sums][None], DIRECTIONS + 1)
 
 
 def _smoothed(seen: Single, channels: int) -> Single:
@@ -65,18 +64,6 @@ def _smoothed(seen: Single, channels: int) -> Single:
     out = np.empty((channels, height, width + 2 * _REACH), np.float32)
     _channels(seen, _WAYS, len(seen) > 1, np.empty((9, height, width), np.float32), out)
     return out
-
-
-@fast
-def _grey_looks(image, greys, out):
-    height, width = image.shape
-    for y in range(height):
-        above, here, below = image[abs(y - 1)], image[y], image[height - 1 - abs(height - 2 - y)]
-        for x in range(width):
-            left, right, total = abs(x - 1), width - 1 - abs(width - 2 - x), np.int32(0)
-            for row in (above, here, below):
-                total += np.int32(row[left]) + np.int32(row[x]) + np.int32(row[right])
-            out[0, y, x] = greys[(16 * total + 9) // 18]  # eighths of the mean of nine
 
 
 @fast

@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import BOX, Array, Frame, Mask
 from facetrack_cli.engine.confidence import Calibration
 from facetrack_cli.engine.loop import Footprint
@@ -236,11 +237,11 @@ class FaceParts:
         for name in ("w", "h", "std_w", "std_h"):
             columns[name][k] = box[name][0] * grown if name in box else np.nan
         columns["x"][k], columns["y"][k], columns["angle"][k] = *face.centre, math.degrees(roll)
+        way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
         # the border runs through the middle of the outermost pixels
-        across, down = (columns[name][k] / 2 - 0.5 for name in ("w", "h"))
-        u, v = (np.array([math.cos(a), math.sin(a)]) * half for a, half in ((roll, across), (roll + math.pi / 2, down)))
+        size = np.array([[columns["w"][k] - 1, columns["h"][k] - 1]])
         columns["corners"] = np.full((count, 4, 2), np.nan)
-        columns["corners"][k] = face.centre + np.array([-u - v, u - v, u + v, v - u])
+        columns["corners"][k] = corners(way, face.centre[None], size)[0]
         # of a target one number: both filters' together
         columns["particles"] = np.full(count, float(last["particles"].max() + box["particles"][0]))
         return columns
