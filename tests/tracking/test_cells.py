@@ -1,5 +1,9 @@
 """The kernels of the correlation filter against their plain twins, and what they make of flat and tiny images."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -101,3 +105,23 @@ def test_read_cubic_is_what_its_plain_twin_says(seed, shape, places):
     out = np.full(len(x), np.nan)
     cells.read_cubic(values, x, y, out)
     np.testing.assert_allclose(out, [naive.read_cubic(values, *at) for at in places], atol=1e-9)
+
+
+def test_the_threads_of_blas_change_no_component():
+    learns = """
+import sys, numpy as np
+from facetrack_cli.core.types import Frame
+from facetrack_cli.trackers.box.features import Features
+image = np.random.default_rng(0).integers(0, 256, (120, 120, 3), np.uint8)
+sys.stdout.buffer.write(Features.learn(Frame(0, 0.0, image), np.array([60.0, 60.0]), 100.0, 32, 8).components.tobytes())
+"""
+    components = {
+        subprocess.run(
+            [sys.executable, "-c", learns],
+            env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
+            stdout=subprocess.PIPE,
+            check=True,
+        ).stdout
+        for threads in ("1", "2", "3")
+    }
+    assert len(components) == 1 and len(components.pop()) == 4 * 8 * 34

@@ -119,7 +119,10 @@ class Features:
         hann = np.hanning(cells + 2)[1:-1].astype(np.float32)
         taper = np.outer(hann, hann).ravel()
         features = _features(image, cells, colour=colour) * np.sqrt(taper)
-        _, vectors = np.linalg.eigh((features @ features.T).astype(np.float64))
+        products = np.einsum(
+            "if,jf->ij", features, features, dtype=np.float64
+        )  # a product by BLAS depends on its threads
+        _, vectors = np.linalg.eigh(products)
         kept = np.ascontiguousarray(vectors[:, ::-1][:, :count].T.astype(np.float32))
         kept *= np.sign(kept[np.arange(len(kept)), np.abs(kept).argmax(axis=1)])[:, None]  # LAPACK leaves it open
         plain = cls(cells, colour, kept, taper)
