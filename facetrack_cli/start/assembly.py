@@ -260,7 +260,7 @@ def hand_regions(
     region, such as a bare arm, the box is where most skin is. Regions out of an arm's reach, of another size than a
     hand's, over a box of `taken`, or with a side of less than `least` pixels do not count: there may be fewer.
     """
-    from facetrack_cli.trackers.skin.skin_kernels import skin_map
+    from facetrack_cli.trackers.skin.cloud import skin_map
 
     factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
     image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))

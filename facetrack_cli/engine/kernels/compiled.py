@@ -131,12 +131,6 @@ def read_at(values, x, y):
     )
 
 
-@part
-def box_sum(sums, x0, y0, x1, y1):
-    """The sum over a box by an integral image (H + 1, W + 1): pixel edges are whole numbers, parts count by area."""
-    return read_at(sums, x1, y1) + read_at(sums, x0, y0) - read_at(sums, x1, y0) - read_at(sums, x0, y1)
-
-
 @exact
 def invert_cdf(weights, points, out):
     """Indices `out` (M, K) by weights (N, K) and points (M, K), as `engine.resampling` says."""

@@ -45,12 +45,13 @@ from facetrack_cli.engine.kernels.compiled import boxes_extent
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.skin import skin_kernels as kernel
-from facetrack_cli.trackers.skin.cloud import learn_skin
+from facetrack_cli.trackers.skin.cloud import learn_skin, skin_map
 from facetrack_cli.trackers.skin.settings import PatternSettings, SkinNccSettings
 
 MIN_NCC = 0.01  # what divides is at least this: a match of zero or below is as bad as can be, not of the other sign
 MIN_RHO = 0.05  # a start with hardly more skin within than around cannot scale a distance
-MAX_EXACT_PIXELS = 2**23  # pixels whose sum, each up to 255, an int32 holds
+MAX_HALF_SIDE = 1e6  # half a side of a box, pixels
+LARGEST = 1e6  # the largest scale, pixels from point to point
 MIN_VARIANCE = 0.25  # grey levels squared: what varies less than by rounding is no pattern
 DENSE = 10.0  # what one pixel of a dense correlation takes, in points read directly
 
@@ -131,11 +132,17 @@ class SkinNcc(Likelihood):
         height, width = image.shape[:2]
         x0, y0 = min(int(extent[0] - left) // factor, width - 1), min(int(extent[1] - top) // factor, height - 1)
         x1, y1 = int(extent[2] - left) // factor + 2, int(extent[3] - top) // factor + 2
-        shown = kernel.skin_map(image[y0:y1, x0:x1], learned.table)
-        integral = cv2.integral(shown, sdepth=cv2.CV_32S if shown.size <= MAX_EXACT_PIXELS else cv2.CV_64F)
-        inner, outer, area = kernel.nested(x, w, h, factor, left + x0 * factor, top + y0 * factor)
-        sums = kernel.differences(integral, inner, outer)
-        rho = (sums[:, 1] - 2.0 * sums[:, 0]) / np.where(area > 0.0, 255.0 * area, 1.0)
+        integral = cv2.integral(skin_map(image[y0:y1, x0:x1], learned.table), sdepth=cv2.CV_64F)
+        at = (x[:, 0, :2] - (left + x0 * factor, top + y0 * factor) - 0.5 * (factor - 1)) / factor
+        half = 0.5 * (x[:, 0, 2:3] / factor) * (w, h)
+        # comparisons with nan are false; what is thinner than a pixel is no box
+        boxes = (half.min(axis=1) >= 0.5) & (half.max(axis=1) <= MAX_HALF_SIDE)
+        boxes &= (np.abs(at) <= 10.0 * MAX_HALF_SIDE).all(axis=1)
+        at, half = np.where(boxes[:, None], (at, half), 0.0)
+        inner, outer = (
+            kernel.box_sums(integral, np.hstack([at - side, at + side]) + 0.5) for side in (half, math.sqrt(2.0) * half)
+        )
+        rho = (outer - 2.0 * inner) / np.where(boxes, 255.0 * 4.0 * half.prod(axis=1), 1.0)
         return np.asarray(np.clip(rho, -1.0, 1.0))
 
     def _values(self, learned: SkinPattern, frame: Frame, x: Array) -> Array:
@@ -193,8 +200,12 @@ def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]
     centred, mean, variance = template.moments
     cross, spread = _moments(view, centred).T
     remove = _ratio(cross, variance * spread, view.seen)
+    # area means of the image and of its square: a point stands for s x s pixels around it
+    (th, tw), s = centred.shape, view.boxes[:, 2:]
+    low = view.boxes[:, :2] - 0.5 * s + 0.5
+    edges, area = np.hstack([low, low + s * (tw, th)]), (s * tw * s * th)[:, 0]
     sums = cv2.integral2(view.image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
-    level, square = kernel.means(*sums, view.boxes, *centred.shape).T
+    level, square = (kernel.box_sums(one, edges) / area for one in sums)
     return _ratio(cross + mean * level, (variance + mean * mean) * square, view.seen), remove
 
 
@@ -219,15 +230,26 @@ class _GreyView(NamedTuple):
 
 
 def _view(template: Template, frame: Frame, x: Array) -> _GreyView:
+    """What boxes x (N, 1, 6) cover: (0, 0, 1) stands for those beyond the image, thinner than a pixel or no numbers."""
     factor, (th, tw) = template.factor, template.now.shape
-    width, height = (max(side // factor, 1) for side in frame.size)
-    boxes, seen, low, high, area, same = kernel.place(x, factor, template.offset, th, tw, width, height)
-    x0, y0, x1, y1 = area.tolist()
+    size = np.array([max(side // factor, 1) for side in frame.size])
+    s, points = x[:, 0, 2:3], np.array([tw, th])
+    at = (x[:, 0, :2] - 0.5 * (factor - 1)) / factor + s * (template.offset - 0.5 * (points - 1))
+    start, end = at - 0.5 * s, at + s * (points - 0.5)
+    # comparisons with nan are false; beyond the bound the arithmetic of places would be rough
+    seen = ((s * min(th, tw) >= 1.0) & (s <= LARGEST) & (end > -0.5) & (start < size - 0.5)).all(axis=1)
+    boxes = np.where(seen[:, None], np.hstack([at, s]), (0.0, 0.0, 1.0))
+    low, high, corner, far = np.zeros(2), np.zeros(2), np.zeros(2, np.int64), np.ones(2, np.int64)
+    if seen.any():
+        low, high = at[seen].min(axis=0), at[seen].max(axis=0)
+        corner = np.maximum(np.floor(start[seen].min(axis=0)), 0).astype(np.int64)
+        far = np.minimum(np.ceil(end[seen].max(axis=0)) + 1, size).astype(np.int64)
+    (x0, y0), (x1, y1) = corner.tolist(), far.tolist()
     grey, left, top = frame.grey(factor, (x0 * factor, y0 * factor, x1 * factor - 1, y1 * factor - 1))
     dx, dy = left // factor, top // factor
-    boxes -= (x0, y0, 0.0)
+    boxes[:, :2] -= corner
     image = np.ascontiguousarray(grey[y0 - dy : y1 - dy, x0 - dx : x1 - dx])  # one signature, one compilation
-    return _GreyView(image, boxes, seen, low - (x0, y0), high - (x0, y0), same)
+    return _GreyView(image, boxes, seen, low - corner, high - corner, bool((s[seen] == 1.0).all()))
 
 
 def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
@@ -247,11 +269,30 @@ def _moments(view: _GreyView, centred: NDArray[np.float32]) -> Array:
     left, right, top, bottom = max(x0, 0), min(x1, width), max(y0, 0), min(y1, height)
     if right > left and bottom > top:
         region[top - y0 : bottom - y0, left - x0 : right - x0] = view.image[top:bottom, left:right]
-    cross = kernel.bilinear(cv2.matchTemplate(region, centred, cv2.TM_CCORR), view.boxes, x0, y0)
+    correlated = cv2.matchTemplate(region, centred, cv2.TM_CCORR)
+    cross = kernel.bilinear(correlated, view.boxes, x0, y0) / centred.size
+    return np.column_stack([cross, _variances(region, view.boxes[:, :2] - (x0, y0), *centred.shape)])
+
+
+def _variances(region: NDArray[np.float32], places: Array, th: int, tw: int) -> Array:
+    """The variance (N,) of the bilinear image at th x tw points from `places` (N, 2), a pixel apart.
+
+    Between two values a and b, at the share f of the way, the square of the bilinear value is
+    (1 - f) a^2 + f b^2 - f (1 - f) (b - a)^2: it is summed by integral images of squares and of squared differences.
+    """
     across, down = np.diff(region, axis=1), np.diff(region, axis=0)
-    images = region, region**2, across**2, down**2, np.diff(across, axis=0) ** 2
-    sums = tuple(cv2.integral(image, sdepth=cv2.CV_64F) for image in images)
-    return np.column_stack([cross / centred.size, kernel.variances(sums, view.boxes, x0, y0, *centred.shape)])
+
+    def total(image: NDArray[np.float32], *corner: Array) -> Array:
+        u, v = corner
+        edges = np.column_stack([u, v, u + tw, v + th])
+        return np.asarray(kernel.box_sums(cv2.integral(image, sdepth=cv2.CV_64F), edges))
+
+    (x, y), (i, j) = places.T, np.floor(places).T
+    fx, fy = (x - i) * (1.0 - x + i), (y - j) * (1.0 - y + j)
+    square = total(region**2, x, y) + fx * fy * total(np.diff(across, axis=0) ** 2, i, j)
+    square -= fx * total(across**2, i, y) + fy * total(down**2, x, j)
+    level = total(region, x, y) / (th * tw)
+    return np.asarray(square / (th * tw) - level * level)
 
 
 def _patch(template: Template, frame: Frame, x0: Array) -> NDArray[np.float32]:
