@@ -68,7 +68,7 @@ edges = st.integers(-20, 60).map(lambda q: q / 4) | st.floats(-3, 12) | st.sampl
 def test_sums_over_boxes_count_parts_of_pixels_by_their_area(seed, height, width, boxes):
     values = np.random.default_rng(seed).integers(0, 256, (height, width), dtype=np.uint8)
     boxes = np.sort(np.array(boxes).reshape(-1, 2, 2), axis=1).reshape(-1, 4)
-    seen = kernel.box_sums(cv2.integral(values, sdepth=cv2.CV_64F), boxes + 0.5)
+    seen = kernel.box_sums(cv2.integral(values, sdepth=cv2.CV_64F), np.ascontiguousarray(boxes.T) + 0.5)
     np.testing.assert_allclose(seen, [naive.area_sum(values, *box) for box in boxes], atol=1e-6)
 
 

@@ -195,11 +195,11 @@ def test_kernels_do_what_their_twins_do(picture, template, boxes):
     values = rng.integers(0, 256, picture[:2], dtype=np.uint8)
     weights = rng.normal(0, 30, template).astype(np.float32)
     th, tw = template
-    found = kernel.moments_direct(values, weights, np.array(boxes))
+    found = kernel.moments_direct(values, weights, np.array(boxes).T.copy())
     for n, (u, v, s) in enumerate(boxes):
-        assert found[n, 0] * th * tw == pytest.approx(naive.cross(values, weights, u, v, s), rel=1e-4, abs=0.5)
+        assert found[0, n] * th * tw == pytest.approx(naive.cross(values, weights, u, v, s), rel=1e-4, abs=0.5)
         there = naive.patch(values, u, v, s, th, tw)
-        assert found[n, 1] == pytest.approx(np.var(there), rel=1e-4, abs=0.05)
+        assert found[1, n] == pytest.approx(np.var(there), rel=1e-4, abs=0.05)
         np.testing.assert_allclose(kernel.read_patch(values, u, v, s, th, tw), there, atol=1e-3)
 
 

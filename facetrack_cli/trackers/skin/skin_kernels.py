@@ -15,13 +15,13 @@ from facetrack_cli.engine.kernels.compiled import exact, fast, inline, read_at
 
 @exact
 def box_sums(sums, boxes):
-    """Sums over boxes (N, 4) = x0, y0, x1, y1 by an integral image (H + 1, W + 1) float64 -> (N,).
+    """Sums over boxes (4, N) = x0, y0, x1, y1 by an integral image (H + 1, W + 1) float64 -> (N,).
 
     Edges of pixels are whole numbers, parts of pixels count by their area, and beyond the image there is nothing.
     """
-    out = np.empty(len(boxes))
-    for n in range(len(boxes)):
-        x0, y0, x1, y1 = boxes[n]
+    out = np.empty(boxes.shape[1])
+    for n in range(len(out)):
+        x0, y0, x1, y1 = boxes[0, n], boxes[1, n], boxes[2, n], boxes[3, n]
         out[n] = read_at(sums, x1, y1) + read_at(sums, x0, y0) - read_at(sums, x1, y0) - read_at(sums, x0, y1)
     return out
 
@@ -50,20 +50,20 @@ def _axis(start, step, length, near, far, share_near, share_far):
 def moments_direct(image, template, boxes):
     """Mean of template (th, tw) times image (H, W), and the image's variance, at the template's points.
 
-    Boxes (N, 3) = (u, v, s), finite, s > 0 -> (N, 2) float64.
+    Boxes (3, N) = (u, v, s), finite, s > 0 -> (2, N) float64.
     """
     (height, width), (th, tw) = image.shape, template.shape
     left, right = np.zeros(tw, np.int64), np.zeros(tw, np.int64)
     upper, lower = np.zeros(th, np.int64), np.zeros(th, np.int64)
     a, b = np.zeros(tw, np.float32), np.zeros(tw, np.float32)
     c, d = np.zeros(th, np.float32), np.zeros(th, np.float32)
-    line, out = np.zeros(width, np.float32), np.zeros((boxes.shape[0], 2))
-    for p in range(boxes.shape[0]):
-        x0, x1 = _axis(boxes[p, 0], boxes[p, 2], width, left, right, a, b)
-        y0, y1 = _axis(boxes[p, 1], boxes[p, 2], height, upper, lower, c, d)
+    line, out = np.zeros(width, np.float32), np.zeros((2, boxes.shape[1]))
+    for p in range(boxes.shape[1]):
+        u, v, s, level = boxes[0, p], boxes[1, p], boxes[2, p], np.float32(0.0)
+        x0, x1 = _axis(u, s, width, left, right, a, b)
+        y0, y1 = _axis(v, s, height, upper, lower, c, d)
         if x1 <= x0 or y1 <= y0:
             continue
-        (u, v, s), level = boxes[p], np.float32(0.0)
         if u >= 0.0 and v >= 0.0 and u + s * (tw - 1) <= width - 1 and v + s * (th - 1) <= height - 1:
             # squares about 0 would lose a faint pattern to rounding
             level = np.float32(image[(y0 + y1) // 2, (x0 + x1) // 2])
@@ -86,7 +86,7 @@ def moments_direct(image, template, boxes):
             first += float(off)
             second += float(square)
         n = th * tw
-        out[p, 0], out[p, 1] = cross / n, second / n - (first / n) ** 2
+        out[0, p], out[1, p] = cross / n, second / n - (first / n) ** 2
     return out
 
 
@@ -109,11 +109,11 @@ def read_patch(image, u, v, s, th, tw):
 
 @exact
 def bilinear(values, places, left, top):
-    """values (H, W), which begin at (left, top), read bilinearly at places (N, 2+) = (u, v, ...) -> (N,) float64.
+    """values (H, W), which begin at (left, top), read bilinearly at places (2+, N) = (u, v, ...) -> (N,) float64.
 
     At scale 1 and from the sums at whole places, this is what `moments_direct` sums: the sum is linear in the image.
     """
-    out = np.empty(places.shape[0])
-    for p in range(places.shape[0]):
-        out[p] = read_at(values, places[p, 0] - left, places[p, 1] - top)
+    out = np.empty(places.shape[1])
+    for p in range(len(out)):
+        out[p] = read_at(values, places[0, p] - left, places[1, p] - top)
     return out
