@@ -30,9 +30,7 @@ WIDE = "likelihood.{}.max_size=26"
 # recipe and overrides, which together cover each likelihood and each way in which one reads a frame
 CASES = {
     "colour_ratio": ("factorized", "likelihood.floor=null"),
-    "colour_ratio, per pixel": ("factorized", "likelihood.norm=pixel"),
-    **{f"colour_ratio, {robust}": ("factorized", f"likelihood={{type: colour_ratio, robust: {robust}, scale: 0.2}}")
-       for robust in ("huber", "tukey", "geman_mcclure")},
+    "colour_ratio, robust": ("factorized", "likelihood={type: colour_ratio, robust: geman_mcclure, scale: 0.2}"),
     "colour_ratio, reduced": ("factorized", "likelihood.max_samples=7"),
     "contour": ("contour",),
     "contour, reduced": ("contour", WIDE.format("contour")),
@@ -40,7 +38,7 @@ CASES = {
     "histogram, reduced": ("histogram", WIDE.format("histogram")),
     "histogram and greys": ("histogram", "likelihood.histogram.value_bins=8"),
     **{f"correlation, {kind}": ("histogram", f"{PRODUCT}correlation: {{sigma: 60, distance: {kind}}}}}")
-       for kind in ("l2", "saturated_l1, saturation: 20", "hausdorff")},
+       for kind in ("l2", "saturated_l1, saturation: 20")},
     "product": ("contour_histogram_correlation",),
     "product, estimated shares": ("contour_histogram_correlation_robust",),
     "skin": ("skin",),
