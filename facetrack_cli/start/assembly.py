@@ -27,7 +27,7 @@ from facetrack_cli.recipe.load import in_frames
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.start.init_file import TARGET, check_start
 from facetrack_cli.start.search import box_start
-from facetrack_cli.trackers.appearance.settings import PatchLikelihoodSettings
+from facetrack_cli.trackers.appearance.settings import AppearanceSettings
 from facetrack_cli.trackers.face.assembly import box_with, face_target
 from facetrack_cli.trackers.face.detectors import PARTS, NotHereError
 
@@ -79,7 +79,7 @@ def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> T
 def check_gallery(recipe: Recipe) -> None:
     """Raises what `build_tracker` would, of the galleries of a recipe alone, before any clip is opened."""
     for name, settings in recipe.filters.items():
-        if settings.recognition is not None and isinstance(settings.likelihood, PatchLikelihoodSettings):
+        if settings.recognition is not None and isinstance(settings.likelihood, AppearanceSettings):
             from facetrack_cli.trackers.appearance.appearance import find_gallery
 
             columns, rows = settings.likelihood.template

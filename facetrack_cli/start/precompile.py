@@ -85,17 +85,14 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.regions.region_kernels.match_direct": ("u2:2 i8:2 i8:2 f8:1 f4:2", "histogram"),
     "trackers.appearance.appearance_kernels.best_matches": ("f4:2r f4:2", _LOOKS),
     "trackers.appearance.appearance_kernels.differences": ("f4:2r i8:1 f4:1r", "velocity"),
-    "trackers.appearance.appearance_kernels.diffuse": ("f8:2 f8:2 f8:2 f8:1 f8 f8 f8", "motion=affine_walk"),
     "trackers.box.box_kernels.project": ("f4:2 f4:2 f4:1 f4:2", _CELLS),
     "trackers.box.box_kernels.remember": ("f4:3 f4:3 f4", _CELLS),
     "trackers.box.box_kernels.respond": ("f4:3 f4:3 f4:2", _CELLS),
     "trackers.box.box_kernels._read_cubic": ("f4:2 f8:1 f8:1 f8:1 f8:1 f8:1", _CELLS),
     "engine.kernels.compiled.invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
-    "engine.kernels.compiled.boxes_extent": ("f8:2 f8 f8 i8 i8", "target=affine correlation skin"),
     "trackers.skin.skin_kernels.box_sums": ("f8:2 f8:2", f"{_NCC} skin"),
     "trackers.skin.skin_kernels.bilinear": ("f4:2 f8:2 i8 i8", _NCC),
     "trackers.appearance.appearance_kernels.mapped": ("f8:2 f4:2 f4:1", "velocity"),
-    "trackers.appearance.appearance_kernels.greys": ("f4:1", _LOOKS),
 }
 _SECOND = """import json, os, stat, sys; from threading import Thread  # its input ends with the process that began it
 if stat.S_ISFIFO(os.fstat(0).st_mode): Thread(target=lambda: os._exit(len(os.read(0, 1))), daemon=True).start()

@@ -82,7 +82,7 @@ def appearance(patches, alpha=0.03, **settings):
 
 
 def recognition(gallery, model, **settings):
-    return Recognition(section(RecognitionSettings, **settings), model, gallery)
+    return Recognition(model.settings, model.patches, section(RecognitionSettings, **settings), gallery)
 
 
 def affine_walk(sigma, deform, shear=None, scale=(0.2, 5.0), turn=None):

@@ -267,16 +267,16 @@ POSTERIORS = ((0.5, 0.5), (0.5, 0.5), (0.2, 0.8), (0.9, 0.1), (0.5, 0.5), (1.0, 
 
 
 class Watching(Appearance):
-    """The appearance, which says that somebody is recognised with these entropies."""
+    """The appearance, which says that somebody is recognised with these entropies; `outlier` counts frames here."""
 
     diagnostics: ClassVar = (POSTERIOR, ENTROPY)
 
     def learn(self, learned, frame, state, particles):
-        return replace(super().learn(learned, frame, state, particles), frames=learned.frames + 1)
+        return replace(super().learn(learned, frame, state, particles), outlier=learned.outlier + 1e-6)
 
     def diagnose(self, learned):
-        posterior = dict(zip("ab", POSTERIORS[learned.frames], strict=True))
-        return {"posterior": posterior, "entropy": ENTROPIES[learned.frames]}
+        frames = round(learned.outlier * 1e6)
+        return {"posterior": dict(zip("ab", POSTERIORS[frames], strict=True)), "entropy": ENTROPIES[frames]}
 
 
 BOX = (50.0, 56.0)

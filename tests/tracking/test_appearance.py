@@ -1,6 +1,5 @@
 """The adaptive appearance model W, S, F: its densities, what it learns, and where its peak lies."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -130,17 +129,16 @@ def test_learning_is_blind_to_what_is_not_seen():
 
 
 @pytest.mark.parametrize(
-    ("place", "picture", "words"),
+    ("place", "picture"),
     [
-        ((-15, 60), smooth(1), "frame 0: more than half of the box lies outside the image"),
-        ((900, 60), smooth(1), "frame 0: more than half of the box lies outside the image"),
-        ((80, 60), np.full((120, 160), 99), "frame 0: the face's box is of one grey level throughout"),
+        ((-15, 60), smooth(1)), ((900, 60), smooth(1)), ((80, 60), np.full((120, 160), 99)),
     ],
-)
-def test_nothing_to_see_at_the_start_is_one_clear_line(place, picture, words):
-    with pytest.raises(InputError) as refused:
+)  # fmt: skip
+def test_nothing_to_see_at_the_start_is_one_clear_line(place, picture):
+    with pytest.raises(
+        InputError, match=r"^frame 0: the face's box is of one grey level, or more than half .* outside"
+    ):
         MODEL.init(frame(picture), state(*place))
-    assert re.fullmatch(f"{words}.*or begin elsewhere with --init-frame", str(refused.value))
 
 
 def test_a_component_that_is_left_out_needs_no_sigma():

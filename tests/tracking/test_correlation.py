@@ -7,7 +7,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.engine.kernels.compiled import boxes_extent
 from facetrack_cli.trackers.regions import region_kernels as kernel
 from facetrack_cli.trackers.regions.likelihoods import OUTSIDE
 from tests.support.images import grey, states
@@ -79,12 +78,6 @@ def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size,
         b = naive.patch(before, before_view, factor, of[n], size, *grid)
         # float32 places a point to within 1e-5 pixels, over which grey levels differ by up to 255
         assert out[n] == pytest.approx(naive.distance(a, b, kind, 25.0, 1000.0), rel=1e-3, abs=0.05)
-
-
-@given(boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=5))
-def test_extent_is_that_of_its_twin(boxes):
-    found = boxes_extent(np.array(boxes), *SIZE, WIDTH, HEIGHT)
-    np.testing.assert_allclose(found, naive.extent(boxes, SIZE, WIDTH, HEIGHT), atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", DISTANCES)

@@ -14,6 +14,7 @@ from facetrack_cli.engine.resampling import normalise
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import check_gallery
 from facetrack_cli.trackers.appearance.affine import Patches
+from facetrack_cli.trackers.appearance.appearance import Appearance
 from facetrack_cli.trackers.appearance.gallery import NONE, Subspace, logistic, name_problem
 from facetrack_cli.trackers.appearance.gallery_fit import (
     MIN_RHO,
@@ -317,8 +318,8 @@ def test_weights_and_posterior_agree_with_figure_1(half, seed, none, switch, sha
     learned = dataclasses.replace(model.init(first, X0), log_beta=np.log(beta))
     after, particles = step(model, learned, frame, rng, spread=2.0)
 
-    y = model.appearance.patches.read(frame, particles.x, 1)
-    log_a = model.appearance.score(learned.appearance, frame, particles.x)[:, 0]
+    y = model.patches.read(frame, particles.x, 1)
+    log_a = Appearance.score(model, learned, frame, particles.x)[:, 0]
     p_f, log_n = half.log_scores(y, none=none, sharpness=sharpness)
     weights, posterior = naive.figure_1(
         beta.tolist(), np.exp(log_a - log_a.max()).tolist(), p_f.tolist(), np.exp(log_n).tolist(), switch

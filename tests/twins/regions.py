@@ -149,13 +149,3 @@ def distance(a, b, kind, saturation, outside):
     if kind == "l2":
         return sum(d * d for d in differences) + missing
     return sum(min(d, saturation) for d in differences) + missing
-
-
-def extent(boxes, size, width, height):
-    """(x from, y from, x to, y to) of all boxes (cx, cy, s), cut to the pixels of the image."""
-    corners = [
-        (cx - size[0] * abs(s) / 2, cy - size[1] * abs(s) / 2, cx + size[0] * abs(s) / 2, cy + size[1] * abs(s) / 2)
-        for cx, cy, s in boxes
-    ]
-    whole = [f(c[axis] for c in corners) for axis, f in enumerate((min, min, max, max))]
-    return [min(max(v, 0), most - 1) for v, most in zip(whole, (width, height) * 2, strict=True)]
