@@ -141,19 +141,6 @@ def test_nothing_to_see_at_the_start_is_one_clear_line(place, picture):
         MODEL.init(frame(picture), state(*place))
 
 
-def test_a_component_that_is_left_out_needs_no_sigma():
-    f, x = frame(smooth(15)), states((80, 60), (82, 61))
-    for mixing in ((0, 0, 2), (0, 1, 0), (1, 0, 1)):
-        with_ = changed(MODEL, mixing=components(*mixing))
-        sigma = components(*(s if m else 0.0 for s, m in zip(SIGMA.each, mixing, strict=True)))
-        without = changed(with_, sigma=sigma)
-        a, b = (model.learn(model.init(f, TRUTH), f, TRUTH) for model in (with_, without))
-        np.testing.assert_array_equal(with_.score(a, f, x), without.score(b, f, x))
-        y = PATCHES.read(f, x, 1)
-        assert with_.error(a, y) == pytest.approx(without.error(b, y), rel=1e-6)
-        assert np.isfinite(with_.score(a, f, x)).all()
-
-
 def test_the_pictures_of_s_and_w_are_grey_levels_around_the_middle():
     learned = MODEL.init(frame(smooth(1)), TRUTH)
     mu = learned.mu.copy()

@@ -145,14 +145,6 @@ def test_what_the_start_lacks_is_told():
     assert learned(flat, skin=None, ncc=pattern("remove"))[1].k == 0
 
 
-def test_sums_of_a_picture_that_is_skin_throughout_are_exact():
-    """More than an int32 holds, of 8.4 million pixels and above."""
-    bgr = np.full((3000, 3100, 3), (120, 150, 205), np.uint8)
-    likelihood, known = learned(bgr, (1500.0, 1450.0), ncc=None)
-    rho = likelihood.rho(known, frame(bgr), states([(60, 60), (3040, 2940)]))
-    np.testing.assert_allclose(rho, 0, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("cost", "mean", "second", "holds"),
     [
