@@ -90,32 +90,12 @@ def systematic(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
     return _invert(np.exp(log_w), np.add.outer(np.arange(m), rng.random(log_w.shape[1:])) / m)
 
 
-def stratified(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
-    """One uniform point in each of M equal strata."""
-    return _invert(np.exp(log_w), (np.arange(m) + rng.random((*log_w.shape[1:], m))).T / m)
-
-
 def multinomial(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
     """M independent draws, as the papers' algorithms are written."""
     return _invert(np.exp(log_w), np.sort(rng.random((m, *log_w.shape[1:])), axis=0))
 
 
-def residual(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
-    """floor(M * w) copies of each particle, and the rest drawn systematically from the remainders."""
-    if log_w.ndim > 1:
-        return np.stack([residual(rng, column, m) for column in log_w.T], axis=1)
-    w = np.exp(log_w)
-    expected = m * w / w.sum()
-    copies = np.floor(expected).astype(np.int64)
-    rest = m - int(copies.sum())
-    fixed = np.repeat(np.arange(w.size), copies)
-    if rest <= 0:  # rounding can make the floors add up to all of M
-        return fixed[:m]
-    drawn = _invert(expected - copies, (np.arange(rest) + rng.random()) / rest)
-    return np.sort(np.concatenate([fixed, drawn]))
-
-
-SCHEMES: dict[str, Resampling] = {scheme.__name__: scheme for scheme in (systematic, stratified, multinomial, residual)}
+SCHEMES: dict[str, Resampling] = {scheme.__name__: scheme for scheme in (systematic, multinomial)}
 
 
 def effective_share(terms: Array, *, ring: bool = False) -> float:

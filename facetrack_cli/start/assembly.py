@@ -27,7 +27,7 @@ from facetrack_cli.recipe.load import in_frames
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.start.init_file import TARGET, check_start
 from facetrack_cli.start.search import box_start
-from facetrack_cli.trackers.appearance.settings import PatchLikelihoodSettings
+from facetrack_cli.trackers.appearance.settings import AppearanceSettings
 from facetrack_cli.trackers.face.assembly import box_with, face_target
 from facetrack_cli.trackers.face.detectors import PARTS, NotHereError
 
@@ -79,7 +79,7 @@ def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> T
 def check_gallery(recipe: Recipe) -> None:
     """Raises what `build_tracker` would, of the galleries of a recipe alone, before any clip is opened."""
     for name, settings in recipe.filters.items():
-        if settings.recognition is not None and isinstance(settings.likelihood, PatchLikelihoodSettings):
+        if settings.recognition is not None and isinstance(settings.likelihood, AppearanceSettings):
             from facetrack_cli.trackers.appearance.appearance import find_gallery
 
             columns, rows = settings.likelihood.template
@@ -260,7 +260,7 @@ def hand_regions(
     region, such as a bare arm, the box is where most skin is. Regions out of an arm's reach, of another size than a
     hand's, over a box of `taken`, or with a side of less than `least` pixels do not count: there may be fewer.
     """
-    from facetrack_cli.trackers.skin.skin_kernels import skin_map
+    from facetrack_cli.trackers.skin.cloud import skin_map
 
     factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
     image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))

@@ -24,7 +24,7 @@ _COLOURS = "likelihood=colour_ratio"
 # one; any of the settings that call it: `key=type`, or the key of a section without types
 KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.regions.region_kernels.patch_distances": (
-        "u1:2 i8x4 u1:2 i8x4 i8 f8:2 f8:2 f8x2 i8 i8 i8 f8 f8 f8:1",
+        "u1:2 i8x4 u1:2 i8x4 i8 f8:2 f8:2 f8x2 i8 i8 f8 f8 f8:1",
         "correlation",
     ),
     "trackers.regions.region_kernels.nearest_edges": ("u2:2 f8:2 i8 i8 i8 f8:2 f8:2 f8 f8", "contour"),
@@ -67,9 +67,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.appearance.appearance_kernels.update": ("f4:1r f4:2 f4:2 f4:2 f8:2 f4:2 f4:2 f8 b1 f8 f8 f8", _LOOKS),
     "trackers.skin.skin_kernels.moments_direct": ("u1:2 f4:2 f8:2", _NCC),
     "trackers.points.point_kernels.parzen": ("f8:3 i8:1 f8:2 i8 f8 f4:2 f4:1 f8:1", "prior=parzen"),
-    "trackers.skin.skin_kernels.place": ("f8:3 i8 f8x2 i8 i8 i8 i8", _NCC),
     "trackers.skin.skin_kernels.read_patch": ("u1:2 f8 f8 f8 i8 i8", _NCC),
-    "trackers.skin.skin_kernels.variances": ("f8:2x5 f8:2 i8 i8 i8 i8", _NCC),
     "trackers.box.box_kernels._arrive": (
         "f8:2 f8:2 f8:2 f8 f8:1 f8:1 f8:1 f8:1 f8:1 i8:1 f8:2 f8:2 f8:1",
         "motion=visible_walk",
@@ -87,25 +85,14 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.regions.region_kernels.match_direct": ("u2:2 i8:2 i8:2 f8:1 f4:2", "histogram"),
     "trackers.appearance.appearance_kernels.best_matches": ("f4:2r f4:2", _LOOKS),
     "trackers.appearance.appearance_kernels.differences": ("f4:2r i8:1 f4:1r", "velocity"),
-    "trackers.skin.skin_kernels._map": ("u1:2 u1:1", "skin likelihood=skin"),
-    "trackers.skin.skin_kernels.differences": ("i4:2 f8:2 f8:2", "skin"),
-    "trackers.skin.skin_kernels.means": ("f8:2 f8:2 f8:2 i8 i8", _NCC),
-    "trackers.appearance.appearance_kernels.diffuse": ("f8:2 f8:2 f8:2 f8:1 f8 f8 f8", "motion=affine_walk"),
-    "trackers.skin.skin_kernels.nested": ("f8:3 f8 f8 i8 i8 i8", "skin"),
     "trackers.box.box_kernels.project": ("f4:2 f4:2 f4:1 f4:2", _CELLS),
     "trackers.box.box_kernels.remember": ("f4:3 f4:3 f4", _CELLS),
     "trackers.box.box_kernels.respond": ("f4:3 f4:3 f4:2", _CELLS),
     "trackers.box.box_kernels._read_cubic": ("f4:2 f8:1 f8:1 f8:1 f8:1 f8:1", _CELLS),
-    "trackers.regions.region_kernels.code_colours": ("u1:3 u2:2 u2:1 i8 i8", "histogram"),
-    "trackers.regions.region_kernels.box_edges": ("f8:2 f8 f8 i8 i8 i8 i8 i8", "histogram"),
-    "trackers.regions.region_kernels.crop_boxes": ("i8:2 i8:2", "histogram"),
     "engine.kernels.compiled.invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
-    "engine.kernels.compiled.boxes_extent": ("f8:2 f8 f8 i8 i8", "target=affine correlation skin"),
+    "trackers.skin.skin_kernels.box_sums": ("f8:2 f8:2", f"{_NCC} skin"),
     "trackers.skin.skin_kernels.bilinear": ("f4:2 f8:2 i8 i8", _NCC),
-    "trackers.skin.skin_kernels.at_points": ("u1:3 u1:2 f8:2", "likelihood=skin"),
     "trackers.appearance.appearance_kernels.mapped": ("f8:2 f4:2 f4:1", "velocity"),
-    "trackers.appearance.appearance_kernels.greys": ("f4:1", _LOOKS),
-    "trackers.points.point_kernels.extent": ("f8:3 f8", f"{_COLOURS} likelihood=skin"),
 }
 _SECOND = """import json, os, stat, sys; from threading import Thread  # its input ends with the process that began it
 if stat.S_ISFIFO(os.fstat(0).st_mode): Thread(target=lambda: os._exit(len(os.read(0, 1))), daemon=True).start()

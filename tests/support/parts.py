@@ -51,7 +51,7 @@ def histogram(size, **settings):
 
 
 def correlation(size, distance="l2", **settings):
-    plain = {"sigma": 100.0, "saturation": 20.0}
+    plain = {"sigma": 100.0, "saturation": None if distance == "l2" else 20.0}
     return Correlation(section(CorrelationSettings, distance=distance, **{**plain, **settings}), size)
 
 
@@ -82,7 +82,7 @@ def appearance(patches, alpha=0.03, **settings):
 
 
 def recognition(gallery, model, **settings):
-    return Recognition(section(RecognitionSettings, **settings), model, gallery)
+    return Recognition(model.settings, model.patches, section(RecognitionSettings, **settings), gallery)
 
 
 def affine_walk(sigma, deform, shear=None, scale=(0.2, 5.0), turn=None):

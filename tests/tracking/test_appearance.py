@@ -1,6 +1,5 @@
 """The adaptive appearance model W, S, F: its densities, what it learns, and where its peak lies."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -130,30 +129,16 @@ def test_learning_is_blind_to_what_is_not_seen():
 
 
 @pytest.mark.parametrize(
-    ("place", "picture", "words"),
+    ("place", "picture"),
     [
-        ((-15, 60), smooth(1), "frame 0: more than half of the box lies outside the image"),
-        ((900, 60), smooth(1), "frame 0: more than half of the box lies outside the image"),
-        ((80, 60), np.full((120, 160), 99), "frame 0: the face's box is of one grey level throughout"),
+        ((-15, 60), smooth(1)), ((900, 60), smooth(1)), ((80, 60), np.full((120, 160), 99)),
     ],
-)
-def test_nothing_to_see_at_the_start_is_one_clear_line(place, picture, words):
-    with pytest.raises(InputError) as refused:
+)  # fmt: skip
+def test_nothing_to_see_at_the_start_is_one_clear_line(place, picture):
+    with pytest.raises(
+        InputError, match=r"^frame 0: the face's box is of one grey level, or more than half .* outside"
+    ):
         MODEL.init(frame(picture), state(*place))
-    assert re.fullmatch(f"{words}.*or begin elsewhere with --init-frame", str(refused.value))
-
-
-def test_a_component_that_is_left_out_needs_no_sigma():
-    f, x = frame(smooth(15)), states((80, 60), (82, 61))
-    for mixing in ((0, 0, 2), (0, 1, 0), (1, 0, 1)):
-        with_ = changed(MODEL, mixing=components(*mixing))
-        sigma = components(*(s if m else 0.0 for s, m in zip(SIGMA.each, mixing, strict=True)))
-        without = changed(with_, sigma=sigma)
-        a, b = (model.learn(model.init(f, TRUTH), f, TRUTH) for model in (with_, without))
-        np.testing.assert_array_equal(with_.score(a, f, x), without.score(b, f, x))
-        y = PATCHES.read(f, x, 1)
-        assert with_.error(a, y) == pytest.approx(without.error(b, y), rel=1e-6)
-        assert np.isfinite(with_.score(a, f, x)).all()
 
 
 def test_the_pictures_of_s_and_w_are_grey_levels_around_the_middle():

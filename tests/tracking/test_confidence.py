@@ -287,16 +287,6 @@ def test_a_calibration_changes_confidence_and_spread_alone(file, recipe, clip):
     np.testing.assert_allclose(found.confidence[boxes], BOX({"confidence": raw.confidence[boxes]}))
 
 
-def test_each_cloud_has_its_own(file):
-    path, key = FOLDER / "signing.mp4", "targets.left_hand.confidence.calibration"
-    few = {f"targets.{name}.filter.particles": 200 for name in ("head", "left_hand", "right_hand")}
-    raw, found = (
-        track_video(path, load_recipe("head_hands_cloud", {**few, **more}), stop=6) for more in ({}, {key: str(file)})
-    )
-    changed = {raw.names[i][0] for i in raw.which[raw.confidence != found.confidence]}
-    assert changed == {"left_hand"} and found.x.tobytes() == raw.x.tobytes()
-
-
 def test_a_file_stands_beside_its_recipe_or_is_refused(file, tmp_path):
     text = (Path(__file__).parents[2] / "configs" / "sir.yaml").read_text(encoding="utf-8")
     (tmp_path / "mine.yaml").write_text(f"{text}confidence: {{calibration: both.json}}\n", encoding="utf-8")

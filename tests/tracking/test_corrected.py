@@ -18,16 +18,12 @@ from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.save import save
 from facetrack_cli.engine.corrected import CorrectedTarget, is_complete
 from facetrack_cli.engine.loop import track
-from facetrack_cli.engine.spaces import BoxSpace, Estimate, PointSpace
 from facetrack_cli.engine.target import Bound
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
-from facetrack_cli.trackers.appearance.affine import AffineSpace
-from facetrack_cli.trackers.skin.cloud import CloudSpace
 from facetrack_cli.trajectory.reader import CORRECTED
-from facetrack_cli.trajectory.trajectory import joined
 from facetrack_cli.trajectory.writers import csv_frames
 from tests.support.results import parts_of
 from tests.support.samples import FOLDER, TrackClip
@@ -215,22 +211,6 @@ def test_a_part_of_a_run_tracked_anew_is_what_the_whole_run_has(config, learn, h
 # --- random numbers ------------------------------------------------------------------------------------------------
 
 
-def test_only_the_corrected_target_changes_and_it_keeps_its_own_numbers():
-    two = Start(0, dict.fromkeys(("anna", "ben"), FACE.start.targets["face"]), "two.yaml")
-    last = given(12, "ben", points=FACE.points(12))
-    plain, put = (run("factorized", FACE, *said, start=two, stop=16) for said in ((), (last,)))
-
-    def of(results, target):
-        return ["".join(csv_frames(joined(result.rows.of_target(target)))) for result in results]
-
-    assert of(put, "anna") == of(plain, "anna")
-    assert of(put, "ben")[:12] == of(plain, "ben")[:12]
-    assert all(a != b for a, b in zip(of(put, "ben")[12:], of(plain, "ben")[12:], strict=True))
-    anna, ben = build_tracker(load_recipe("factorized"), replace(two, corrections=(last,)))
-    again = list(track((anna, replace(ben, first=FACE.frames[0])), iter(FACE.frames[12:16]), 0))
-    assert of(again, "ben") == of(put, "ben")[12:]
-
-
 def test_no_correction_draws_the_numbers_of_another_correction_or_target():
     """On an image that stands still, where whoever draws the same goes the same way."""
     start, at = Start(0, dict.fromkeys(("anna", "ben"), FACE.start.targets["face"]), "two.yaml"), FACE.points(0)
@@ -278,17 +258,6 @@ def test_a_target_may_be_gone_and_come_back(head):
     assert target.footprint(state, ahead=False) is None, "it covers nothing"
 
 
-@pytest.mark.parametrize("box", [(10.0, 20.0, 60.0, 80.0), (0.5, -3.0, 15.0, 20.0)])
-def test_spaces_place_a_box_and_give_its_centre_and_size_again(box):
-    for space in (BoxSpace((30.0, 40.0)), AffineSpace((30.0, 40.0)), CloudSpace()):
-        state = space.at(box)
-        np.testing.assert_allclose(state[0, :2], (box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2))
-        if not isinstance(space, CloudSpace):
-            np.testing.assert_allclose(space.windows(Estimate(state, np.zeros((1, 2, 2)))), [box[2:]])
-    with pytest.raises(TypeError, match="points"):
-        PointSpace(np.ones((1, 2))).at(box)
-
-
 def test_a_part_that_is_kept_where_it_is_not_is_lost_at_once():
     said = given(20, points=FACE.points(20, ("mouth_left",)), kept={"nose": (40.0, 40.0)})
     put = run("factorized", FACE, said, stop=21)
@@ -317,13 +286,6 @@ def test_a_box_beside_points_says_nothing_of_the_others(box):
     assert is_complete(given(15, box=box), PARTS) and is_complete(given(15, box=box, points=NOSE), ("box",))
     both, points = (run("factorized", FACE, given(9, points=NOSE, **more), stop=12) for more in ({"box": box}, {}))
     assert lines(both) == lines(points)
-
-
-def test_a_single_point_is_learned_anew_by_the_length_of_the_first_frame(box):
-    start = Start(0, {"face": TargetStart(box=box, points=FACE.points(0, ("nose",)))}, "one.yaml")
-    again, alone = given(10, points=FACE.points(10, ("nose",)), learn=True), ("target.parts=[nose]",)
-    put = run("sir", FACE, again, start=start, overrides=alone, stop=26)
-    assert np.hypot(*np.subtract((part(put[25], "nose").x, part(put[25], "nose").y), FACE.point(25, "nose"))) < 4
 
 
 def test_a_box_cannot_place_parts_that_no_cascade_knows(box):

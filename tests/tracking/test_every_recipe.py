@@ -1,21 +1,18 @@
 """Every shipped recipe on sample clips: seeds, frames that show nothing, accuracy, and what it asks of a start."""
 
 import itertools
-import re
-import shutil
 
 import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError, RecipeError
-from facetrack_cli.core.models import shipped_folder, shipped_recipes
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trackers import opencv
-from facetrack_cli.trackers.points.shape_prior import default_prior_path
 from facetrack_cli.trajectory.writers import csv_frames
 from tests.support.results import parts_of
 from tests.support.samples import FOLDER, TrackClip
@@ -73,10 +70,6 @@ def test_flat_frames_are_survived_and_everything_is_lost(name, level, clip):
         assert (one.std_x[np.isfinite(one.std_x)] >= 0).all()
     if not isinstance(load_recipe(name), OpenCvRecipe):  # these hardly ever say so
         assert {*rows[-1].status[~rows[-1].vanished]} == {"lost"}
-
-
-def test_no_frames_give_no_rows(clip):
-    assert rows_of("factorized", clip, []) == []
 
 
 # --- points, judged by ground truth
@@ -168,16 +161,6 @@ def test_lengths_scale_with_the_target_and_windows_of_the_init_file_win():
         load_recipe("factorized", ["motion.sigma=3px"]), Start(0, {"face": TargetStart(points=large)}, "x")
     )
     np.testing.assert_allclose(c.motion.sigma, 3.0)
-
-
-def test_a_prior_of_the_command_line_is_sought_there_whatever_else_has_its_name(expressions, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "elsewhere").mkdir()
-    recipe = tmp_path / "elsewhere" / "mine.yaml"
-    text = (shipped_folder() / "factorized.yaml").read_text()
-    recipe.write_text(re.sub("(?m)^description: .*", "description: own.npz", text))
-    shutil.copy(default_prior_path(), tmp_path / "own.npz")
-    assert build_tracker(load_recipe(recipe, ["prior.file=own.npz"]), expressions.start)
 
 
 def test_a_start_that_lacks_what_a_recipe_follows_and_a_prior_for_other_parts_are_refused():

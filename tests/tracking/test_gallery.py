@@ -14,6 +14,7 @@ from facetrack_cli.engine.resampling import normalise
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import check_gallery
 from facetrack_cli.trackers.appearance.affine import Patches
+from facetrack_cli.trackers.appearance.appearance import Appearance
 from facetrack_cli.trackers.appearance.gallery import NONE, Subspace, logistic, name_problem
 from facetrack_cli.trackers.appearance.gallery_fit import (
     MIN_RHO,
@@ -105,17 +106,6 @@ def test_rho_is_the_mean_of_d_less_s_eigenvalues_as_printed():
     assert alike.rho == MIN_RHO
 
 
-def test_rho_of_few_pictures_is_what_new_ones_leave_over():
-    rng = np.random.default_rng(2)
-    clips = rng.normal(size=(6, 200))
-    x = np.repeat(clips, 5, axis=0) + 0.1 * rng.normal(size=(30, 200))  # six clips, of five frames that are much alike
-    new = rng.normal(size=(500, 200))
-    held, printed = (fit_subspace(x, folds, np.eye(200)).whole for folds in (folds_by(np.arange(30) // 5), ()))
-    assert held.rho == pytest.approx(1.0, rel=0.25)
-    assert printed.rho < 0.2
-    assert held.log_density(new).mean() > printed.log_density(new).mean() + 100
-
-
 def test_a_basis_changes_nothing_and_what_was_held_out_was_not_seen():
     rng = np.random.default_rng(3)
     x, y = rng.normal(size=(15, 40)) * np.linspace(3, 0.1, 40), rng.normal(size=(4, 40))
@@ -127,22 +117,6 @@ def test_a_basis_changes_nothing_and_what_was_held_out_was_not_seen():
         alone = fit_subspace(x[~fold], (), np.eye(40)).whole
         np.testing.assert_allclose(np.abs(space.vectors @ alone.vectors.T), np.eye(len(space.values)), atol=1e-5)
         np.testing.assert_allclose(space.mean, alone.mean)
-
-
-@pytest.mark.parametrize(("n", "d", "most"), [(9, 30, 12), (40, 12, 12), (30, 40, 7), (40, 30, 7)])
-def test_a_basis_has_the_largest_directions(monkeypatch, n, d, most):
-    x = np.random.default_rng(n).normal(size=(n, d)) * np.linspace(3, 0.1, d)
-    basis = common_basis(x, most)
-    if d <= most:
-        np.testing.assert_array_equal(basis, np.eye(d))
-        return
-    rank = min(n, most)
-    largest = np.linalg.svd(x, full_matrices=False)[2][:rank]
-    np.testing.assert_allclose(np.abs(basis @ largest.T), np.eye(rank), atol=1e-6)
-    monkeypatch.setattr("facetrack_cli.trackers.appearance.gallery_fit.MAX_ROWS", 20)
-    some = common_basis(x, most)  # of evenly spread rows
-    assert some.shape == basis.shape
-    np.testing.assert_allclose(some @ some.T, np.eye(len(some)), atol=1e-9)
 
 
 # --- what spaces are learned from ----------------------------------------------------------------------------------
@@ -192,19 +166,6 @@ def test_copies_are_compared_with_other_pictures_or_with_their_own():
 
 
 # --- calibration ---------------------------------------------------------------------------------------------------
-
-
-@given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e5), st.floats(-8.0, 8.0), st.integers(0, 99))
-def test_calibration_grows_with_the_score(centre, unit, gap, seed):
-    rng = np.random.default_rng(seed)
-    slope, offset = fit_logistic(centre + unit * (gap + rng.normal(size=30)), centre + unit * rng.normal(size=50))
-    at = centre + unit * np.linspace(-20, 20, 50)
-    p = logistic(at, slope, offset)
-    assert slope >= 0 and np.isfinite(offset)
-    assert (np.diff(p) >= 0).all() and ((p >= 0) & (p <= 1)).all()
-    if gap > 2:
-        assert logistic(np.array(centre + unit * gap), slope, offset) > 0.75
-        assert logistic(np.array(centre), slope, offset) < 0.25
 
 
 def test_calibration_and_threshold_of_known_distributions():
@@ -317,8 +278,8 @@ def test_weights_and_posterior_agree_with_figure_1(half, seed, none, switch, sha
     learned = dataclasses.replace(model.init(first, X0), log_beta=np.log(beta))
     after, particles = step(model, learned, frame, rng, spread=2.0)
 
-    y = model.appearance.patches.read(frame, particles.x, 1)
-    log_a = model.appearance.score(learned.appearance, frame, particles.x)[:, 0]
+    y = model.patches.read(frame, particles.x, 1)
+    log_a = Appearance.score(model, learned, frame, particles.x)[:, 0]
     p_f, log_n = half.log_scores(y, none=none, sharpness=sharpness)
     weights, posterior = naive.figure_1(
         beta.tolist(), np.exp(log_a - log_a.max()).tolist(), p_f.tolist(), np.exp(log_n).tolist(), switch
@@ -354,20 +315,6 @@ def test_a_stranger_is_nobody_only_where_that_is_asked_for():
     for patches, least, most in ((stranger, 0.9, 1.0), (x[[5, 6, 7] * 3], 0.0, 0.1)):
         assert least <= watch(recognition(gallery, none=True), patches)[1][-1][0][NONE] <= most
     assert NONE not in watch(recognition(gallery), stranger)[1][-1][0]
-
-
-def test_a_posterior_that_is_0_comes_back_by_a_switch_alone(half):
-    rng = np.random.default_rng(0)
-    for switch in (0.0, 0.05):
-        model = recognition(half, switch=switch)
-        learned = model.init(picture(SHOWN[55]), X0)
-        learned = dataclasses.replace(learned, log_beta=np.array([0.0] + [-np.inf] * 5))
-        for t in range(1, 9):
-            learned, particles = step(model, learned, picture(SHOWN[55 + t % 5], t), rng)
-            assert np.isfinite(particles.log_w).all()
-            said, entropy = model.diagnose(learned).values()
-            assert not np.isnan(learned.log_beta).any() and np.isfinite(entropy)
-        assert (said[SHOWN_NAMES[55]] > 0.9) == (switch > 0)
 
 
 @pytest.mark.parametrize("none", [False, True])

@@ -173,7 +173,7 @@ def test_nothing_is_compiled_that_the_settings_do_not_call_nor_after_a_stop(comp
 
 def test_the_second_process_leaves_kernels_for_the_first_and_ends_with_it(tmp_path):
     names, second = (
-        [f"trackers.regions.region_kernels.{one}" for one in ("crop_boxes", "box_edges")],
+        [f"trackers.skin.skin_kernels.{one}" for one in ("bilinear", "box_sums")],
         precompile._SECOND,
     )
     order = json.dumps([sys.path, names[:1]])

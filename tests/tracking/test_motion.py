@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.engine.motion import FirstOrder, RandomWalk
 from facetrack_cli.trackers.appearance.affine import AffineWalk
 from facetrack_cli.trackers.appearance.settings import AffineWalkSettings
@@ -88,11 +87,6 @@ def test_density_of_fewer_sources_than_numbers_is_that_on_their_line():
     assert ratio[0, 0, 0] == pytest.approx((2.0**2 - 0.2**2) / 2)
 
 
-def test_size_of_points_is_the_largest_distance():
-    assert size_of_points(np.array([[0.0, 0.0], [3.0, 4.0], [1.0, 1.0]])) == pytest.approx(5.0)
-    assert size_of_points(np.array([[2.0, 2.0]])) == 0.0
-
-
 # --- a walk that jumps ----------------------------------------------------------------------------------------------
 
 REST = np.array([[2.0, -1.0], [0.0, 0.0], [1.0, 1.0]])
@@ -128,23 +122,6 @@ def stacked(measured):
     if not measured:
         return SensorReading(np.empty((0, 3, 2)), np.empty((0, 3)), np.empty((0, 3)), MEASURED.area)
     return SensorReading(*map(np.stack, zip(*(each[:3] for each in measured), strict=True)), MEASURED.area)
-
-
-def test_jumping_draws_are_the_mixture_that_is_stated():
-    x = PARENT[None].repeat(60_000, axis=0)
-    moved = JUMPS.propagate(np.random.default_rng(0), x)
-    mean = REST + 0.9 * (PARENT - REST)
-    np.testing.assert_allclose(JUMPS.expect(x[:1])[0], mean)
-    np.testing.assert_allclose(moved.mean(axis=0), mean, atol=0.06)
-    var = 0.7 * JUMPS.sigma**2 + 0.3 * JUMPS.jump**2
-    np.testing.assert_allclose(moved.var(axis=0), var[:, None].repeat(2, axis=1), rtol=0.05)
-    # a part jumps in both coordinates at once: within 1.5 sigma of the mean are both kinds by their shares
-    far = ((moved - mean) ** 2).sum(axis=2) > (1.5 * JUMPS.sigma) ** 2
-    shares = 0.7 * np.exp(-0.5 * 1.5**2) + 0.3 * np.exp(-0.5 * (1.5 * JUMPS.sigma / JUMPS.jump) ** 2)
-    np.testing.assert_allclose(far.mean(axis=0), shares, atol=0.01)
-    steps = moved - mean
-    assert np.abs(np.corrcoef(far.T) - np.eye(3)).max() < 0.02
-    assert np.abs(np.corrcoef(steps.reshape(-1, 6).T) - np.eye(6)).max() < 0.02
 
 
 def test_the_density_of_a_jump_is_the_formula_and_integrates_to_one():

@@ -178,21 +178,6 @@ def test_proposals_are_drawn_from_the_conditional(part):
     np.testing.assert_allclose(drawn.mean(0), (places * mass[:, None]).sum(0) / mass.sum(), atol=0.05)
 
 
-def test_each_particle_is_proposed_for_by_its_own_other_parts():
-    # two particles, one at each of two shapes: the hidden lip goes where the particle's own shape says
-    moved = np.zeros((2, 5, 2))
-    moved[1, 1:3, 1] = -0.3
-    moved[1, 4] = 0.2, 0.6
-    bound = BoundPrior(ShapePrior(PARTS, moved, "nose", SCALE), PARTS, FACE, 0.02)
-    x = FACE + bound.length * moved
-    drawn = bound.propose(np.random.default_rng(0), np.repeat(x, 2000, 0), 4).reshape(2, 2000, 2)
-    np.testing.assert_allclose(drawn.mean(1), x[:, 4], atol=0.1)
-    np.testing.assert_allclose(drawn.std(1), 0.02 * bound.length, rtol=0.1)
-    nose = bound.propose(np.random.default_rng(0), np.repeat(x, 2000, 0), NOSE).reshape(2, 2000, 2)
-    np.testing.assert_allclose(nose.mean(1), x[:, NOSE], atol=0.1)
-    np.testing.assert_allclose(nose.std(1), 0.02 * bound.length / 2, rtol=0.1)  # four parts vote
-
-
 # --- binding, files ----------------------------------------------------------------------------------------------
 
 

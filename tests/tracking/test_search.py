@@ -122,11 +122,6 @@ def test_points_are_means_in_the_box_of_what_looks_as_in_the_first_frame(at, exp
         assert ((u - x) / w, (v - y) / h) == pytest.approx(expected(part), abs=5e-4), "and it is rounded to 0.01 pixels"
 
 
-def test_a_recipe_of_boxes_has_a_start_without_points():
-    start = search_start(noise(12), (), detector=Fake(lambda t: [(60, 40, 40)]))
-    assert start.targets["face"].box == (60, 40, 40, 40) and start.targets["face"].points == {}
-
-
 def test_a_face_without_eyes_and_mouth_is_none():
     grey = [Frame(i, 0.0, np.full((120, 200, 3), 40 + i, np.uint8)) for i in range(20)]
     with pytest.raises(InputError, match=r"no face found in frames 0 to 19 \(something 40 pixels wide, found in 20"):
@@ -166,17 +161,6 @@ def test_of_images_that_are_all_kept_the_first_alone_are_searched():
     with pytest.raises(InputError, match="no face found in frames 0 to 249"):
         search_start(frames(), detector=Fake(lambda t: [(60, 30, 40)] * (t > 300)), whole=False)
     assert len(pulled) == SEARCHED_FRAMES
-
-
-def test_what_is_seen_once_late_is_no_face():
-    frames = (Frame(i, i / 25, one.bgr) for i, one in enumerate(noise(20) * 30))
-    with pytest.raises(InputError, match="no face found in frames 0 to 599; give its box"):
-        search_start(
-            frames, detector=Fake(lambda t: [(60, 30, 40)] * (t % 40 == 0 and t > SEARCHED_FRAMES)), clip="a.mp4"
-        )
-    short = (Frame(i, i / 25, one.bgr) for i, one in enumerate(noise(20) * 13))
-    with pytest.raises(InputError, match="no face found"):  # the last frame alone shows something
-        search_start(short, detector=Fake(lambda t: [(60, 30, 40)] * (t == 259)))
 
 
 # --- faces that lie, are small, or cut off ------------------------------------------------------------------------
@@ -226,19 +210,6 @@ def test_a_track_begins_where_nothing_covers_the_face():
         frame.bgr[115:] = 128  # a board before nose and mouth
     start = search_start(frames, detector=Fake(lambda t: [(110, 70, 100)]))
     assert start.frame == 4 and off(start.targets["face"].points, POSE) < 0.25
-
-
-def test_an_upright_face_is_looked_at_once():
-    looks = []
-
-    class Counted(Haar):
-        def find(self, frame):
-            looks.append(frame.size)
-            return super().find(frame)
-
-    start = search_start(moving.clip([POSE] * 4), detector=Counted())
-    assert start.targets["face"].points and "turned" not in start.note
-    assert looks == [moving.SIZE] * 4
 
 
 def test_a_box_around_a_face_that_lies_places_its_points_as_it_lies():

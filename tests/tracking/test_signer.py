@@ -329,13 +329,6 @@ def test_a_camera_that_sets_its_light_anew_shows_no_hand(light):
     assert seen.evidence[80, 80] > 0.8
 
 
-def test_the_light_is_told_only_where_pixels_agree():
-    first = drawn(0).bgr
-    other = np.ascontiguousarray(first[::-1, ::-1])
-    assert evidence._as_lit(first, other) is other
-    assert evidence._as_lit(first, np.zeros_like(first)).max() == 0
-
-
 def test_a_head_that_is_restless_without_hands_needs_more_to_be_covered():
     """Each frame its light comes from elsewhere: that is no hand, and a hand is still seen."""
 

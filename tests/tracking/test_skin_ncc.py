@@ -145,14 +145,6 @@ def test_what_the_start_lacks_is_told():
     assert learned(flat, skin=None, ncc=pattern("remove"))[1].k == 0
 
 
-def test_sums_of_a_picture_that_is_skin_throughout_are_exact():
-    """More than an int32 holds, of 8.4 million pixels and above."""
-    bgr = np.full((3000, 3100, 3), (120, 150, 205), np.uint8)
-    likelihood, known = learned(bgr, (1500.0, 1450.0), ncc=None)
-    rho = likelihood.rho(known, frame(bgr), states([(60, 60), (3040, 2940)]))
-    np.testing.assert_allclose(rho, 0, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("cost", "mean", "second", "holds"),
     [
@@ -195,16 +187,11 @@ def test_kernels_do_what_their_twins_do(picture, template, boxes):
     values = rng.integers(0, 256, picture[:2], dtype=np.uint8)
     weights = rng.normal(0, 30, template).astype(np.float32)
     th, tw = template
-    found = kernel.moments_direct(values, weights, np.array(boxes))
-    integrals = cv2.integral2(values, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
-    level, square = kernel.means(*integrals, np.array(boxes), th, tw).T
+    found = kernel.moments_direct(values, weights, np.array(boxes).T.copy())
     for n, (u, v, s) in enumerate(boxes):
-        assert found[n, 0] * th * tw == pytest.approx(naive.cross(values, weights, u, v, s), rel=1e-4, abs=0.5)
+        assert found[0, n] * th * tw == pytest.approx(naive.cross(values, weights, u, v, s), rel=1e-4, abs=0.5)
         there = naive.patch(values, u, v, s, th, tw)
-        assert found[n, 1] == pytest.approx(np.var(there), rel=1e-4, abs=0.05)
-        edges, area = (u - s / 2, v - s / 2, u + s * (tw - 0.5), v + s * (th - 0.5)), s * s * th * tw
-        assert level[n] == pytest.approx(naive.area_sum(values, *edges) / area, abs=1e-6)
-        assert square[n] == pytest.approx(naive.area_sum(values, *edges, power=2) / area, abs=1e-4)
+        assert found[1, n] == pytest.approx(np.var(there), rel=1e-4, abs=0.05)
         np.testing.assert_allclose(kernel.read_patch(values, u, v, s, th, tw), there, atol=1e-3)
 
 
@@ -213,38 +200,29 @@ def test_kernels_do_what_their_twins_do(picture, template, boxes):
         st.tuples(st.floats(-90, 150), st.floats(-90, 150), st.sampled_from([1.0, 1.0, 0.5, 3.0, 0.01, -1.0, np.nan])),
         min_size=1, max_size=5,
     ),
-    factor=st.sampled_from([1, 2, 4]),
-    offset=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)),
-    template=st.tuples(st.integers(2, 9), st.integers(2, 9)),
-    picture=st.tuples(st.integers(1, 60), st.integers(1, 60)),
+    size=st.tuples(st.floats(4, 36), st.floats(4, 36)),
+    picture=st.tuples(st.integers(20, 60), st.integers(20, 60)),
+    most=st.sampled_from([8, None]),
 )  # fmt: skip
-@example(boxes=[(9.75, 3.0, 1.0)], factor=1, offset=(0.5, 0.0), template=(2, 2), picture=(8, 10))
-def test_what_boxes_see_is_in_the_area(boxes, factor, offset, template, picture):
-    (th, tw), (height, width) = template, picture
-    found, seen, low, high, area, same = kernel.place(states(boxes), factor, offset, th, tw, width, height)
-    x0, y0, x1, y1 = area.tolist()
-    assert 0 <= x0 < x1 <= width
-    assert 0 <= y0 < y1 <= height
-    there = np.zeros((height, width))
-    there[y0:y1, x0:x1] = 1.0
-    everything = np.ones((height, width))
+@example(boxes=[(9.75, 3.0, 1.0)], size=(4.0, 4.0), picture=(20, 20), most=None)
+def test_ncc_with_means_is_that_of_area_means_wherever_boxes_lie(boxes, size, picture, most):
+    values = grey(np.random.default_rng(1).integers(0, 256, picture))
+    template = matching.learn_template(values, size, states((picture[1] / 2, picture[0] / 2))[0], most)
+    found = matching.correlate(template, values, states(boxes))[0]
+    factor, (th, tw) = template.factor, template.first.shape
+    height, width = (side // factor for side in picture)
+    seen = values.grey(factor, (0, 0, picture[1] - 1, picture[0] - 1))[0][:height, :width]
+    level = float(np.sum(template.first.astype(float) ** 2))
     for n, (cx, cy, s) in enumerate(boxes):
-        if not s * min(th, tw) >= 1:
-            assert not seen[n]
-            continue
-        u = (cx - (factor - 1) / 2) / factor + s * (offset[0] - (tw - 1) / 2)
-        v = (cy - (factor - 1) / 2) / factor + s * (offset[1] - (th - 1) / 2)
-        edges = u - s / 2, v - s / 2, u + s * (tw - 0.5), v + s * (th - 0.5)
-        if not seen[n]:
-            assert naive.area_sum(everything, *edges) == pytest.approx(0, abs=1e-9)
-            continue
-        np.testing.assert_allclose(found[n], (u, v, s), atol=1e-9)
-        assert low[0] - 1e-9 <= u <= high[0] + 1e-9
-        assert low[1] - 1e-9 <= v <= high[1] + 1e-9
-        # all of the image under the box, and all that its points are read from
-        assert naive.area_sum(there, *edges) == pytest.approx(naive.area_sum(everything, *edges))
-        np.testing.assert_allclose(naive.patch(there, u, v, s, th, tw), naive.patch(everything, u, v, s, th, tw))
-    assert same == all(boxes[n][2] == 1.0 for n in np.flatnonzero(seen))
+        u = (cx - (factor - 1) / 2) / factor + s * (template.offset[0] - (tw - 1) / 2)
+        v = (cy - (factor - 1) / 2) / factor + s * (template.offset[1] - (th - 1) / 2)
+        square = naive.area_sum(seen, u - s / 2, v - s / 2, u + s * (tw - 0.5), v + s * (th - 0.5), power=2)
+        if s * min(th, tw) >= 1 and square > 0:
+            cross = naive.cross(seen, template.first, u, v, s)
+            expected = min(cross / np.sqrt(level * square / (s * s)), 1.0)
+            assert found[n] == pytest.approx(expected, abs=1e-3)
+        else:
+            assert found[n] == 0
 
 
 @pytest.mark.parametrize("dense", [False, True])

@@ -344,16 +344,6 @@ def test_a_face_may_be_absent_for_a_while(absent):
         assert np.nanmax(np.abs(after.x - before.x)) < 8
 
 
-def test_an_affine_box_may_be_absent_for_a_while():
-    box = TargetStart(box=CLIP.start.targets["face"].box)
-    gone, back = Correction(3, "face", TargetStart(), absent=True), Correction(5, "face", box)
-    results = results_of("adaptive", 7, [gone, back])
-    before = rows_of(results)
-    after = smoothed_rows(before, beliefs_of(results))
-    np.testing.assert_array_equal(np.isnan(after.w), np.isnan(before.w))
-    assert after.diagnostics["face"].frame.tolist() == [0, 1, 2, 5, 6]
-
-
 def test_what_has_no_beliefs_stays():
     results = results_of("mil", 3)
     before = rows_of(results)

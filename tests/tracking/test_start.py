@@ -99,14 +99,6 @@ def test_finds_the_face_however_it_is_shown(face, change):
     check_start(start, (image.shape[1], image.shape[0]), PARTS)
 
 
-def test_prefers_a_later_frame_to_a_face_in_the_dark(face):
-    frame, _ = face
-    dark = (frame.bgr * 0.35).astype(np.uint8)
-    frames = [Frame(0, 0, dark), Frame(1, 0.04, frame.bgr)]
-    assert search_start(frames).frame == 1
-    assert search_start(frames[:1]).frame == 0
-
-
 def test_nobody_there():
     frames = [Frame(index, 0, NOBODY) for index in range(10, 12)]
     with pytest.raises(InputError, match=r"^a\.mp4: no face found in frames 10 to 11; .*--box.*--init"):

@@ -31,22 +31,15 @@ def rho(u, robust, scale):
     a = abs(u)
     if robust == "l1":
         return a
-    if robust == "huber":
-        return u * u / (2 * scale) if a <= scale else a - scale / 2
-    if robust == "tukey":
-        return scale * (1 - (1 - (u / scale) ** 2) ** 3) if a <= scale else scale
-    if robust == "geman_mcclure":
-        return scale * u * u / (scale * scale + u * u)
-    raise ValueError(robust)
+    return scale * u * u / (scale * scale + u * u)
 
 
-def colour_ratio_distance(image, template, x, y, robust="l1", scale=0.2, least_mean=1.0, norm="channel"):
-    """Eq. 8 and 9: `template` (h, w, 3) as seen, not divided by its mean; `norm` as in the recipe."""
+def colour_ratio_distance(image, template, x, y, robust="l1", scale=0.2, least_mean=1.0):
+    """Eq. 8 and 9: `template` (h, w, 3) as seen, not divided by its mean."""
     h, w = template.shape[:2]
     q = window(image, x, y, w, h)
     c = template / max(template.mean(), least_mean) - q / max(q.mean(), least_mean)
-    pixels = [[rho(v, robust, scale) for v in colour] for colour in c.reshape(-1, 3)]
-    return float(np.mean([sum(each) / (3 if norm == "channel" else 1) for each in pixels]))
+    return float(np.mean([rho(v, robust, scale) for v in c.ravel()]))
 
 
 def registered(x, parts, first, stable, width):

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numba.core import caching
 from numba.core.runtime.nrt import rtsys
+from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import warn
 from facetrack_cli.engine.kernels.cache import compiling
@@ -131,12 +132,6 @@ def read_at(values, x, y):
     )
 
 
-@part
-def box_sum(sums, x0, y0, x1, y1):
-    """The sum over a box by an integral image (H + 1, W + 1): pixel edges are whole numbers, parts count by area."""
-    return read_at(sums, x1, y1) + read_at(sums, x0, y0) - read_at(sums, x1, y0) - read_at(sums, x0, y1)
-
-
 @exact
 def invert_cdf(weights, points, out):
     """Indices `out` (M, K) by weights (N, K) and points (M, K), as `engine.resampling` says."""
@@ -155,20 +150,16 @@ def invert_cdf(weights, points, out):
             out[j, k] = i
 
 
-@exact
-def boxes_extent(x, w, h, width, height):
+def boxes_extent(
+    x: NDArray[np.float64], w: float, h: float, width: int, height: int
+) -> tuple[float, float, float, float]:
     """(x from, y from, x to, y to) of boxes (w, h), centred, at x, within the image.
 
     x (N, 3) = (cx, cy, s), or (N, 6) = (cx, cy, a1, a2, a3, a4), deformed by [[a1, a2], [a3, a4]].
     """
-    x0, y0, x1, y1 = width - 1.0, height - 1.0, 0.0, 0.0
-    for n in range(x.shape[0]):
-        b1, b2, b3, b4 = x[n, 2], 0.0, 0.0, x[n, 2]
-        if x.shape[1] == 6:
-            b2, b3, b4 = x[n, 3], x[n, 4], x[n, 5]
-        u, v = 0.5 * (w * abs(b1) + h * abs(b2)), 0.5 * (w * abs(b3) + h * abs(b4))
-        left, top, right, bottom = x[n, 0] - u, x[n, 1] - v, x[n, 0] + u, x[n, 1] + v
-        # comparisons leave out nan
-        x0, y0 = left if left < x0 else x0, top if top < y0 else y0
-        x1, y1 = right if right > x1 else x1, bottom if bottom > y1 else y1
-    return max(x0, 0.0), max(y0, 0.0), min(x1, width - 1.0), min(y1, height - 1.0)
+    of = np.abs(x[:, 2:] if x.shape[1] == 6 else x[:, 2:3] * (1.0, 0.0, 0.0, 1.0))
+    half = 0.5 * (of[:, ::2] * w + of[:, 1::2] * h)
+    # these leave out nan, also where all are
+    (x0, y0), (x1, y1) = np.fmin.reduce(x[:, :2] - half).tolist(), np.fmax.reduce(x[:, :2] + half).tolist()
+    right, bottom = width - 1.0, height - 1.0
+    return max(0.0, min(right, x0)), max(0.0, min(bottom, y0)), min(right, max(0.0, x1)), min(bottom, max(0.0, y1))

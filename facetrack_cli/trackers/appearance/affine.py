@@ -37,12 +37,12 @@ from facetrack_cli.engine.kernels.compiled import boxes_extent
 from facetrack_cli.engine.motion import log_normal
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context, Estimate, Outline, SizedSpace, estimate
-from facetrack_cli.trackers.appearance.appearance_kernels import Rows, differences, diffuse, gain, mapped, read_patches
+from facetrack_cli.trackers.appearance.appearance_kernels import Rows, differences, gain, mapped, read_patches
 from facetrack_cli.trackers.appearance.settings import (
     AdaptiveSettings,
     AffineWalkSettings,
+    AppearanceSettings,
     NoiseSettings,
-    PatchLikelihoodSettings,
 )
 from facetrack_cli.trajectory.diagnostics import AFFINE, ERROR, NOISE, SCALE
 
@@ -115,7 +115,7 @@ class Patches:
     def of(cls, context: Context) -> Patches:
         """As the likelihood of a target reads them. Raises TypeError for a likelihood that reads none."""
         likelihood = context.settings.likelihood
-        if not isinstance(likelihood, PatchLikelihoodSettings):
+        if not isinstance(likelihood, AppearanceSettings):
             raise TypeError(f"the likelihood {likelihood.type} does not compare patches")
         columns, rows = likelihood.template
         return cls(context.placed.size, (rows, columns))
@@ -148,14 +148,6 @@ class Patches:
             patches.flags.writeable = False
             frame.remember(key, x, patches)
         return patches
-
-    def inside(self, frame: Frame, state: Array) -> float:
-        """Which share of the template's points lies within the frame at `state` (1, 6)."""
-        (w, h), (rows, cols), (width, height) = self.size, self.shape, frame.size
-        cx, cy, a1, a2, a3, a4 = state[0].tolist()
-        x, y = np.meshgrid(w * ((np.arange(cols) + 0.5) / cols - 0.5), h * ((np.arange(rows) + 0.5) / rows - 0.5))
-        u, v = cx + a1 * x + a2 * y, cy + a3 * x + a4 * y
-        return float(np.mean((u >= -0.5) & (v >= -0.5) & (u <= width - 0.5) & (v <= height - 0.5)))
 
 
 def eta(settings: NoiseSettings | None, error: float) -> float:
@@ -198,8 +190,19 @@ class AffineWalk(Motion):
     def propagate(self, rng: Generator, x: Array, shift: Array | None = None, noise: float = 1.0) -> Array:
         """x (N, 1, 6) moved by one frame: by the `shift` (1, 6), nu_t, and `noise`, r_t / r_0, times the noise."""
         moved = np.zeros((1, 6)) if shift is None else shift
-        u = rng.standard_normal(x.shape)
-        return np.asarray(diffuse(x[:, 0], u[:, 0], _AFFINE * self._sigma, moved[0], noise, *self.scale))[:, None]
+        u, spread = rng.standard_normal(x.shape), _AFFINE * self._sigma
+        step = sum(u[..., j : j + 1] * spread[:, j] for j in range(6))  # in this order, on any processor
+        return self._bounded(x + moved + noise * step)
+
+    def _bounded(self, x: Array) -> Array:
+        """x (N, 1, 6), with scales beyond the bounds brought back to them; a deformation of 0 becomes upright."""
+        least, most = self.scale
+        scale = np.asarray(scale_of(x))[..., None]
+        flat, wild = scale < 1e-12, (scale < least) | (scale > most)
+        by = np.where(flat, 1.0, np.clip(scale, least, most) / np.where(flat, 1.0, scale))
+        deformed = np.where(flat, (least, 0.0, 0.0, least), x[..., 2:])
+        x[..., 2:] = np.where(wild, deformed * by, x[..., 2:])
+        return x
 
     def expect(self, x: Array) -> Array:
         """The mean of p(x_t | x_{t-1} = x), (N, 1, 6)."""

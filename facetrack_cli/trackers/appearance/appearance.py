@@ -20,8 +20,7 @@ printed m_s sigma_s^2 + F^2 does not. Beyond the paper:
   authors' earlier tracker.
 - `outlier` is the weight of a fourth component, the L of Jepson et al. (the paper's [3]), uniform over `OUTLIER_RANGE`;
   the other three share the rest.
-- `pixels`: neighbours in a patch are not independent. log p_a is multiplied by `pixels` / d; with `independent:
-  estimated` by the share that is estimated from frame to frame (`effective_share` in engine/resampling.py).
+- `pixels`: neighbours in a patch are not independent. log p_a is multiplied by `pixels` / d.
 
 Who the face is (`Recognition`): joint weights over motion and identity (eq. 5 and figure 1).
 
@@ -39,7 +38,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -48,7 +47,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.engine.protocols import Likelihood
-from facetrack_cli.engine.resampling import averaged, effective_share, logsumexp, normalise
+from facetrack_cli.engine.resampling import logsumexp, normalise
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.recipe.model import Recipe
@@ -67,8 +66,7 @@ _NEVER = -1e30
 class Mixture:
     """a_t: weights `m`, centres `mu`, standard deviations `sigma`, (3, d) float32 each, in the order w, s, f.
 
-    `moments` (2, d) are M_1 and M_2 of S; `state` (1, 6) the estimate at which the model last learned. `share`: how
-    much of the pixels counts as independent, averaged over `frames`.
+    `moments` (2, d) are M_1 and M_2 of S; `state` (1, 6) the estimate at which the model last learned.
     """
 
     m: Rows
@@ -78,15 +76,6 @@ class Mixture:
     state: Array
     laplace: bool = False
     outlier: float = 0.0
-    share: float = 1.0
-    frames: int = 0
-
-    def log_terms(self, y: Rows) -> Array:
-        """(d,): log of the mixture in each pixel of one patch y (d,), the terms of the sum in eq. 6."""
-        rate, log = self.terms
-        off = np.abs(y - self.mu)
-        each = np.logaddexp2.reduce(log - rate * (off if self.laplace else off * off), axis=0).astype(np.float64)
-        return np.asarray(np.logaddexp(each * math.log(2.0), math.log(max(self.outlier / OUTLIER_RANGE, 1e-300))))
 
     @cached_property
     def terms(self) -> tuple[Rows, Rows]:
@@ -116,11 +105,9 @@ class Appearance(Likelihood):
         x0 = np.array(x0, np.float64)
         face = self.patches.read(frame, x0[None], self.patches.factor(x0))[0]
         if not face.any():
-            what = "the face's box is of one grey level throughout"
-            if self.patches.inside(frame, x0) < 0.5:
-                what = "more than half of the box lies outside the image"
+            what = "the face's box is of one grey level, or more than half of the box lies outside the image"
             remedy = "choose another box, or begin elsewhere with --init-frame"
-            raise InputError(f"frame {frame.index}: {what}, so that there is no face to follow: {remedy}")
+            raise InputError(f"frame {frame.index}: {what}: {remedy}")
         settings = self.settings
         mixing = np.array(settings.mixing.each) / sum(settings.mixing.each)
         # a component that is left out may come without a sigma
@@ -129,12 +116,7 @@ class Appearance(Likelihood):
         first = face.astype(np.float64)
         moments = m[1].astype(np.float64) * np.stack([first, sigmas[1] ** 2 + np.square(first)])
         centres = np.repeat(face[None], 3, axis=0)
-        mixture = Mixture(m, centres, sigma, moments, x0, settings.density == "laplace", settings.outlier or 0.0)
-        if settings.independent == "all":
-            return mixture
-        # a pixel off, which is what a tracker is at best
-        shifted = self.patches.read(frame, (x0 + np.eye(1, 6) + np.eye(1, 6, 1))[None], self.patches.factor(x0))[0]
-        return replace(mixture, share=effective_share(mixture.log_terms(shifted).reshape(self.patches.shape)))
+        return Mixture(m, centres, sigma, moments, x0, settings.density == "laplace", settings.outlier or 0.0)
 
     def score(self, learned: Mixture, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a of x (N, 1, 6) -> (N, 1), eq. 6; parents do not matter."""
@@ -143,7 +125,7 @@ class Appearance(Likelihood):
         rate, log = learned.terms
         log_p = np.asarray(kernel.log_densities(y, learned.mu, rate, log, uniform, learned.laplace))[:, None]
         pixels = self.settings.pixels
-        return log_p * learned.share if pixels is None else log_p * (pixels / y.shape[1])
+        return log_p if pixels is None else log_p * (pixels / y.shape[1])
 
     def learn(self, learned: Mixture, frame: Frame, state: Array, particles: Particles | None = None) -> Mixture:
         """The model after the patch at the estimate `state` (1, 6), eq. 7-11; particles do not matter."""
@@ -154,11 +136,7 @@ class Appearance(Likelihood):
         old, outside = (learned.m, learned.mu, learned.sigma, learned.moments), learned.outlier / OUTLIER_RANGE
         rates = settings.alpha, settings.least_sigma, settings.least_mixing
         m, mu, sigma, moments = kernel.update(y, *old, rate, log, outside, learned.laplace, *rates)
-        after = replace(learned, m=m, mu=mu, sigma=sigma, moments=moments, state=np.array(state))
-        if settings.independent == "all":
-            return after
-        share = effective_share(learned.log_terms(y).reshape(self.patches.shape))
-        return replace(after, share=averaged(learned.share, learned.frames + 1, share), frames=learned.frames + 1)
+        return replace(learned, m=m, mu=mu, sigma=sigma, moments=moments, state=np.array(state))
 
     def error(self, learned: Mixture, patches: Rows) -> Array:
         """eps_t of section 3.1.2 for patches (N, d) -> (N,): phi = 1/d sum_pixels sum_i m_i ((y - mu_i) / sigma_i)^2.
@@ -180,8 +158,8 @@ class Appearance(Likelihood):
     def insets(self, learned: Mixture) -> tuple[tuple[str, Image], ...]:
         """S and W as grey images, as in the paper's figure 3; a component of weight 0 is left out."""
         shown = [(name, i) for name, i in (("stable", 1), ("recent", 0)) if self.settings.mixing.each[i] > 0]
-        each = [(name, kernel.greys(learned.mu[i])) for name, i in shown or [("first", 2)]]
-        return tuple((name, np.asarray(grey).reshape(self.patches.shape)) for name, grey in each)
+        greys = np.clip(learned.mu * 51 + 128, 0, 255).astype(np.uint8)
+        return tuple((name, greys[i].reshape(self.patches.shape)) for name, i in shown or [("first", 2)])
 
 
 # of a box's proportions against the gallery's: up to 1.2 all of 24 runs named the right one, at 1.25 22, at 1.5 16
@@ -191,72 +169,61 @@ _NOTHING_LEFT = -1e30  # in place of log 0, when a posterior has nothing left fo
 
 
 @dataclass(frozen=True, eq=False)
-class Recognised:
+class Recognised(Mixture):
     """The appearance, log beta (N,) of the identities, with logsumexp 0, and notes on the start."""
 
-    appearance: Mixture
-    log_beta: Array
+    log_beta: Array = field(default_factory=lambda: np.zeros(0))
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class Recognition(Likelihood):
-    """An appearance that also says who it is."""
+class Recognition(Appearance):
+    """An appearance that also says who it is, of the persons in a gallery."""
 
-    settings: RecognitionSettings
-    appearance: Appearance
+    recognition: RecognitionSettings
     gallery: Gallery
     diagnostics: ClassVar = (POSTERIOR, ENTROPY)
 
     @classmethod
-    def build(cls, settings: RecognitionSettings, context: Context) -> Recognition:
+    def of(cls, settings: RecognitionSettings, context: Context) -> Recognition:
         appearance = context.settings.likelihood.build(context)
-        shape = appearance.patches.shape
-        return cls(settings, appearance, find_gallery(settings, shape, context.recipe, context.above))
+        gallery = find_gallery(settings, appearance.patches.shape, context.recipe, context.above)
+        return cls(appearance.settings, appearance.patches, settings, gallery)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """The identities: the persons, and "none" if the settings ask for it."""
-        return (*self.gallery.names, NONE) if self.settings.none else self.gallery.names
+        return (*self.gallery.names, NONE) if self.recognition.none else self.gallery.names
 
     def init(self, frame: Frame, x0: Array) -> Recognised:
         """Every identity is as likely. Raises InputError as the appearance does."""
-        n, (w, h), wanted = len(self.names), self.appearance.patches.size, self.gallery.proportion
+        n, (w, h), wanted = len(self.names), self.patches.size, self.gallery.proportion
         notes: tuple[str, ...] = ()
         if wanted is not None and not 1 / MAX_STRETCH <= w / h / wanted <= MAX_STRETCH:
             box = f"the box of {w:.0f}x{h:.0f} pixels is {w / h:.2f} times as wide as high"
             remedy = "the name may be wrong; begin with a box of their proportions"
             notes = (f"{box}, and those of the gallery are {wanted:.2f} times: {remedy}",)
-        return Recognised(self.appearance.init(frame, x0), np.full(n, -math.log(n)), notes)
+        mixture = super().init(frame, x0)
+        own = {each.name: getattr(mixture, each.name) for each in fields(mixture)}
+        return Recognised(**own, log_beta=np.full(n, -math.log(n)), notes=notes)
 
-    def score(self, learned: Recognised, frame: Frame, x: Array, parents: Array | None = None) -> Array:
+    def score(self, learned: Any, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a + log sum_l beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6) -> (N, 1)."""
         joint = self._log_joint(learned, frame, x)
-        return self.appearance.score(learned.appearance, frame, x, parents) + logsumexp(joint, axis=1)[:, None]
+        return super().score(learned, frame, x, parents) + logsumexp(joint, axis=1)[:, None]
 
-    def learn(self, learned: Recognised, frame: Frame, state: Array, particles: Particles) -> Recognised:
+    def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles | None = None) -> Any:
         """The appearance at the estimate `state` (1, 6), and the posterior by the weights of the particles."""
+        assert particles is not None
         joint = self._log_joint(learned, frame, particles.x)
         heavy = particles.log_w > particles.log_w.max() + math.log(_MIN_WEIGHT)
         joint, log_w = joint[heavy], particles.log_w[heavy]
         each = joint - logsumexp(joint, axis=1)[:, None]
         log_beta = normalise(np.maximum(logsumexp(log_w[:, None] + each, axis=0), _NOTHING_LEFT))
-        appearance = self.appearance.learn(learned.appearance, frame, state, particles)
-        return replace(learned, appearance=appearance, log_beta=log_beta)
+        after: Any = super().learn(learned, frame, state, particles)
+        return replace(after, log_beta=log_beta)
 
-    def error(self, learned: Recognised, patches: Any) -> Array:
-        return self.appearance.error(learned.appearance, patches)
-
-    def distances(self, learned: Recognised, frame: Frame, x: Array) -> Array:
-        return self.appearance.distances(learned.appearance, frame, x)
-
-    def expected(self, learned: Any) -> Any:
-        return self.appearance.expected(learned.appearance)
-
-    def insets(self, learned: Recognised) -> tuple[tuple[str, Image], ...]:
-        return self.appearance.insets(learned.appearance)
-
-    def diagnose(self, learned: Recognised) -> Mapping[str, Any]:
+    def diagnose(self, learned: Any) -> Mapping[str, Any]:
         """p(n_t | z_0:t) of each identity, and its entropy in nats: log N at the start, 0 when there is no doubt."""
         beta = np.exp(learned.log_beta)
         entropy = max(-float(beta @ learned.log_beta), 0.0)
@@ -264,8 +231,8 @@ class Recognition(Likelihood):
 
     def _log_joint(self, learned: Recognised, frame: Frame, x: Array) -> Array:
         """(N, L): log beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6)."""
-        settings, patches = self.settings, self.appearance.patches
-        factor = patches.factor(learned.appearance.state)
+        settings, patches = self.recognition, self.patches
+        factor = patches.factor(learned.state)
         # of the array x itself, since `score` and `learn` ask for the same one
         key = id(x), self.gallery, settings.none, settings.sharpness, factor, patches
         joint = frame.remembered(key)

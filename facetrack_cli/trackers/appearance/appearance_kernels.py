@@ -1,9 +1,9 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
 """The loops of the adaptive tracker (Zhou, Chellappa & Moghaddam 2003).
 
-First patches of affine parallelograms, read bilinearly and normalised (eq. 3), and how states diffuse. Then densities
-of patches under a mixture for each pixel, and how it learns (eq. 6-11). A pixel has three components, in the order
-w, s, f: weights m, centres mu, standard deviations sigma, all (3, d).
+First patches of affine parallelograms, read bilinearly and normalised (eq. 3). Then densities of patches under a
+mixture for each pixel, and how it learns (eq. 6-11). A pixel has three components, in the order w, s, f: weights m,
+centres mu, standard deviations sigma, all (3, d).
 
 Last B of eq. 12, least squares by the largest singular values. Not by LAPACK: on busy cores its threads take a hundred
 times as long for matrices as small as these, and the last digits depend on how many there are.
@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.engine.kernels.compiled import between, exact, fast, inline, join, look_up
+from facetrack_cli.engine.kernels.compiled import between, fast, inline, join, look_up
 
 Array: TypeAlias = NDArray[np.float64]
 Rows: TypeAlias = NDArray[np.float32]
@@ -121,30 +121,6 @@ def read_patches(grey, left, top, factor, width, height, extent, x, w, h, rows, 
         else:
             seen, count = some, _read_anywhere(joined, n_x, n_y, place, whole, grid, some, row)
         _normalise(row, seen, count, out[n])
-    return out
-
-
-@exact
-def diffuse(x, u, spread, shift, noise, least, most):
-    """x + shift + noise * spread u of states x and standard noise u (N, 6), `spread` (6, 6), `shift` (6,) -> (N, 6).
-
-    Deformations with a scale beyond `least` or `most` are brought back to it; one of 0 becomes upright.
-    """
-    out = np.empty_like(x)
-    for n in range(len(x)):
-        for i in range(6):
-            total = 0.0
-            for j in range(6):
-                total += spread[i, j] * u[n, j]
-            out[n, i] = x[n, i] + shift[i] + noise * total
-        a1, a2, a3, a4 = out[n, 2], out[n, 3], out[n, 4], out[n, 5]
-        scale = math.sqrt(0.5 * (a1 * a1 + a2 * a2 + a3 * a3 + a4 * a4))
-        if scale < least or scale > most:
-            if scale < 1e-12:
-                out[n, 2], out[n, 3], out[n, 4], out[n, 5], scale = least, 0.0, 0.0, least, least
-            by = min(max(scale, least), most) / scale
-            for i in range(2, 6):
-                out[n, i] *= by
     return out
 
 
@@ -326,15 +302,6 @@ def best_matches(y, templates):
                 cross += row[k] * (other[k] - mean)
             lengths = math.sqrt(float(square) * squares[i])
             out[n] = max(out[n], cross / lengths if lengths > 1e-6 else 0.0)
-    return out
-
-
-@fast
-def greys(values):
-    """Values (d,) float32 as grey levels uint8: 0 is 128, one is 51 levels, and beyond 0..255 it ends."""
-    out = np.empty(len(values), np.uint8)
-    for k in range(len(values)):
-        out[k] = np.uint8(min(max(values[k] * np.float32(51.0) + np.float32(128.0), 0.0), 255.0))
     return out
 
 

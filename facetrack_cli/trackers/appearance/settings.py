@@ -101,7 +101,7 @@ class AffineWalkSettings(MotionSettings):
     """r_t; null: fixed, r_0."""
 
     def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        if (self.velocity or self.noise) and not isinstance(whole.likelihood, PatchLikelihoodSettings):
+        if (self.velocity or self.noise) and not isinstance(whole.likelihood, AppearanceSettings):
             message = f'likelihood type "{whole.likelihood.type}" does not compare patches'
             key = "velocity" if self.velocity else "noise"
             yield Refusal(("motion", key), f"{message}; write velocity: null, noise: null")
@@ -130,25 +130,14 @@ class ComponentsSettings(Section):
         return self.w, self.s, self.f
 
 
-class PatchLikelihoodSettings(LikelihoodSettings):
-    """A likelihood that scores patches by how far they are from the appearance (eq. 13), as `Appearance` does."""
-
-    template: Annotated[tuple[Points, Points], Field(strict=False)] = (26, 30)
-    """[columns, rows] of the patch; its grey levels have zero mean and unit variance."""
-
-    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        (n, where), (columns, rows) = whole.filter.most(whole), self.template
-        if n * columns * rows > MAX_TEMPLATE_POINTS:
-            most = f"no more than {MAX_TEMPLATE_POINTS:,} points fit into memory"
-            yield Refusal(where, f"{n:,} particles of {columns}x{rows} points each; {most}")
-
-
-class AppearanceSettings(PatchLikelihoodSettings):
+class AppearanceSettings(LikelihoodSettings):
     """The adaptive appearance model: a mixture of W, S and F in each pixel of a patch (eq. 6 to 11)."""
 
     engine = "facetrack_cli.trackers.appearance.appearance:Appearance.build"
     goes_with = ("affine",)
     type: Literal["appearance"]
+    template: Annotated[tuple[Points, Points], Field(strict=False)] = (26, 30)
+    """[columns, rows] of the patch; its grey levels have zero mean and unit variance."""
     mixing: ComponentsSettings
     """m_i in the first frame, in proportion; 0 leaves a component out, and f alone is a fixed template."""
     sigma: ComponentsSettings
@@ -165,23 +154,25 @@ class AppearanceSettings(PatchLikelihoodSettings):
     """Beyond the paper: share of a fourth component, uniform, for pixels that are covered; null: none."""
     pixels: Annotated[float, Field(gt=0, le=16384)] | None = None
     """Beyond the paper: how many pixels of the patch count as independent; null: all."""
-    independent: Literal["all", "estimated"] = "all"
-    """Beyond the paper: how many pixels count as independent is estimated from their autocorrelation, or all do."""
 
     def mistakes(self) -> Iterable[Refusal]:
-        if self.pixels is not None and self.independent != "all":
-            yield Refusal(("independent",), "pixels says how many are independent; leave it out, or independent")
         if sum(self.mixing.each) <= 0:
             yield Refusal(("mixing",), "likelihood.mixing is all 0; give w, s or f a share")
         for name, share, sigma in zip("wsf", self.mixing.each, self.sigma.each, strict=True):
             if share > 0 and sigma < 1e-3:
                 yield Refusal(("sigma", name), f"likelihood.sigma.{name} must be at least 0.001")
 
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
+        (n, where), (columns, rows) = whole.filter.most(whole), self.template
+        if n * columns * rows > MAX_TEMPLATE_POINTS:
+            most = f"no more than {MAX_TEMPLATE_POINTS:,} points fit into memory"
+            yield Refusal(where, f"{n:,} particles of {columns}x{rows} points each; {most}")
+
 
 class RecognitionSettings(Component):
     """Who it is: the joint posterior of motion and identity (eq. 5, 14 to 16)."""
 
-    engine = "facetrack_cli.trackers.appearance.appearance:Recognition.build"
+    engine = "facetrack_cli.trackers.appearance.appearance:Recognition.of"
     goes_with = ("affine",)
 
     gallery: str | None = None
@@ -198,7 +189,7 @@ class RecognitionSettings(Component):
         return {} if self.gallery is None else {"gallery": self.gallery}
 
     def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        if not isinstance(whole.likelihood, PatchLikelihoodSettings):
+        if not isinstance(whole.likelihood, AppearanceSettings):
             message = f'recognition does not go with likelihood type "{whole.likelihood.type}"; remove it'
             yield Refusal(("recognition",), message)
 

@@ -6,9 +6,9 @@ Patras & Pantic, FG 2004, section 3.2:
     d(o, q) = E_j{ rho(c_j) }              mean over the window of a robust function, L1 as published       (eq. 9)
     p(y|a)  = exp(-d / sigma_i)            sigma_i = sigma / E{o_i}, sigma = 1.5 for intensities in 0..255  (eq. 10)
 
-rho is the L1 norm of the colour difference at pixel j, and E_j a mean over pixels: with `norm: pixel`, d is the sum of
-rho over its three channels, averaged over pixels. With `norm: channel`, the default, the mean runs over pixels and
-channels: a third of that, as if sigma were three times as large. It is our reading, and bears occlusion better.
+rho is the L1 norm of the colour difference at pixel j, and E_j a mean over pixels, of the sum of rho over three
+channels. Our reading, which bears occlusion better, is a mean over channels too: a third of that, as if sigma were
+three times as large.
 
 Templates are learned in the first frame and then stay, except where a correction places a part.
 """
@@ -117,7 +117,7 @@ class ColourRatio(Likelihood):
             template = g.ratios, g.offsets, g.sides, g.parts
             at = x, left, top, g.factor
             windows.colour_ratio_distances(windows.flat(image), *template, *at, MIN_MEAN, robust, scale, out)
-        return out if self.settings.norm == "channel" else CHANNELS * out
+        return out
 
     def learn(self, learned: Templates, frame: Frame, state: Array, particles: Particles) -> Templates:
         return learned

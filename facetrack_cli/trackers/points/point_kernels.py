@@ -22,8 +22,8 @@ from facetrack_cli.engine.kernels.compiled import exact, fast, inline
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
 
 
-L1, HUBER, TUKEY, GEMAN_MCCLURE = 0, 1, 2, 3
-ROBUST = {"l1": L1, "huber": HUBER, "tukey": TUKEY, "geman_mcclure": GEMAN_MCCLURE}
+L1, GEMAN_MCCLURE = 0, 1
+ROBUST = {"l1": L1, "geman_mcclure": GEMAN_MCCLURE}
 
 
 @inline
@@ -84,23 +84,11 @@ def read_window(image: NDArray[Any], x: float, y: float, w: int, h: int) -> NDAr
 @inline
 def _mean_rho(template, window, gain, robust, scale, n):
     """Mean of a robust function of template - gain * window, two flat rows that hold n values and zeros."""
-    one, two, d, inverse = np.float32(1.0), np.float32(2.0), np.float32(0.0), np.float32(1.0 / scale)
+    one, d, inverse = np.float32(1.0), np.float32(0.0), np.float32(1.0 / scale)
     if robust == L1:
         for j in range(len(template)):
             d += abs(template[j] - gain * window[j])
         return d / n
-    if robust == HUBER:
-        for j in range(len(template)):
-            u = abs(template[j] - gain * window[j]) * inverse
-            inner = min(u, one)
-            d += inner * (two * u - inner)
-        return 0.5 * scale * d / n
-    if robust == TUKEY:
-        for j in range(len(template)):
-            u = (template[j] - gain * window[j]) * inverse
-            rest = max(one - u * u, np.float32(0.0))
-            d += one - rest * rest * rest
-        return scale * d / n
     for j in range(len(template)):
         u = (template[j] - gain * window[j]) * inverse
         d += u * u / (one + u * u)
@@ -137,14 +125,9 @@ def colour_ratio_distances(
             out[p, k] = _mean_rho(template, window, gain, robust, scale, n)
 
 
-@exact
-def extent(x, reach):
+def extent(x: NDArray[np.float64], reach: float) -> tuple[float, float, float, float]:
     """(x from, y from, x to, y to) of everything within `reach` of the places x (N, K, 2)."""
-    x0, y0 = x1, y1 = x[0, 0, 0], x[0, 0, 1]
-    for n in range(x.shape[0]):
-        for k in range(x.shape[1]):
-            u, v = x[n, k, 0], x[n, k, 1]
-            x0, y0, x1, y1 = min(x0, u), min(y0, v), max(x1, u), max(y1, v)
+    (x0, y0), (x1, y1) = x.min(axis=(0, 1)).tolist(), x.max(axis=(0, 1)).tolist()
     return x0 - reach, y0 - reach, x1 + reach, y1 + reach
 
 

@@ -61,14 +61,12 @@ class ColourRatioSettings(LikelihoodSettings):
     engine = "facetrack_cli.trackers.points.colour_ratio:ColourRatio.build"
     goes_with = ("points",)
     type: Literal["colour_ratio"]
-    robust: Literal["l1", "huber", "tukey", "geman_mcclure"] = "l1"
+    robust: Literal["l1", "geman_mcclure"] = "l1"
     """rho of eq. 9, the robust function of a colour difference; the paper takes l1."""
-    norm: Literal["channel", "pixel"] = "channel"
-    """rho of a pixel in eq. 9: the mean of its three channels (our reading), or their sum, as printed."""
     scale: Annotated[float, Field(gt=0)] | None = None
-    """Scale of rho, in colour differences (window mean = 1), beyond which it grows less; for all but l1."""
+    """Scale of rho, in colour differences (window mean = 1), beyond which it grows less; not for l1."""
     sigma: Annotated[float, Field(gt=0)] = 1.5
-    """sigma_i of eq. 10 is this number / E{o_i}, with intensities in 0..255; the paper takes 1.5."""
+    """sigma_i of eq. 10 is this / E{o_i}, with intensities in 0..255; the paper takes 1.5, which is 0.5 of our d."""
     floor: Annotated[float, Field(lt=0)] | None = None
     """Log-likelihood of a part that matches nothing: log(exp(-d / sigma_i) + exp(floor)); null as published, none."""
     max_samples: Annotated[int, Field(ge=5)] | None = None

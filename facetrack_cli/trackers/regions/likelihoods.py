@@ -42,14 +42,12 @@ centres of equal cells of the box, read bilinearly from the grey frame. The dist
 
     l2            rho(x) = x^2, lambda_c = 1 / (2 sigma^2)            as published
     saturated_l1  rho(x) = min(|x|, saturation), lambda_c = 1 / sigma
-    hausdorff     lambda_c = 1 / sigma; no formula in the paper. The modified distance (Dubuisson & Jain 1994): for each
-                  point the least |difference| from the 3x3 points of the other patch around it, summed over the grid,
-                  and of both directions the larger sum.
 
-d_c is a sum, so sigma belongs to one grid: with n points in place of 16x16, times sqrt(n / 256) for l2, and n / 256 for
-the others. Of 200 particles that are scattered by 5 % of the region's size, sigma = 100 (l2), 400 (saturated_l1 at 20)
-or 100 (hausdorff) leaves some tens. The recipes take 60 (l2) and 120 (saturated_l1), which leave two to five: a flatter
-likelihood has a truer spread, but lets a region drift (`docs/decisions.md` has the figures).
+The third of figure 5, a Hausdorff distance, has no formula in the paper. d_c is a sum, so sigma belongs to one grid:
+with n points in place of 16x16, times sqrt(n / 256) for l2, and n / 256 for the other. Of 200 particles that are
+scattered by 5 % of the region's size, sigma = 100 (l2) or 400 (saturated_l1 at 20) leaves some tens. The recipes take
+60 and 120, which leave two to five: a flatter likelihood has a truer spread, but lets a region drift
+(`docs/decisions.md` has the figures).
 
 Chosen here: the frame is reduced by the largest power of two that leaves a pixel for each step of the grid at the start
 (area means). A point beyond the frame's border, now or before, differs by `OUTSIDE`, at most by `saturation`.
@@ -59,6 +57,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -198,22 +197,22 @@ class Histogram:
     def init(self, frame: Frame, x0: Array) -> Reference:
         """The histogram of the box at x0 (1, 6). InputError without colours where `value_bins` knows no greys."""
         settings, factor = self.settings, factor_for(max(self.size), self.settings.max_size)
-        region, ex, ey, _, pixels = self._read(frame, x0[None], factor)
-        if region is None:
+        hsv, ex, ey, _, pixels = self._read(frame, x0[None], factor)
+        if hsv is None:
             wrong = "lies outside the image: choose another box"
             if factor > 1:
                 remedy = "give a wider one, or raise likelihood.histogram.max_size"
                 wrong = f"has no pixel of the image at 1/{factor} of its size: {remedy}"
             raise InputError(f"frame {frame.index}: the box {wrong}")
-        hsv = _hsv(region)
         if settings.value_bins <= 1:
             self._need_colours(frame, hsv)
         hue = np.arange(180) * settings.hue_bins // 180 * settings.saturation_bins
         coloured = (hue[:, None] + np.arange(256) * settings.saturation_bins // 256).astype(np.uint16)
         bins = settings.hue_bins * settings.saturation_bins
         colourless = (bins + np.arange(256) * settings.value_bins // 256).astype(np.uint16)
-        codes = kernel.code_colours(hsv, coloured, colourless, *self._least())
-        counts = kernel.count_bins(codes, ex[0], ey[0], bins + settings.value_bins)
+        codes = self._codes(hsv, coloured, colourless)
+        cells = [codes[y0:y1, x0:x1] for y0, y1 in pairwise(ey[0]) for x0, x1 in pairwise(ex[0])]
+        counts = np.stack([np.bincount(cell.ravel(), minlength=bins + settings.value_bins) for cell in cells])
         used = np.flatnonzero(counts.any(axis=0))
         width = kernel.LANES * (len(used) // kernel.LANES + 1)
         new = np.full(bins + max(settings.value_bins, 1), len(used), np.uint16)
@@ -234,10 +233,10 @@ class Histogram:
         return learned
 
     def _squared(self, learned: Reference, frame: Frame, x: Array) -> Array:
-        region, ex, ey, area, pixels = self._read(frame, x, learned.factor)
-        if region is None:
+        hsv, ex, ey, area, pixels = self._read(frame, x, learned.factor)
+        if hsv is None:
             return np.ones((len(x), 1))
-        codes = kernel.code_colours(_hsv(region), learned.coloured, learned.colourless, *self._least())
+        codes = self._codes(hsv, learned.coloured, learned.colourless)
         # what each way takes, in units of one pixel counted directly; both give the same to the last bit
         bins = learned.root.shape[1]
         integral = codes.size * bins <= MAX_CELLS and codes.size * (2 + bins // kernel.LANES) < pixels
@@ -245,38 +244,54 @@ class Histogram:
         return np.asarray(np.clip(1.0 - match, 0.0, 1.0)[:, None])
 
     def _read(self, frame: Frame, x: Array, factor: int) -> tuple[Image | None, Whole, Whole, Array, int]:
-        """The part of the frame that boxes (N, 1, 6) cover, their edges in it, areas, and pixels of all together."""
-        width, height = (max(side // factor, 1) for side in frame.size)
-        boxes = np.ascontiguousarray(x[:, 0, :3])
-        ex, ey, area = kernel.box_edges(boxes, *self.size, *self.settings.regions, factor, width, height)
-        left, top, right, bottom, pixels = kernel.crop_boxes(ex, ey)
-        if pixels == 0:
+        """HSV of the part of the frame that boxes (N, 1, 6) cover, their edges, areas, and pixels of all together.
+
+        Column c of sub-regions holds the pixels ex[n, c] <= i < ex[n, c + 1] of that part, whose centres lie in it, and
+        rows as well. Areas (N,) are those of whole boxes, also beyond the frame, and 0 of what is no box.
+        """
+        s, sizes, edges, whole = x[:, 0, 2] / factor, [max(side // factor, 1) for side in frame.size], [], []
+        good = s > 0.0  # comparisons with nan are false
+        for axis, parts in enumerate(self.settings.regions):
+            side = s * self.size[axis]
+            low = (x[:, 0, axis] - 0.5 * (factor - 1)) / factor - 0.5 * side
+            good &= (np.abs(low) < 1e15) & (side < 1e15)
+            edges.append(np.ceil(low[:, None] + side[:, None] * np.arange(parts + 1) / parts))
+            whole.append(edges[axis][:, -1] - edges[axis][:, 0])
+        area = np.where(good, whole[0] * whole[1], 0.0)
+        ex, ey = (
+            np.where(good[:, None], np.clip(each, 0, length), 0).astype(np.int64)
+            for each, length in zip(edges, sizes, strict=True)
+        )
+        across, down = (each[:, -1] - each[:, 0] for each in (ex, ey))
+        if not (seen := across * down > 0).any():
             return None, ex, ey, area, 0
+        (left, right), (top, bottom) = ((int(each[seen, 0].min()), int(each[seen, -1].max())) for each in (ex, ey))
         extent = (left * factor, top * factor, right * factor - 1, bottom * factor - 1)
         image, dx, dy = frame.reduced(factor, extent)
         dx, dy = dx // factor, dy // factor
-        return image[top - dy : bottom - dy, left - dx : right - dx], ex, ey, area, pixels
+        hsv = _hsv(image[top - dy : bottom - dy, left - dx : right - dx])
+        # boxes beyond the image are empty, and stay so wherever they are put
+        ex, ey = np.clip(ex, left, right) - left, np.clip(ey, top, bottom) - top
+        return hsv, ex, ey, area, int((across * down).sum())
 
-    def _least(self) -> tuple[int, int]:
-        """The least saturation and value, 0..255, of a pixel that has a hue."""
+    def _codes(self, hsv: Image, coloured: NDArray[np.uint16], colourless: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """The bin of each pixel of hsv (H, W, 3); pale and dark ones have no hue where there are bins for them."""
+        hue, saturation, value = (hsv[..., c].astype(np.intp) for c in range(3))
+        codes = coloured.ravel()[(hue << 8) + saturation]
         if self.settings.value_bins == 0:
-            return 0, 0
-        return int(np.ceil(self.settings.least_saturation * 255)), int(np.ceil(self.settings.least_value * 255))
+            return np.asarray(codes)
+        pale = (saturation < self.settings.least_saturation * 255) | (value < self.settings.least_value * 255)
+        return np.where(pale, colourless[value], codes)
 
     def _need_colours(self, frame: Frame, hsv: Image) -> None:
         least = 255 * self.settings.least_saturation, 255 * self.settings.least_value
-        saturated, light = hsv[..., 1] >= least[0], hsv[..., 2] >= least[1]
-        share, dark = float(np.mean(saturated & light)), float(np.mean(~light))
-        if share >= MIN_COLOURED:
-            return
-        grey = np.mean((_hsv(frame.bgr)[..., 1:] >= least).all(axis=2)) < MIN_COLOURED
-        what = "this clip is grey, or too dark" if grey else "the box shows no colours"
-        remedy = "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8"
-        if np.mean(saturated & ~light) >= MIN_COLOURED and dark > 0.5:
-            remedy += ", or a lower likelihood.histogram.least_value"
-        bounds = f"saturation at least {self.settings.least_saturation:g}, value at least {self.settings.least_value:g}"
-        hues = f"{share:.1%} of the box's pixels have a hue ({bounds}), {dark:.0%} are too dark"
-        raise InputError(f"frame {frame.index}: {what}, so a colour histogram cannot know it: {hues}: {remedy}")
+        share = float(np.mean((hsv[..., 1:] >= least).all(axis=2)))
+        if share < MIN_COLOURED:
+            grey = np.mean((_hsv(frame.bgr)[..., 1:] >= least).all(axis=2)) < MIN_COLOURED
+            what = "this clip is grey, or too dark" if grey else "the box shows no colours"
+            remedy = "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8"
+            hues = f"{share:.1%} of the box's pixels have a hue"
+            raise InputError(f"frame {frame.index}: {what}, so a colour histogram cannot know it: {hues}: {remedy}")
 
 
 def _hsv(bgr: Image) -> Image:
@@ -326,13 +341,11 @@ class Correlation:
         """log p_c of x (N, 1, 6) in `frame` given its parents (N, 1, 6) in the frame before -> (N, 1), at most 0."""
         here, there = (np.ascontiguousarray(boxes[:, 0, :3]) for boxes in (x, parents))
         images = *self._image(frame, learned.factor, here), *self._image(learned.frame, learned.factor, there)
-        distance, sigma, saturation = self.settings.distance, self.settings.sigma, self.settings.saturation or 0.0
-        rate, outside = (0.5 / sigma**2, OUTSIDE**2) if distance == "l2" else (1.0 / sigma, OUTSIDE)
-        if distance == "saturated_l1":
-            outside = min(outside, saturation)
+        sigma, most = self.settings.sigma, self.settings.saturation or 0.0
+        rate, outside = (1.0 / sigma, min(OUTSIDE, most)) if most else (0.5 / sigma**2, OUTSIDE**2)
         sums = np.empty((len(x), 1))  # d_c of eq. 13
-        boxes, kind = (here, there, self.size), (kernel.DISTANCES[distance], saturation, outside)
-        kernel.patch_distances(*images, learned.factor, *boxes, *self.settings.grid, *kind, sums[:, 0])
+        boxes = here, there, self.size, *self.settings.grid
+        kernel.patch_distances(*images, learned.factor, *boxes, most, outside, sums[:, 0])
         return -rate * learned.share * sums
 
     def learn(self, learned: Previous, frame: Frame, state: Array, particles: Particles | None = None) -> Previous:

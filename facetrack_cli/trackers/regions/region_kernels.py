@@ -13,10 +13,8 @@ differ (eq. 12 and 13).
 """
 
 import math
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facetrack_cli.engine.kernels.compiled import exact, fast, fast_part, inline, join, look_up, part
 
@@ -145,70 +143,6 @@ def nearest_edges(image, x, origin_x, origin_y, factor, points, normals, reach, 
 LANES = 16  # the number of bins is padded to a multiple of this, so that loops over bins vectorise
 
 
-@exact
-def box_edges(x, size_w, size_h, cols, rows, factor, width, height):
-    """Where boxes (N, 3) = (cx, cy, s) and their sub-regions lie in an image of width x height, reduced by `factor`.
-
-    Returns ex (N, cols + 1) and ey (N, rows + 1) int64, cut off at the image: column c of sub-regions holds the
-    pixels ex[c] <= i < ex[c + 1], those whose centres lie in it; area (N,) float64: the pixels of the whole box, also
-    beyond the image, and 0 for a box that is none (no positive size, or out of all measure).
-    """
-    n = x.shape[0]
-    ex, ey, area = np.zeros((n, cols + 1), np.int64), np.zeros((n, rows + 1), np.int64), np.zeros(n)
-    for p in range(n):
-        s = x[p, 2] / factor
-        w, h = s * size_w, s * size_h
-        left = (x[p, 0] - 0.5 * (factor - 1)) / factor - 0.5 * w
-        top = (x[p, 1] - 0.5 * (factor - 1)) / factor - 0.5 * h
-        # comparisons with nan are false
-        if not (s > 0.0 and abs(left) < 1e15 and abs(top) < 1e15 and w < 1e15 and h < 1e15):
-            continue
-        for c in range(cols + 1):
-            ex[p, c] = int(min(max(math.ceil(left + w * c / cols), 0), width))
-        for r in range(rows + 1):
-            ey[p, r] = int(min(max(math.ceil(top + h * r / rows), 0), height))
-        # as the last edges are rounded, w * cols / cols may not be w
-        across = math.ceil(left + w * cols / cols) - math.ceil(left)
-        area[p] = float(across) * float(math.ceil(top + h * rows / rows) - math.ceil(top))
-    return ex, ey, area
-
-
-@exact
-def crop_boxes(ex, ey):
-    """What boxes cover of the image; makes ex and ey, in place, count from its corner and stay within it.
-
-    Returns (left, top, right, bottom) around all of them, half open, and the pixels of all boxes together: all 0 if no
-    box holds a pixel.
-    """
-    left, top, right, bottom, total = 0, 0, 0, 0, 0
-    for p in range(ex.shape[0]):
-        x0, x1, y0, y1 = ex[p, 0], ex[p, -1], ey[p, 0], ey[p, -1]
-        if x1 <= x0 or y1 <= y0:
-            continue
-        if total == 0:
-            left, top, right, bottom = x0, y0, x1, y1
-        left, top, right, bottom = min(left, x0), min(top, y0), max(right, x1), max(bottom, y1)
-        total += (x1 - x0) * (y1 - y0)
-    # boxes beyond the image are empty, and stay so wherever they are put
-    for p in range(ex.shape[0]):
-        for c in range(ex.shape[1]):
-            ex[p, c] = min(max(ex[p, c], left), right) - left
-        for r in range(ey.shape[1]):
-            ey[p, r] = min(max(ey[p, r], top), bottom) - top
-    return left, top, right, bottom, total
-
-
-@exact
-def code_colours(hsv, coloured, colourless, least_saturation, least_value):
-    """The bins of hsv (H, W, 3) uint8 -> (H, W) uint16: coloured[h, s], or colourless[v] of low saturation or value."""
-    out = np.empty(hsv.shape[:2], np.uint16)
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            s, v = hsv[y, x, 1], hsv[y, x, 2]
-            out[y, x] = colourless[v] if s < least_saturation or v < least_value else coloured[hsv[y, x, 0], s]
-    return out
-
-
 @part
 def _add_match(counts, root, sums):
     for b in range(len(sums)):
@@ -221,12 +155,6 @@ def _coefficient(sums, area):
     for b in range(len(sums)):
         total += sums[b]
     return total / math.sqrt(area) if area > 0.0 else 0.0
-
-
-def count_bins(codes: NDArray[np.uint16], ex: NDArray[np.int64], ey: NDArray[np.int64], bins: int) -> NDArray[np.int64]:
-    """The histograms of one box, ex (cols + 1), ey (rows + 1) -> (rows * cols, bins) int64."""
-    cells = [codes[y0:y1, x0:x1] for y0, y1 in pairwise(ey) for x0, x1 in pairwise(ex)]
-    return np.stack([np.bincount(cell.ravel(), minlength=bins) for cell in cells])
 
 
 @exact
@@ -286,9 +214,7 @@ def match_integral(codes, ex, ey, area, root):
 
 # --- correlation
 
-L2, SATURATED_L1, HAUSDORFF = 0, 1, 2
-DISTANCES = {"l2": L2, "saturated_l1": SATURATED_L1, "hausdorff": HAUSDORFF}
-NOTHING = np.float32(1e9)  # grey level of what is not there: so far from all others that it is nobody's nearest
+NOTHING = np.float32(1e9)  # grey level of what is not there
 
 
 @fast_part
@@ -344,24 +270,6 @@ def _read_patch(image, view, factor, box, size, columns, across, lines, down, li
 
 
 @fast_part
-def _nearest(a, b, stride, n):
-    """Sum over the points of patch `a` of the least difference from the 3x3 points of patch `b` around each."""
-    first = stride + 1
-    row = a[first : first + n]
-    b00, b01, b02 = b[:n], b[1 : n + 1], b[2 : n + 2]
-    b10, b11, b12 = b[stride : stride + n], b[first : first + n], b[first + 1 : first + 1 + n]
-    b20, b21, b22 = b[2 * stride : 2 * stride + n], b[2 * stride + 1 : 2 * stride + 1 + n], b[2 * stride + 2 :]
-    total = np.float32(0.0)
-    for j in range(n):
-        v = row[j]
-        above = min(min(abs(v - b00[j]), abs(v - b01[j])), abs(v - b02[j]))
-        level = min(min(abs(v - b10[j]), abs(v - b11[j])), abs(v - b12[j]))
-        below = min(min(abs(v - b20[j]), abs(v - b21[j])), abs(v - b22[j]))
-        total += min(min(above, level), below)
-    return total
-
-
-@fast_part
 def _cut(patch, r0, r1, c0, c1, stride, out):
     """`patch` with NOTHING outside rows r0..r1 and columns c0..c1, into `out`."""
     out[:] = NOTHING
@@ -371,19 +279,18 @@ def _cut(patch, r0, r1, c0, c1, stride, out):
 
 
 @fast
-def patch_distances(
-    now, now_view, before, before_view, factor, x, parents, size, cols, rows, distance, saturation, outside, out
-):
+def patch_distances(now, now_view, before, before_view, factor, x, parents, size, cols, rows, saturation, outside, out):
     """Distances `out` (N,) of the patches of x (N, 3) in `now` from those of parents (N, 3) in `before` (eq. 13).
 
     x and parents are (cx, cy, s), boxes of `size` (w, h) times s; pixels of the whole image, centres at whole
     numbers. Both images are grey (H, W) uint8, reduced by `factor`; a view is (left, top, width, height): where in
     the whole image it begins, and how large that is. The patch is the grid of cols x rows cell centres of the box.
-    A point that lies beyond the whole image in either of the two adds `outside` in place of rho.
+    A point adds rho, which is the least of |difference| and `saturation`, or the square of the difference where that
+    is 0; one that lies beyond the whole image in either of the two adds `outside`.
     """
     # a border of NOTHING runs around a patch; what ends a row begins the next
     stride = cols + 1
-    length, n = (rows + 2) * stride + 1, rows * stride - 1
+    length = (rows + 2) * stride + 1
     a, b = np.full(length, NOTHING), np.full(length, NOTHING)
     cut_a, cut_b = np.empty(length, np.float32), np.empty(length, np.float32)
     columns, across = np.zeros(cols, np.uint64), np.zeros(cols, np.float32)
@@ -404,13 +311,11 @@ def patch_distances(
             _cut(a, r0, r1, c0, c1, stride, cut_a)
             _cut(b, r0, r1, c0, c1, stride, cut_b)
             u, v = cut_a, cut_b
-        if distance == HAUSDORFF:
-            total = max(_nearest(u, v, stride, n), _nearest(v, u, stride, n))
-        elif distance == L2:
+        if most > 0.0:
+            for j in range(length):
+                total += min(abs(u[j] - v[j]), most)
+        else:
             for j in range(length):
                 d = u[j] - v[j]
                 total += d * d
-        else:
-            for j in range(length):
-                total += min(abs(u[j] - v[j]), most)
         out[p] = total + (cols * rows - inside) * outside

@@ -38,7 +38,6 @@ from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context, Estimate, Placed, Space, box_of, check_size, estimate, size_of_box
 from facetrack_cli.trackers.points.point_kernels import extent
-from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin.settings import LEAST_SHARE, CloudSettings, ExclusionSettings, SkinCloudSettings
 
 # of (Cb, Cr) in any direction, in levels squared: less loses faces as the light changes, more lets in what is near
@@ -84,6 +83,12 @@ def kovac(bgr: Image) -> Mask:
     daylight = (r > 95) & (g > 40) & (b > 20) & (spread > 15) & (r - g > 15) & (r > b)
     flashlight = (r > 220) & (g > 210) & (b > 170) & (np.abs(r - g) <= 15) & (b < r) & (b < g)
     return np.asarray(daylight | flashlight, np.bool_)
+
+
+def skin_map(bgr: Image, table: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """table[Cb, Cr] (H, W) of every pixel of bgr (H, W, 3)."""
+    codes = cv2.cvtColor(bgr, cv2.COLOR_BGR2YCrCb).astype(np.intp)
+    return np.asarray(table.ravel()[(codes[..., 2] << 8) + codes[..., 1]], np.uint8)
 
 
 def learn_skin(frame: Frame, box: Box, *, least_share: float = LEAST_SHARE) -> SkinModel:
@@ -146,7 +151,7 @@ def _contrast(frame: Frame, box: Box, table: NDArray[np.uint8]) -> float:
     left, top, right, bottom = _inside(frame, wide)
     # of a box of less than a pixel, the pixel that it gets all the same
     left, top, right, bottom = min(left, x0), min(top, y0), max(right, x1), max(bottom, y1)
-    p = kernel.skin_map(frame.bgr[top:bottom, left:right], table).astype(np.float64) / 255
+    p = skin_map(frame.bgr[top:bottom, left:right], table).astype(np.float64) / 255
     face = p[y0 - top : y1 - top, x0 - left : x1 - left]
     around = p.size - face.size
     return float(face.mean() - (p.sum() - face.sum()) / around) if around else 1.0
@@ -236,5 +241,9 @@ class SkinCloud(Likelihood):
         """(N,): p of the pixel at each place xy (N, 2); 0 beyond the frame."""
         factor = factor_for(max(self.size), self.settings.max_size)
         image, left, top = frame.reduced(factor, extent(np.ascontiguousarray(xy)[:, None], 0.0))
-        there = (xy - (left, top) - (factor - 1) / 2) / factor
-        return np.asarray(kernel.at_points(image, learned.table, there))
+        there = np.floor((xy - (left, top) - (factor - 1) / 2) / factor + 0.5)
+        p, within = np.zeros(len(xy)), ((there >= 0) & (there < image.shape[1::-1])).all(axis=1)
+        if within.any():
+            u, v = there[within].astype(np.intp).T
+            p[within] = skin_map(image[v, u][None], learned.table)[0] / 255.0
+        return p

@@ -45,12 +45,13 @@ from facetrack_cli.engine.kernels.compiled import boxes_extent
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.skin import skin_kernels as kernel
-from facetrack_cli.trackers.skin.cloud import learn_skin
+from facetrack_cli.trackers.skin.cloud import learn_skin, skin_map
 from facetrack_cli.trackers.skin.settings import PatternSettings, SkinNccSettings
 
 MIN_NCC = 0.01  # what divides is at least this: a match of zero or below is as bad as can be, not of the other sign
 MIN_RHO = 0.05  # a start with hardly more skin within than around cannot scale a distance
-MAX_EXACT_PIXELS = 2**23  # pixels whose sum, each up to 255, an int32 holds
+MAX_HALF_SIDE = 1e6  # half a side of a box, pixels
+LARGEST = 1e6  # the largest scale, pixels from point to point
 MIN_VARIANCE = 0.25  # grey levels squared: what varies less than by rounding is no pattern
 DENSE = 10.0  # what one pixel of a dense correlation takes, in points read directly
 
@@ -131,11 +132,17 @@ class SkinNcc(Likelihood):
         height, width = image.shape[:2]
         x0, y0 = min(int(extent[0] - left) // factor, width - 1), min(int(extent[1] - top) // factor, height - 1)
         x1, y1 = int(extent[2] - left) // factor + 2, int(extent[3] - top) // factor + 2
-        shown = kernel.skin_map(image[y0:y1, x0:x1], learned.table)
-        integral = cv2.integral(shown, sdepth=cv2.CV_32S if shown.size <= MAX_EXACT_PIXELS else cv2.CV_64F)
-        inner, outer, area = kernel.nested(x, w, h, factor, left + x0 * factor, top + y0 * factor)
-        sums = kernel.differences(integral, inner, outer)
-        rho = (sums[:, 1] - 2.0 * sums[:, 0]) / np.where(area > 0.0, 255.0 * area, 1.0)
+        integral = cv2.integral(skin_map(image[y0:y1, x0:x1], learned.table), sdepth=cv2.CV_64F)
+        corner = np.array([[left + x0 * factor], [top + y0 * factor]])
+        at = (x[:, 0, :2].T - corner - 0.5 * (factor - 1)) / factor
+        half = 0.5 * (x[:, 0, 2] / factor) * np.array([[w], [h]])
+        # comparisons with nan are false; what is thinner than a pixel is no box
+        shown = ((half >= 0.5) & (half <= MAX_HALF_SIDE) & (np.abs(at) <= 10.0 * MAX_HALF_SIDE)).all(axis=0)
+        at, half = np.where(shown, (at, half), 0.0)
+        inner, outer = (
+            kernel.box_sums(integral, np.vstack([at - side, at + side]) + 0.5) for side in (half, math.sqrt(2.0) * half)
+        )
+        rho = (outer - 2.0 * inner) / np.where(shown, 255.0 * 4.0 * half[0] * half[1], 1.0)
         return np.asarray(np.clip(rho, -1.0, 1.0))
 
     def _values(self, learned: SkinPattern, frame: Frame, x: Array) -> Array:
@@ -191,10 +198,14 @@ def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]
     """NCC of boxes x (N, 1, 6) with the template as it is now, with means kept and removed: (N,) each, -1..1."""
     view = _view(template, frame, x)
     centred, mean, variance = template.moments
-    cross, spread = _moments(view, centred).T
+    cross, spread = _moments(view, centred)
     remove = _ratio(cross, variance * spread, view.seen)
+    # area means of the image and of its square: a point stands for s x s pixels around it
+    (th, tw), s = centred.shape, view.boxes[2]
+    low = view.boxes[:2] - 0.5 * s + 0.5
+    edges, area = np.vstack([low, low + s * np.array([[tw], [th]])]), s * tw * s * th
     sums = cv2.integral2(view.image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
-    level, square = kernel.means(*sums, view.boxes, *centred.shape).T
+    level, square = (kernel.box_sums(one, edges) / area for one in sums)
     return _ratio(cross + mean * level, (variance + mean * mean) * square, view.seen), remove
 
 
@@ -208,7 +219,7 @@ def adapted(template: Template, settings: PatternSettings, frame: Frame, state: 
 
 
 class _GreyView(NamedTuple):
-    """The grey image around boxes (N, 3) = (u, v, s) in its pixels; which are `seen` at all; the range of (u, v)."""
+    """The grey image around boxes (3, N) = (u, v, s) in its pixels; which are `seen` at all; the range of (u, v)."""
 
     image: Image
     boxes: Array
@@ -219,15 +230,26 @@ class _GreyView(NamedTuple):
 
 
 def _view(template: Template, frame: Frame, x: Array) -> _GreyView:
+    """What boxes x (N, 1, 6) cover: (0, 0, 1) stands for those beyond the image, thinner than a pixel or no numbers."""
     factor, (th, tw) = template.factor, template.now.shape
-    width, height = (max(side // factor, 1) for side in frame.size)
-    boxes, seen, low, high, area, same = kernel.place(x, factor, template.offset, th, tw, width, height)
-    x0, y0, x1, y1 = area.tolist()
+    size = np.array([max(side // factor, 1) for side in frame.size])
+    s, points = x[:, 0, 2], np.array([[tw], [th]])
+    at = (x[:, 0, :2].T - 0.5 * (factor - 1)) / factor + s * (np.array(template.offset)[:, None] - 0.5 * (points - 1))
+    start, end = at - 0.5 * s, at + s * (points - 0.5)
+    # comparisons with nan are false; beyond the bound the arithmetic of places would be rough
+    seen = (s * min(th, tw) >= 1.0) & (s <= LARGEST) & ((end > -0.5) & (start < size[:, None] - 0.5)).all(axis=0)
+    boxes = np.where(seen, np.vstack([at, s]), [[0.0], [0.0], [1.0]])
+    low, high, corner, far = np.zeros(2), np.zeros(2), np.zeros(2, np.int64), np.ones(2, np.int64)
+    if seen.any():
+        low, high = at[:, seen].min(axis=1), at[:, seen].max(axis=1)
+        corner = np.maximum(np.floor(start[:, seen].min(axis=1)), 0).astype(np.int64)
+        far = np.minimum(np.ceil(end[:, seen].max(axis=1)) + 1, size).astype(np.int64)
+    (x0, y0), (x1, y1) = corner.tolist(), far.tolist()
     grey, left, top = frame.grey(factor, (x0 * factor, y0 * factor, x1 * factor - 1, y1 * factor - 1))
     dx, dy = left // factor, top // factor
-    boxes -= (x0, y0, 0.0)
+    boxes[:2] -= corner[:, None]
     image = np.ascontiguousarray(grey[y0 - dy : y1 - dy, x0 - dx : x1 - dx])  # one signature, one compilation
-    return _GreyView(image, boxes, seen, low - (x0, y0), high - (x0, y0), same)
+    return _GreyView(image, boxes, seen, low - corner, high - corner, bool((s[seen] == 1.0).all()))
 
 
 def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
@@ -237,21 +259,40 @@ def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
 
 
 def _moments(view: _GreyView, centred: NDArray[np.float32]) -> Array:
-    """Mean of template times image, and the image's variance at the template's points, (N, 2), the cheaper way."""
+    """Mean of template times image, and the image's variance at the template's points, (2, N), the cheaper way."""
     (x0, y0), (height, width) = np.floor(view.low).astype(int).tolist(), view.image.shape
     x1, y1 = (np.floor(view.high).astype(int) + 1 + centred.shape[::-1]).tolist()
-    if not view.same_scale or (x1 - x0) * (y1 - y0) * DENSE > len(view.boxes) * centred.size:
+    if not view.same_scale or (x1 - x0) * (y1 - y0) * DENSE > view.boxes.shape[1] * centred.size:
         return np.asarray(kernel.moments_direct(view.image, centred, view.boxes))
     # one correlation at all whole places
     region = np.zeros((y1 - y0, x1 - x0), np.float32)
     left, right, top, bottom = max(x0, 0), min(x1, width), max(y0, 0), min(y1, height)
     if right > left and bottom > top:
         region[top - y0 : bottom - y0, left - x0 : right - x0] = view.image[top:bottom, left:right]
-    cross = kernel.bilinear(cv2.matchTemplate(region, centred, cv2.TM_CCORR), view.boxes, x0, y0)
+    correlated = cv2.matchTemplate(region, centred, cv2.TM_CCORR)
+    cross = kernel.bilinear(correlated, view.boxes, x0, y0) / centred.size
+    return np.stack([cross, _variances(region, view.boxes[:2] - np.array([[x0], [y0]]), *centred.shape)])
+
+
+def _variances(region: NDArray[np.float32], places: Array, th: int, tw: int) -> Array:
+    """The variance (N,) of the bilinear image at th x tw points from `places` (2, N), a pixel apart.
+
+    Between two values a and b, at the share f of the way, the square of the bilinear value is
+    (1 - f) a^2 + f b^2 - f (1 - f) (b - a)^2: it is summed by integral images of squares and of squared differences.
+    """
     across, down = np.diff(region, axis=1), np.diff(region, axis=0)
-    images = region, region**2, across**2, down**2, np.diff(across, axis=0) ** 2
-    sums = tuple(cv2.integral(image, sdepth=cv2.CV_64F) for image in images)
-    return np.column_stack([cross / centred.size, kernel.variances(sums, view.boxes, x0, y0, *centred.shape)])
+
+    def total(image: NDArray[np.float32], *corner: Array) -> Array:
+        u, v = corner
+        edges = np.stack([u, v, u + tw, v + th])
+        return np.asarray(kernel.box_sums(cv2.integral(image, sdepth=cv2.CV_64F), edges))
+
+    (x, y), (i, j) = places, np.floor(places)
+    fx, fy = (x - i) * (1.0 - x + i), (y - j) * (1.0 - y + j)
+    square = total(region**2, x, y) + fx * fy * total(np.diff(across, axis=0) ** 2, i, j)
+    square -= fx * total(across**2, i, y) + fy * total(down**2, x, j)
+    level = total(region, x, y) / (th * tw)
+    return np.asarray(square / (th * tw) - level * level)
 
 
 def _patch(template: Template, frame: Frame, x0: Array) -> NDArray[np.float32]:
@@ -259,4 +300,4 @@ def _patch(template: Template, frame: Frame, x0: Array) -> NDArray[np.float32]:
     view = _view(template, frame, x0[None])
     if not view.seen[0]:
         return np.zeros_like(template.now)
-    return np.asarray(kernel.read_patch(view.image, *view.boxes[0].tolist(), *template.now.shape))
+    return np.asarray(kernel.read_patch(view.image, *view.boxes[:, 0].tolist(), *template.now.shape))
