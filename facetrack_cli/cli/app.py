@@ -138,7 +138,7 @@ def cli(ctx: click.Context, debug: bool, log_format: str) -> None:
         facetrack run --help
 
     Variables set defaults of options, as FACETRACK_RUN_JOBS=4 for --jobs of
-    run; --help of a command shows those that are set.
+    run.
 
     Exit codes: 0 done, 1 internal error, 2 usage, recipe or output,
     3 input, 4 target lost (with --fail-on-lost), 5 some of a batch failed,

@@ -128,35 +128,6 @@ def _recipes(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
     return _files(ctx, incomplete) + [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
-def _keys(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-    """Keys that the recipe of the command line has, or any shipped one."""
-    shipped = {path.stem: path for path in shipped_recipes()}
-    values = [ctx.params.get(name) for name in ("config", "recipe")]
-    names = [name for value in values for name in ([value] if isinstance(value, str) else value or ())]
-    files = [shipped.get(name.removesuffix(".yaml"), Path(name)) for name in names] or list(shipped.values())
-    keys: dict[str, None] = {}
-    for file in files:
-        with contextlib.suppress(OSError, ValueError):
-            keys.update(dict.fromkeys(_keys_of(file.read_text(encoding="utf-8"))))
-    return [CompletionItem(f"{key}=") for key in keys if key.startswith(incomplete)]
-
-
-def _keys_of(text: str) -> Iterator[str]:
-    """The keys of a recipe that have values, with dots between the levels, as its lines show them."""
-    above: list[tuple[int, str]] = []  # indentation and name of the sections around a line
-    for indent, name, value in re.findall(r"^( *)(\w+):(.*)$", text, re.MULTILINE):
-        while above and above[-1][0] >= len(indent):
-            above.pop()
-        key = ".".join([*(key_above for _, key_above in above), name])
-        value = value.partition(" #")[0].strip()
-        if value.startswith("{"):
-            yield from (f"{key}.{below}" for below in re.findall(r"(\w+):", value))
-        elif value:
-            yield key
-        else:
-            above.append((len(indent), name))
-
-
 # how values are read
 
 
@@ -203,7 +174,7 @@ INIT = Text(
     "FILE", lambda value: value if value in ("haar", "yunet") else Path(value), _files,
     "an init file, or haar to look for a face",
 )  # fmt: skip
-RECIPE, KEY = Text("RECIPE", complete=_recipes), Text("KEY=VALUE", complete=_keys)
+RECIPE, KEY = Text("RECIPE", complete=_recipes), Text("KEY=VALUE")
 BOX, RATE = Text("X,Y,W,H", _box), Text("RATE", _rate)
 FRAME = Whole(min=0)
 
@@ -247,11 +218,6 @@ class Option(click.Option):
                 raise
             message = error.message if isinstance(error, click.ClickException) else str(error)
             raise UsageError(f"{self.variable(ctx)}: {message.rstrip('.')}") from None
-
-    def get_help_extra(self, ctx: click.Context) -> Any:
-        """Beside the default, the variable that has replaced it."""
-        value = self.resolve_envvar_value(ctx)
-        return super().get_help_extra(ctx) | ({} if value is None else {"envvars": (f"{self.variable(ctx)}={value}",)})
 
 
 option = functools.partial(click.option, cls=Option)

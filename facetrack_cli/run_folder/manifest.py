@@ -29,7 +29,6 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import (
-    LOG_LINES,
     BusyError,
     ExitCode,
     FacetrackError,
@@ -47,7 +46,6 @@ from facetrack_cli.core.files import (
     digest,
     discard,
     read_bounded,
-    sampled,
     temporary_path,
 )
 from facetrack_cli.core.numbers import dumps
@@ -78,7 +76,6 @@ FILTERED: Final = "trajectory.filtered.csv"
 OWNED: Final = (VIDEO, POSTERIOR, FILTERED, PEOPLE, *TABLES, NAME)  # the files that a run writes, or replaces
 REPORT: Final = "report.html"
 PLOT: Final = "plot.png"
-LARGE_BYTES = 1 << 26
 KILLED: Final = "killed"
 _FRAME: Final[Mapping[Format, re.Pattern[bytes]]] = {
     "csv": re.compile(rb"(\d{1,15}),.*"),
@@ -114,8 +111,7 @@ class Manifest(RunSummary):
     their points that the other senses bear out, None without one.
     `doubts` is what speaks against the track, `look` the first and last frames to look at, the longest span first.
     `began` and `ended` are UTC; `seconds` is the time between them, in which all but `resumed` frames were tracked. In
-    a batch a clip that failed has its `error`, and `log`, the last lines of a process that died. Of `files` of more
-    than `LARGE_BYTES` `samples` has the digest by which they are known again, since that of all takes seconds.
+    a batch a clip that failed has its `error`.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
@@ -136,9 +132,7 @@ class Manifest(RunSummary):
     seconds: float | None = None
     error: str | None = None
     exit_code: int | None = None
-    log: tuple[str, ...] = ()
     files: dict[str, File] = field(default_factory=dict)
-    samples: dict[str, str] = field(default_factory=dict)
 
     @property
     def network(self) -> str:
@@ -223,9 +217,7 @@ def commit(
         if run is not None:
             parts = {path.name: temporary_path(path) for path in files if path.name in OWNED}
             new = {name: File(part.stat().st_size, digest([part])) for name, part in parts.items()}
-            large = {name: sampled(parts[name]) for name, file in new.items() if file.bytes > LARGE_BYTES}
-            samples = {name: sample for name, sample in run.samples.items() if name not in new}
-            run = replace(run, files={**run.files, **new}, samples={**samples, **large})
+            run = replace(run, files={**run.files, **new})
             gone += [folder / name for name in OWNED if name not in run.files and folder / name not in files]
             try:
                 text = _adapter().dump_json(run, indent=1, exclude={"variable_fps", "evidence", "source_sha256"})
@@ -254,22 +246,16 @@ def as_line(error: Exception) -> FacetrackError:
     return FacetrackError(f"internal error, please report it: {type(error).__name__}: {error}")
 
 
-def failed(run: Manifest, error: Exception, log: Sequence[str] = ()) -> Manifest:
-    """The run with the error that ended it. `log`: the last lines of its process, if that died."""
+def failed(run: Manifest, error: Exception) -> Manifest:
+    """The run with the error that ended it."""
     line = as_line(error)
-    last = tuple(text.encode(errors="replace").decode() for text in log[-LOG_LINES:])
-    return replace(
-        run, complete=False, error=as_text(str(line)), exit_code=int(line.exit_code), log=last, ended=utc_now()
-    )
+    return replace(run, complete=False, error=as_text(str(line)), exit_code=int(line.exit_code), ended=utc_now())
 
 
-def note_failure(
-    lock: FolderLease, folder: Path, run: Manifest, clip: Path, error: Exception, log: Sequence[str] = ()
-) -> None:
+def note_failure(lock: FolderLease, folder: Path, run: Manifest, clip: Path, error: Exception) -> None:
     """Write into run.json that a clip failed, with what is known of its `run`; what was tracked of it stays.
 
     Nothing is written where the error is one of writing, and over results that are whole or of something else.
-    `log`: the last lines of a process that died.
     """
     if isinstance(error, OutputError):
         return
@@ -283,7 +269,7 @@ def note_failure(
             return
         else:
             run = replace(run, clip=clip_stat(clip))
-        commit(lock, folder, [], failed(run, error, log))
+        commit(lock, folder, [], failed(run, error))
 
 
 def error_of(run: Manifest) -> FacetrackError | None:
@@ -513,9 +499,9 @@ def _is_same(clip_then: Clip, clip: Path) -> bool:
 
 def _is_as_written(folder: Path, name: str, run: Manifest) -> bool:
     """Whether a file is what its run wrote; of a run that did not end, whose tables are replaced, if its size is."""
-    path, of, sample = folder / name, run.files[name], run.samples.get(name)
+    path, of = folder / name, run.files[name]
     with contextlib.suppress(OSError, ValueError):
         stat_now = path.lstat()
         if stat.S_ISREG(stat_now.st_mode) and stat_now.st_size == of.bytes:
-            return run.stopped is not None or (sampled(path) == sample if sample else digest([path]) == of.sha256)
+            return run.stopped is not None or digest([path]) == of.sha256
     return False

@@ -77,8 +77,8 @@ class ClipStatus:
 
     `frames` are those that are tracked, `of` those in all, where known; `lost` is the share of them in which the part
     that is lost most is lost, `doubtful` says whether something speaks against the track, `look` what to look at
-    first, and `still` which frame shows it. `since` and `ended` are UTC; `error` and the last
-    lines of its `log` say why it failed.
+    first, and `still` which frame shows it. `since` and `ended` are UTC; `error` says why it
+    failed.
     """
 
     clip: str
@@ -98,7 +98,6 @@ class ClipStatus:
     still: int | None = None
     error: str | None = None
     exit_code: int | None = None
-    log: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -156,10 +155,6 @@ class Status:
             if clip.state == "interrupted":
                 kept = f" ({clip.frames} frame{'s' * (clip.frames > 1)})" if clip.frames else ""
                 yield f"interrupted: {clip.clip}: what it had tracked is kept{kept}"
-        for clip in self.clips:
-            if clip.log:
-                yield f"the last lines of {clip.clip}:"
-                yield from (f"    {line}" for line in clip.log[-5:])
         left = sum(self.counts[state] for state in ("running", "interrupted", "not begun"))
         clips, running = f"{left} {self.kind}{'s' * (left != 1)}", self.counts["running"]
         if not left and self.kind == "chunk":
@@ -281,7 +276,7 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
     tracked, took = run.frames - run.resumed, run.seconds
     lost, look = _worst_part(run)
     first, last = max(run.look, key=lambda span: span[1] - span[0], default=(None, None))
-    members = ("frames", "host", "ended", "seconds", "complete", "error", "exit_code", "log")
+    members = ("frames", "host", "ended", "seconds", "complete", "error", "exit_code")
     return ClipStatus(
         clip=clip or (run.clip.path if run.clip is not None else name),
         folder=name,

@@ -36,7 +36,7 @@ from facetrack_cli.runs.batch import attempt, check_all, run_batch, run_shared
 from facetrack_cli.runs.people import ORIGIN
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, digest_of, resolve
 from facetrack_cli.runs.progress import Progress
-from facetrack_cli.runs.record import ClipFacts, Ended, Recorder, Results, RunFolder, Video, header_of, record, tables
+from facetrack_cli.runs.record import ClipFacts, Ended, Recorder, Results, RunFolder, header_of, outputs, record
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.runs.workers import decoded_ahead
@@ -454,8 +454,7 @@ def join_chunks(plan: Plan, folder: RunFolder, stop: Stop, report: Report, looke
     with stitched(plan, stop) as (results, start):
         monitor = RunMonitor.of(plan.job.recipe, start)
         monitor.detector = None  # it has looked at the chunks as they were tracked
-        video = Video(plan, folder) if plan.draws else None
-        with Recorder(plan, [*tables(plan), monitor], video, folder) as into:
+        with Recorder(plan, [*outputs(plan, folder), monitor], folder) as into:
             into.outcome.note = start.note
             done = record(results, into, stop, report)
     done.frames_per_s = 0.0  # rows were joined, not tracked

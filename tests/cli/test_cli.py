@@ -1,6 +1,5 @@
 import os
 import re
-import signal
 import subprocess
 import sys
 import types
@@ -312,15 +311,6 @@ def test_out_of_memory_is_no_fault_of_ours(monkeypatch, capsys):
     monkeypatch.setattr("facetrack_cli.core.models.shipped_recipes", refuse)
     assert main(["recipes"]) == 1
     assert capsys.readouterr().err.startswith("facetrack: error: not enough memory (Unable to allocate 73 TiB); take")
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_a_signal_outside_a_run(monkeypatch, capsys):
-    monkeypatch.setattr("facetrack_cli.core.models.shipped_recipes", lambda: os.kill(os.getpid(), signal.SIGTERM))
-    assert main(["recipes"]) == 143
-    assert capsys.readouterr().err == "facetrack: terminated\n"
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_init_finds_all_faces_of_a_frame(tmp_path, capsys):

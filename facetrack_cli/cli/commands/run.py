@@ -14,16 +14,15 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Command, Extent, Text, Whole, extent_options, flag, option, refuse, say
-from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError
+from facetrack_cli.core.errors import ExitCode, InputError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
-    from facetrack_cli.runs.plan import Job, Outcome, Report
+    from facetrack_cli.runs.plan import Job, Outcome
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.writers import Format
 
-    After: TypeAlias = Callable[[Outcome, Stop, Progress], None]
     Batch: TypeAlias = Callable[..., Iterator[Outcome]]  # of jobs, stop, progress
 
 
@@ -158,7 +157,7 @@ def run_command(
     from facetrack_cli.engine.kernels import cache
     from facetrack_cli.run_folder.status import check_networks, write_batch
     from facetrack_cli.runs.batch import expand, folders, run_batch, variant_name
-    from facetrack_cli.runs.plan import Job, Split, check_smoothing, default_reason, follows_everyone
+    from facetrack_cli.runs.plan import Job, Split, check_smoothing, follows_everyone
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.runs.workers import cores
@@ -227,28 +226,25 @@ def run_command(
                 gallery=Path(gallery) if gallery and faces == "all" and follows_everyone(recipe) else None,
                 overwrite=overwrite,
                 lag=lag or 0,
-                posterior=smooth,
+                smooth=smooth,
                 strict=strict,
                 resume=not no_resume,
                 batch=several,
                 retry_failed=retry_failed,
                 split=None if split is None else Split(*split),
-                default_reason=default_reason(extent.box) if config is None else "",
                 threads=threads or (1 if cluster else min(MOST_THREADS, max(1, cores() // workers))),
                 **vars(extent) | ({"fps": None} if extent.fps and brings_rate(clip) else {}),
             )
             for clip, folder in zip(clips, places, strict=True)
         ]
-        after = _smooth if smooth else None
         if split is not None:
             code = _chunks(todo[0], workers, stop, shown, shard or (1, 1))
-        elif cluster is not None and local is None:  # workers smooth what they track
-            there, here = (_smoothed, partial(_smooth, before=True)) if smooth else (None, None)
-            code = _several(todo, partial(run_cluster, where=cluster, after=there), stop, shown, here)
+        elif cluster is not None and local is None:
+            code = _several(todo, partial(run_cluster, where=cluster), stop, shown)
         elif several or remote:
-            code = _several(todo, partial(run_batch, workers=workers), stop, shown, after)
+            code = _several(todo, partial(run_batch, workers=workers), stop, shown)
         else:  # whose error is the command's
-            code = _one(todo[0], stop, shown, after)
+            code = _one(todo[0], stop, shown)
     return ExitCode.DONE if code is ExitCode.LOST and not fail_on_lost else code
 
 
@@ -301,33 +297,7 @@ def _live(
     return stop.code or ExitCode.DONE
 
 
-def _smooth(outcome: Outcome, stop: Stop, shown: Progress, *, before: bool = False) -> None:
-    """Smooth what a clip gave; with `before` only what an earlier command tracked, and did not smooth."""
-    from facetrack_cli.runs.signals import StoppedError
-
-    if not outcome.files or outcome.error is not None or (before if outcome.again is None else outcome.again.smoothed):
-        return
-    shown.begin(f"{outcome.clip.name}, smoothed")
-    try:
-        files, notes = _smoothed(outcome, stop, shown.update)
-    except StoppedError:
-        shown.say(f"{outcome.clip}: not smoothed; the same command again does it")
-        return
-    for note in notes:
-        shown.say(f"facetrack: warning: {note}")
-    shown.say(f"{outcome.clip}: smoothed: {', '.join(path.name for path in files)}")
-
-
-def _smoothed(outcome: Outcome, stop: Stop, report: Report | None = None) -> tuple[list[Path], list[str]]:
-    """Smooth a clip that was tracked, also on a worker; its files, and warnings that were not given yet."""
-    from facetrack_cli.runs.plan import silent
-    from facetrack_cli.runs.smooth import save_smoothed
-
-    files, notes = save_smoothed(outcome.files[0].parent, outcome.clip, report or silent, stop)
-    return files, [note for note in notes if note not in outcome.warnings]
-
-
-def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
+def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
     """Run one clip; its error is the command's."""
     from facetrack_cli.runs.clip import run
     from facetrack_cli.runs.workers import share_threads
@@ -338,12 +308,9 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
     shown.close()
     if isinstance(outcome.error, BrokenPipeError):
         raise outcome.error
-    _report(outcome, shown, why=job.default_reason)
+    _report(outcome, shown)
     if outcome.error is not None:
         raise outcome.error
-    if after is not None and not stop():
-        after(outcome, stop, shown)
-        shown.close()
     return stop.code or (ExitCode.LOST if outcome.lost_at_end else ExitCode.DONE)
 
 
@@ -373,7 +340,7 @@ def _chunks(job: Job, workers: int, stop: Stop, shown: Progress, shard: tuple[in
     return stop.code or (ExitCode.LOST if whole.lost_at_end else ExitCode.DONE)
 
 
-def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
+def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
     from facetrack_cli.core.errors import about
     from facetrack_cli.run_folder.status import clip_status, worst
@@ -390,11 +357,6 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
                 if outcome.again is None or done <= MAX_DONE_LINES:
                     _report(outcome, shown, named=True)
                 lost += bool(outcome.lost_at_end)
-                if after is not None and not stop():
-                    try:
-                        after(outcome, stop, shown)
-                    except FacetrackError as e:
-                        outcome.error = e
             if outcome.error is not None:
                 failed += 1
                 before += outcome.again is not None
@@ -413,11 +375,8 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
     return ExitCode.BATCH if failed else ExitCode.LOST if lost else ExitCode.DONE
 
 
-def _report(outcome: Outcome, shown: Progress, *, named: bool = False, why: str = "") -> None:
-    """What the search took, warnings, the summary, the verdict; the next step, if no other clip is `named`.
-
-    `why` this recipe was taken is said of a doubtful run.
-    """
+def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
+    """What the search took, warnings, the summary, the verdict; the next step, if no other clip is `named`."""
     if outcome.note:
         shown.say(f"{outcome.clip}: {outcome.note}")
     for warning in outcome.warnings:
@@ -429,4 +388,4 @@ def _report(outcome: Outcome, shown: Progress, *, named: bool = False, why: str 
     if outcome.verdict and not (named and not outcome.doubts):
         shown.say(f"{outcome.clip}: {outcome.verdict}")
     if not named and (what := outcome.next_step()):
-        shown.say(f"{what}{why if outcome.doubts else ''}")
+        shown.say(what)
