@@ -58,8 +58,6 @@ MODULES = {
 }
 """The file in commands/ of a command; others have one of their own name."""
 ALIASES = {"track": "run"}
-GONE = {"smooth": "run --smooth", "repeat": "compare --seeds", "tune": "compare", "suggest": "recipes"}
-"""Commands of before, and what does their work now."""
 SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True}
 
 READER_GONE = 141
@@ -106,8 +104,6 @@ class LazyGroup(click.Group):
         args = [ALIASES.get(args[0], args[0]), *args[1:]]
         name = args[0]
         if name not in COMMANDS and not name.startswith("-"):
-            if name in GONE:
-                ctx.fail(f'no command "{name}"; it is facetrack {GONE[name]} now')
             near = get_close_matches(name, [*COMMANDS, *ALIASES], n=1)
             hint = f'did you mean "{near[0]}"?' if near else f"there are: {', '.join(COMMANDS)}"
             ctx.fail(f'no command "{name}"; {hint}')

@@ -194,17 +194,11 @@ def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
 
 
 def _check_rows(main: Path, run: Run) -> None:
-    """InputError if the corrections are not in order, or the rows are not what this recipe makes of this start."""
-    start, places = run.start, [(correction.frame, correction.target) for correction in run.start.corrections]
-    followed = {*start.targets, *run.recipe.later}
-    ours = all(correction.target in followed and correction.frame > start.frame for correction in start.corrections)
-    ours &= (
-        places == sorted(set(places), key=lambda place: (place[0], places.index(place))) and run.first == start.frame
-    )
+    """InputError if the rows are not what this recipe makes of this start and its corrections."""
     try:
         check_start(run.start, run.header.source.size, run.recipe.points)
         tracker = build_tracker(run.recipe, run.start, run.header.source.fps)
     except FacetrackError as e:
         raise InputError(f"{main}: its start and its recipe do not go together: {e}") from None
-    if not ours or [(target.name, target.parts) for target in tracker] != list(run.parts.items()):
+    if run.first != run.start.frame or [(target.name, target.parts) for target in tracker] != list(run.parts.items()):
         raise InputError(f"{main}: its rows are not those of its recipe, start and corrections; {_AGAIN}")

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
 import re
 import shlex
@@ -406,13 +405,8 @@ def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
     head = next((i for i, line in enumerate(lines) if _FRAME[form].fullmatch(line)), len(lines))
     body = [line for line in lines[head:-1] if _FRAME[form].fullmatch(line)]
     if form == "csv":
-        groups = [list(rows) for _, rows in groupby(body, lambda line: line.partition(b",")[0])]
-        if len(groups) < 2 or len(groups[-1]) < len(groups[0]):
-            groups = groups[:-1]
+        groups = [list(rows) for _, rows in groupby(body, lambda line: line.partition(b",")[0])][:-1]
         return b"\n".join([*lines[:head], *chain.from_iterable(groups), b""]), len(groups)
-    with contextlib.suppress(ValueError):  # the last line has no end yet, and may be torn inside of an object
-        if _FRAME[form].fullmatch(lines[-1]) and json.loads(lines[-1]):
-            body.append(lines[-1])
     between = b",\n" if form == "json" else b"\n"
     whole = between.join([*(line.rstrip(b",") for line in body)])
     end = tail(form, RunSummary(), len(body)).encode()
@@ -467,7 +461,7 @@ class ClipDigest:
         """The clip with its checksum, for which it waits if the run is `whole`; None if the clip is gone."""
         self._stopped = not whole
         self._thread.join()
-        return self.clip and Clip(self.clip.bytes, self._found, self.clip.path, self.clip.changed_ns)
+        return self.clip and replace(self.clip, sha256=self._found)
 
 
 def clip_stat(clip: Path) -> Clip | None:

@@ -139,9 +139,7 @@ def track_clip(
         resumed = folder.resume(start, sinks)
     with Recorder(plan, sinks, folder, resumed) as into:
         state = into.state
-        why = "from its start, since its checkpoint is damaged, or of another version, another start or another clip"
-        notes = start.note, why * (folder is not None and folder.anew)
-        state.frame, into.outcome.note = state.frame if resumed else start.frame, "; ".join(filter(None, notes))
+        state.frame, into.outcome.note = state.frame if resumed else start.frame, start.note
         with follow(plan, start, shots, state, stop) as results:
             done = record(results, into, stop, report)
     if done.verdict and job.fps is None and done.frames > 1 and not brings_rate(job.clip):

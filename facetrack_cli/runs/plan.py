@@ -22,7 +22,6 @@ from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS, HANDS, DetectorName
 from facetrack_cli.core.files import check_folder, check_plain
-from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.engine.loop import track
@@ -53,7 +52,6 @@ from facetrack_cli.video.source import Source, open_source
 
 SIGNS_FRAMES: Final = 50  # in which hands are looked at, where a recipe follows those of one of several faces
 MIN_MOVED, MOVES_MORE = 2.0, 2.0  # sizes of its face; and times as far as the hands of the largest face
-MIN_OVERLAP: Final = 0.5  # of the boxes: a region with less does not count as found
 MOST_NAMED: Final = 4  # of the parts that are lost, the worst ones
 Report: TypeAlias = Callable[..., None]  # frames done, frames in all if that is known, and what is done
 
@@ -283,20 +281,6 @@ def hands_moved(frames: Sequence[Trajectory]) -> float:
         )
         before = at
     return total
-
-
-def far_from_truth(start: Start, truth: Trajectory) -> str | None:
-    """A line if a start's box lies elsewhere than the ground truth's in its frame: then every figure measures that."""
-    for name, target in start.targets.items() if start.origin != str(truth.path) else ():
-        for rows in truth.at(start.frame).parts:
-            if target.box is None or rows.target not in (name, "") or not np.isfinite(rows.boxes).all():
-                continue
-            if len(rows) and (overlap := float(iou(np.array([target.box]), rows.boxes)[0])) < MIN_OVERLAP:
-                return (
-                    f"{start.origin} puts the box of {name} in frame {start.frame} where it overlaps the truth's "
-                    f"by {overlap:.2f} alone; all figures measure that too: begin with --box, or with another --init"
-                )
-    return None
 
 
 class Split(NamedTuple):

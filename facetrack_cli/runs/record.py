@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import platform
 import sys
 import time
@@ -58,7 +57,7 @@ from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.workers import Painter
 from facetrack_cli.trajectory.diagnostics import KNOWN
-from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, to_record
+from facetrack_cli.trajectory.reader import to_record
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, SCHEMA, VERSION, WRITERS, Format, Header
 from facetrack_cli.video.source import Source
@@ -183,7 +182,6 @@ class RunFolder:
         assert plan.job.out is not None
         self.plan, self.path = plan, plan.job.out
         self.checkpoints: Checkpoints | None = None
-        self.anew = False  # although it has a checkpoint
         self.lease = FolderLease(self.path, stopped)
         self._run = Manifest(networks=plan.job.recipe.networks, host=here()[0])
 
@@ -211,7 +209,6 @@ class RunFolder:
         if last and len(marks) == len(sinks) and all(sink.fits(mark) for sink, mark in zip(sinks, marks, strict=True)):
             last.outcome.resumed = last.frame
             return last
-        self.anew = job.resume and not job.overwrite and (self.path / checkpoint.FOLDER / checkpoint.STATE).is_file()
         remove_checkpoints(self.path)
         return None
 
@@ -249,7 +246,7 @@ class RunFolder:
             run = failed(run, error)
         try:
             commit(self.lease, self.path, done.files, run)
-            return [*outdated(self.path), *_kept_corrections(self.plan.job, self.path)]
+            return outdated(self.path)
         except OutputError as e:  # the lease is lost
             errors.append(e)
         except OSError as e:
@@ -426,16 +423,6 @@ def header_of(job: Job, clip: ClipFacts, start: Start, more: Header, rows: Traje
         **({"diagnostics": [kind.record() for kind in declared.values()]} if declared else {}),
         **more,
     }
-
-
-def _kept_corrections(job: Job, folder: Path) -> list[str]:
-    """A line on each file of corrections there, of the track before, that this run did not begin with."""
-    init = os.path.realpath(job.init) if isinstance(job.init, Path) else ""
-    return [
-        f"{path}: corrections of the track before, kept and not in this one; --init {path} takes them"
-        for path in (folder / CORRECTED, folder / UNSAVED)
-        if path.is_file() and os.path.realpath(path) != init
-    ]
 
 
 def _versions() -> Mapping[str, str]:

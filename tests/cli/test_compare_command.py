@@ -198,13 +198,3 @@ def test_a_truth_is_moved_by_frames(facetrack):
     arguments += ["--seeds", "1", "--stop", "60", "--no-plots", "-q"]
     code, out, _ = facetrack(*arguments, "--shift", "6", "--json")
     assert code == 0 and json.loads(out)["recipes"][0]["mean"]["points.mean_px"] < 2
-
-
-def test_a_start_elsewhere_than_the_truth_is_told(facetrack):
-    Path("boxes.csv").write_text("frame,x,y,w,h\n0,10,10,30,30\n5,12,10,30,30\n")
-    code, _, err = facetrack(
-        *("compare", CLIP, "--truth", "boxes.csv", "--config", "mil", "--seeds", "1", "--stop", "6", "--no-plots")
-    )
-    assert code == 0 and "puts the box of face in frame 0 where it overlaps the truth's by 0.00 alone" in err
-    data = json.loads(Path("occlusion-compare/compare.json").read_text())
-    assert data["recipes"][0]["begins"].endswith(".init.yaml, frame 0")

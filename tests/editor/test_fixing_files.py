@@ -219,7 +219,10 @@ def test_files_that_a_recipe_names_are_found_again_or_missed_in_one_line(tmp_pat
         (lambda j: j["source"].update(path="gone.mp4"), "gone.mp4: is not there, and the run in"),
         (lambda j: j["init"].update(frame=1), "its rows are not those of its recipe, start and corr"),
         (lambda j: j["init"]["targets"].update(ben=j["init"]["targets"]["face"]), "its rows are not those of its"),
-        (lambda j: j["init"].update(corrections=[{"frame": 5, "target": "ben"}]), "its rows are not those of its"),
+        (
+            lambda j: j["init"].update(corrections=[{"frame": 5, "target": "ben"}]),
+            "corrects ben, which the recipe",
+        ),
         (lambda j: j["init"].update(corrections=[{"frame": 5}]), "init.corrections.0.target is not as facetrack run"),
         (lambda j: j["init"]["targets"]["face"].pop("points"), "its start and its recipe do not go together"),
     ],

@@ -178,7 +178,6 @@ def test_a_checkpoint_that_does_not_fit_is_left_out(interrupted, tmp_path, monke
         monkeypatch.setattr(record, "_versions", lambda: {"numpy": "0"})
     done = run(job("factorized", out, smooth=True, overwrite=change.startswith("rows")))
     assert done.resumed is None and done.frames == 26
-    assert ("since its checkpoint is damaged" in done.note) is not change.startswith("rows")
 
 
 def test_a_disk_without_space_for_a_checkpoint_is_no_harm(tmp_path, monkeypatch):

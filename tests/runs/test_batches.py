@@ -181,18 +181,10 @@ def test_shards_are_disjoint_and_complete(run):
     assert run("clips", "-o", "one")[0] == 0 and [*tracked(Path("one"))] == ["c0-face"], "a folder is a batch"
 
 
-@pytest.mark.parametrize(
-    ("shard", "words"),
-    [
-        ("0/5", "counts from 1: the first of 5 jobs is 1/5"),
-        ("6/5", "the last is 5/5"),
-        ("3", "give I/N"),
-        ("a/b", "I/N"),
-    ],
-)
-def test_a_shard_that_is_none(facetrack, shard, words):
+@pytest.mark.parametrize("shard", ["0/5", "6/5", "3", "a/b"])
+def test_a_shard_that_is_none(facetrack, shard):
     code, _, err = facetrack("run", "clips", "--shard", shard)
-    assert code == 2 and words in err
+    assert code == 2 and "give I/N" in err
 
 
 # --- how far it is ---

@@ -149,7 +149,7 @@ def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, monkeypat
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--split", "30"), "give a unit"),
+        (("--split", "30"), "is no length"),
         (("--split", "m"), "is no length"),
         (("--split", "8s"), "overlap by 5 s; give --split 10s or more"),
         (("--split", "40f"), "give --split 50f or more"),

@@ -33,25 +33,18 @@ MAX_DONE_LINES = 20  # for clips that were done before; of more clips there is o
 
 def _shard(value: str) -> tuple[int, int]:
     """The number of one of N jobs, and N."""
-    if not re.fullmatch("[0-9]{1,9}/[0-9]{1,9}", value):
-        raise click.BadParameter(f"{value!r}: give I/N, as 3/20, the third of twenty jobs")
-    number, count = map(int, value.split("/"))
-    if number == 0:
-        raise click.BadParameter(f"{value!r}: counts from 1: the first of {count} jobs is 1/{count}")
-    if number > count:
-        raise click.BadParameter(f"{value!r}: of {count} jobs the last is {count}/{count}")
+    number, count = map(int, value.split("/")) if re.fullmatch("[0-9]{1,9}/[0-9]{1,9}", value) else (0, 0)
+    if not 0 < number <= count:
+        raise click.BadParameter(f"{value!r}: give I/N, as 3/20, the third of twenty jobs; the first is 1/20")
     return number, count
 
 
 def _length(value: str) -> tuple[float, bool]:
     """A length in s, or in frames, and whether it is the latter."""
-    number, unit = value[:-1], value[-1:].lower()
-    if unit not in _UNITS:
-        raise click.BadParameter(f"{value!r}: give a unit, as in 10m, 90s, 1h, or 5000f for frames")
-    with contextlib.suppress(ValueError):
-        if 0 < (length := float(number) * _UNITS[unit]) < 1e9:
-            return length, unit == "f"
-    raise click.BadParameter(f"{value!r}: is no length of a chunk; give one as 10m, 90s, 1h or 5000f")
+    with contextlib.suppress(ValueError, KeyError):
+        if 0 < (length := float(value[:-1]) * _UNITS[value[-1:].lower()]) < 1e9:
+            return length, value[-1:].lower() == "f"
+    raise click.BadParameter(f"{value!r}: is no length of a chunk; give one as 10m, 90s, 1h, or 5000f for frames")
 
 
 def _formats(value: str) -> tuple[Format, ...]:
@@ -174,8 +167,7 @@ def run_command(
         (remote and split, "--split tracks its chunks with -j or --shard; leave --cluster out"),
         (split and out == "-", "--split keeps its chunks in a folder; name one with --out"),
         (split and shard and overwrite, replaced),
-        (split and smooth, f"--smooth {whole}"),
-        (split and lag, f"--lag {whole}"),
+        (split and (smooth or lag), f"{'--smooth' if smooth else '--lag'} {whole}"),
         (smooth and lag, "--lag smooths while it runs, --smooth after it; give one of them"),
         (smooth and out == "-", "--smooth reads the run's files again, and -o - writes none; take --lag, or a folder"),
         (smooth and csv_alone, "--smooth reads the rows from JSON; give --format csv,json"),

@@ -72,9 +72,6 @@ def export_command(
       facetrack export out/ --to otb --target face/nose -o -
       facetrack export out/trajectory.csv --to eaf --media clip.mp4
       facetrack export out/ --to elan --into session.eaf --overwrite
-
-    \b
-    Exit codes: 0 done, 2 usage or output, 3 input.
     """
     from facetrack_cli.core.files import StreamSink, check_new, write_new
     from facetrack_cli.runs.export import content, encoded
@@ -173,10 +170,6 @@ def report_command(
       facetrack report out --truth clip.truth.csv -o paper/supplement.html
       facetrack report out --clip /archive/clip.mp4 --overwrite
       facetrack report results
-
-    \b
-    Exit codes: 0 done, 2 usage, output, or matplotlib is missing,
-    3 input, 130 interrupted, 143 terminated.
     """
     from facetrack_cli.core.files import check_new, check_plain, write_new
     from facetrack_cli.report.make import BATCH_PAGE, TruthFile, make_batch_report, make_report
@@ -241,11 +234,6 @@ def plot_command(
       facetrack plot out/trajectory.csv --target face/nose -o nose.svg
       facetrack plot out/ --truth groundtruth_rect.txt --partial --overwrite
       facetrack plot out/ --measure mouth_opening,blink -o figure.pdf
-
-    \b
-    Exit codes: 0 done, 2 usage or output, or matplotlib is missing,
-    3 a trajectory or ground truth that cannot be read, or that do not belong
-    together, 130 interrupted.
     """
     from facetrack_cli.report.figures import measures_figure, page_figure
     from facetrack_cli.run_folder.manifest import PLOT, read_run
