@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -47,18 +46,6 @@ class Whole(click.IntRange):
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         return "N"
-
-
-class Number(click.FloatRange):
-    """A number in a range: nan and infinity are none."""
-
-    name = "number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        number = super().convert(value, param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"{value!r} is no finite number.", param, ctx)
-        return number
 
 
 class Text(click.ParamType):  # type: ignore[type-arg]  # it has arguments since Click 8.4
@@ -339,7 +326,6 @@ config = option(
     help="Recipe: a file, or a name [default: face; with --box correlation_filter].",
 )
 clip = option("--clip", type=INPUT, help="The clip, if it is elsewhere now.")
-title = option("--title", type=Text("TEXT"), help="Title of the page [default: clip and recipe].")
 target = option("--target", type=Text("NAME[/PART]"), help="One target, or one part of it, alone.")
 overwrite = flag("--overwrite", help="Replace files that are there already.")
 quiet = flag("--quiet", "-q", help="Say nothing but errors.")
@@ -471,13 +457,11 @@ def working(quiet: bool, name: str, stopped: str) -> Iterator[tuple[Stop, Progre
             raise click.exceptions.Exit(stop.code or ExitCode.FAULT) from None
 
 
-def write_figure(
-    path: Path, make: Callable[[], Figure], *, overwrite: bool, inputs: Iterable[Path] = (), dpi: float = 120.0
-) -> None:
+def write_figure(path: Path, make: Callable[[], Figure], *, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
     """The figure, in the form that the file's ending names; refuses before `make` what would be refused after it."""
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.report.figures.style import need_matplotlib, render
 
     check_new(path, overwrite=overwrite, inputs=inputs)
     need_matplotlib()
-    write_new(path, render(make(), path.suffix[1:].lower(), dpi=dpi), overwrite=overwrite)
+    write_new(path, render(make(), path.suffix[1:].lower()), overwrite=overwrite)

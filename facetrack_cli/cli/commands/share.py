@@ -146,11 +146,10 @@ export_command.help = inspect.cleandoc(str(export_command.help)).replace("FORMAT
 @truth_options
 @option("-o", "--out", type=options.FILE, help="The page [default: RUN_DIR/report.html, or batch.html].")
 @options.clip
-@options.title
 @options.overwrite
 @options.quiet
 def report_command(
-    folder: Path, truth: Path | None, reference: TruthOptions, out: Path | None, clip: Path | None, title: str | None,
+    folder: Path, truth: Path | None, reference: TruthOptions, out: Path | None, clip: Path | None,
     overwrite: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Write one HTML page about a run, or about a batch.
@@ -192,9 +191,9 @@ def report_command(
         shown.begin(folder.name or str(folder), "clips" if batch else "frames")
         measured = None if truth is None else TruthFile(truth, *vars(reference).values())
         if batch:
-            page = make_batch_report(folder, to, title, shown.update)
+            page = make_batch_report(folder, to, report=shown.update)
         else:
-            page = make_report(folder, truth=measured, clip=clip, title=title, report=shown.update)
+            page = make_report(folder, truth=measured, clip=clip, report=shown.update)
         with Stop().listening() as stop:  # a Ctrl-C before this ends us with nothing written, from here on with all
             write_new(to, page.html, overwrite=overwrite)
         for note in page.notes:
@@ -210,12 +209,9 @@ def report_command(
 @option("--measure", type=options.Text("NAMES"), help="Draw these measures and events alone, separated by commas.")
 @options.figure_file("plot.png beside TRAJECTORY")
 @options.overwrite
-@options.title
-@option("--width", type=options.Number(4, 40), metavar="INCHES", default=10, help="Width of the page.")
-@option("--dpi", type=options.Number(40, 600), metavar="N", default=120, help="Pixels an inch of a PNG.")
 def plot_command(
     trajectory: Path, truth: Path | None, reference: TruthOptions, measure: str | None, out: Path | None,
-    overwrite: bool, title: str | None, width: float, dpi: float,
+    overwrite: bool,
 ) -> None:  # fmt: skip
     """Draw what happened in a trajectory.
 
@@ -246,10 +242,10 @@ def plot_command(
         table = read_run(trajectory)
         if measure is not None:
             names = [name.strip() for name in measure.split(",")]
-            return measures_figure(choose(table, reference.target), names, title=title, width=width)
+            return measures_figure(choose(table, reference.target), names)
         pairs = None if truth is None else reference.pairs(table, reference.read(truth), say)
-        return page_figure(choose(table, reference.target), pairs, title=title, width=width)
+        return page_figure(choose(table, reference.target), pairs)
 
     out = out or (trajectory if trajectory.is_dir() else trajectory.parent) / PLOT
-    write_figure(out, draw, overwrite=overwrite, dpi=dpi)
+    write_figure(out, draw, overwrite=overwrite)
     say(f"{trajectory} -> {out}")
