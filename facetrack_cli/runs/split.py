@@ -126,7 +126,9 @@ def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
         _check_detector(job, start)
     times, keys = _frames(job, start, stop, progress)
     cuts = cut_by_length(start.frame, times, job.split, keys, str(job.clip))
-    ChunkPlan.of(key, start, [*cuts[:-1], (cuts[-1][0], job.stop)]).write(job.out)
+    record = {"key": key, "origin": start.origin, "note": start.note, "record": to_record(start)}
+    make_folder(folder)
+    write_new(folder / PLAN, dumps(record | {"cuts": [*cuts[:-1], (cuts[-1][0], job.stop)]}).encode(), overwrite=True)
     return read_plan(job.out)  # as others read it
 
 
@@ -213,19 +215,9 @@ class ChunkPlan(BaseModel):
     record: dict[str, Any]
     cuts: tuple[tuple[int, int | None], ...]
 
-    @classmethod
-    def of(cls, key: str, start: Start, cuts: Sequence[tuple[int, int | None]]) -> ChunkPlan:
-        return cls(key=key, origin=start.origin, note=start.note, record=to_record(start), cuts=tuple(cuts))
-
     @property
     def start(self) -> Start:
         return replace(StartRecord.model_validate(self.record).start_from(self.origin), note=self.note)
-
-    def write(self, out: Path) -> None:
-        """Write it beside the chunks of a run. Raises OutputError."""
-        path = out / CHUNKS / PLAN
-        make_folder(path.parent)
-        write_new(path, self.model_dump_json().encode(), overwrite=True)
 
 
 def read_plan(out: Path) -> ChunkPlan:
