@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import click
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError, log_line
+from facetrack_cli.core.errors import ExitCode, UsageError, log_line
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
@@ -197,14 +197,11 @@ class Option(click.Option):
     def resolve_envvar_value(self, ctx: click.Context) -> str | None:
         return os.environ.get(self.variable(ctx)) or None
 
-    def process_value(self, ctx: click.Context, value: Any) -> Any:
-        try:
-            return super().process_value(ctx, value)
-        except (click.ClickException, FacetrackError) as error:
-            if ctx.get_parameter_source(str(self.name)) is not click.core.ParameterSource.ENVIRONMENT:
-                raise
-            message = error.message if isinstance(error, click.ClickException) else str(error)
-            raise UsageError(f"{self.variable(ctx)}: {message.rstrip('.')}") from None
+    def get_error_hint(self, ctx: click.Context | None) -> str:
+        """In errors an option that a variable sets is called by that."""
+        if ctx and ctx.get_parameter_source(str(self.name)) is click.core.ParameterSource.ENVIRONMENT:
+            return self.variable(ctx)
+        return super().get_error_hint(ctx)
 
 
 option = functools.partial(click.option, cls=Option)

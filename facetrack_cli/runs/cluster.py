@@ -46,7 +46,7 @@ def run_cluster(jobs: Sequence[Job], where: str, stop: Stop, progress: Progress)
     A job that fails does not stop the others. Once `stop` says so, the clips at work close their files, as far as they
     can within `STOP_S`, and the others are not begun. Raises UsageError if no scheduler answers.
     """
-    client = _connect(where, stop, progress)
+    client = _connect(where, progress)
     try:
         yield from run_shared(jobs, partial(_turn, client, stop, progress), stop, progress)
     finally:
@@ -54,31 +54,24 @@ def run_cluster(jobs: Sequence[Job], where: str, stop: Stop, progress: Progress)
             client.close(timeout=ANSWER_S)
 
 
-def _connect(where: str, stop: Stop, progress: Progress) -> Any:
-    """A client of the scheduler, None on a wish to stop. Raises UsageError if none answers within `ANSWER_S`."""
-    deadline, warned = time.monotonic() + ANSWER_S, False
-    while not stop():
-        try:
-            if not warned and not _is_here(address_of(where)):
-                said = f"{address_of(where)} is another machine; a scheduler of Dask may run code on this one, too"
-                progress.say(f"facetrack: warning: --cluster: {said}")
-                warned = True
-            client = _client(address_of(where), ANSWER_S / 6)
-            threads = client.nthreads().values()
-        except (OSError, UsageError) as e:  # of a file that is being written, too
-            if time.monotonic() > deadline:
-                said = f"no scheduler of Dask answers at {address_of(where)} within {ANSWER_S:.0f} s"
-                remedy = "start one with `dask scheduler`, or take -j"
-                raise UsageError(f"--cluster {where}: {said} ({reason(e)}); {remedy}") from e
-            time.sleep(LOOK_S)
-            continue
-        if not threads:
-            progress.say(f"facetrack: the scheduler of {where} has no worker; waiting for one")
-        elif max(threads) > 1:
-            said = "a worker tracks one clip at a time, whatever its threads; start workers with --nthreads 1"
-            progress.say(f"facetrack: warning: {where}: {said}")
-        return client
-    return None
+def _connect(where: str, progress: Progress) -> Any:
+    """A client of the scheduler. Raises UsageError if none answers within `ANSWER_S`."""
+    address = address_of(where)
+    if not _is_here(address):
+        said = f"{address} is another machine; a scheduler of Dask may run code on this one, too"
+        progress.say(f"facetrack: warning: --cluster: {said}")
+    try:
+        client = _client(address, ANSWER_S)
+        threads = client.nthreads().values()
+    except OSError as e:
+        said = f"no scheduler of Dask answers at {address} within {ANSWER_S:.0f} s"
+        raise UsageError(f"--cluster {where}: {said} ({reason(e)}); start one with `dask scheduler`, or take -j") from e
+    if not threads:
+        progress.say(f"facetrack: the scheduler of {where} has no worker; waiting for one")
+    elif max(threads) > 1:
+        said = "a worker tracks one clip at a time, whatever its threads; start workers with --nthreads 1"
+        progress.say(f"facetrack: warning: {where}: {said}")
+    return client
 
 
 def _turn(client: Any, stop: Stop, progress: Progress, jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:

@@ -290,19 +290,6 @@ def test_on_a_terminal_there_are_a_table_and_colours():
     assert "\x1b[" not in seen("recipes", "show", "sir", NO_COLOR="1")
 
 
-@pytest.mark.one_in(4)
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
-@pytest.mark.parametrize("args", [["--help"], ["recipes"], ["recipes", "show", "sir"], ["recipes", "check", "sir"]])
-def test_standard_output_on_a_full_disk(args):
-    with Path("/dev/full").open("w") as full:
-        command = [sys.executable, "-m", "facetrack_cli", *args]
-        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
-    assert ended.returncode == 2
-    assert ended.stderr == (
-        "facetrack: error: standard output: cannot be written: No space left on device; send it elsewhere\n"
-    )
-
-
 def test_out_of_memory_is_no_fault_of_ours(monkeypatch, capsys):
     def refuse(*_):
         raise MemoryError("Unable to allocate 73 TiB")

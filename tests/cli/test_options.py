@@ -1,10 +1,8 @@
 """Options: what shells complete, and the defaults that the user sets by variables."""
 
-import os
 import shlex
 import shutil
 import subprocess
-import sys
 
 import click
 import pytest
@@ -78,23 +76,6 @@ def test_the_script_of_a_shell(shell, capsys):
         subprocess.run([shell, "-n"], input=said, text=True, check=True)
 
 
-@pytest.mark.skipif(not shutil.which("bash") or os.name == "nt", reason="there is no Bash")
-def test_bash_completes(tmp_path):
-    (tmp_path / "facetrack").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m facetrack_cli "$@"\n')
-    (tmp_path / "facetrack").chmod(0o755)
-    ask = """
-    eval "$(facetrack completion bash)"
-    COMP_WORDS=(facetrack run --config corr) COMP_CWORD=3
-    compopt() { :; }
-    _facetrack_completion facetrack
-    echo "${COMPREPLY[@]}"
-    """
-    path = f"{tmp_path}:{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, env=environment)
-    assert (done.stdout.split(), done.stderr) == (["correlation_filter"], "")
-
-
 @pytest.fixture
 def given(monkeypatch, capfd):
     """Run a command line with these variables: the options that `run` gets, or what is said."""
@@ -129,11 +110,15 @@ def test_the_order_is_command_line_environment_ours(given, words, variables, opt
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("RUN_JOBS", "x", "FACETRACK_RUN_JOBS: 'x' is not a valid whole number"),
-        ("RUN_JOBS", "0", "FACETRACK_RUN_JOBS: 0 is not in the range 1<=x<=1000"),
-        ("RUN_QUIET", "maybe", "FACETRACK_RUN_QUIET: 'maybe' is not a valid boolean"),
-        ("RUN_BOX", "1,2", "FACETRACK_RUN_BOX: '1,2': give four numbers with commas: left,top,width,height"),
-        ("LOG_FORMAT", "xml", "FACETRACK_LOG_FORMAT: 'xml' is not one of 'text', 'json'"),
+        ("RUN_JOBS", "x", "Invalid value for FACETRACK_RUN_JOBS: 'x' is not a valid whole number"),
+        ("RUN_JOBS", "0", "Invalid value for FACETRACK_RUN_JOBS: 0 is not in the range 1<=x<=1000"),
+        ("RUN_QUIET", "maybe", "Invalid value for FACETRACK_RUN_QUIET: 'maybe' is not a valid boolean"),
+        (
+            "RUN_BOX",
+            "1,2",
+            "Invalid value for FACETRACK_RUN_BOX: '1,2': give four numbers with commas: left,top,width,height",
+        ),
+        ("LOG_FORMAT", "xml", "Invalid value for FACETRACK_LOG_FORMAT: 'xml' is not one of 'text', 'json'"),
     ],
 )
 def test_a_wrong_variable_is_one_line(given, name, value, said):

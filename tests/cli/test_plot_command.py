@@ -92,13 +92,6 @@ def test_truth_adds_the_error(capsys, run, truth, monkeypatch):
     assert [s.name for s in chosen.parts] == ["face/chin"] == [p.ours.name for p in pair]
 
 
-def test_truth_that_does_not_belong_is_refused(capsys, run, truth, tmp_path):
-    code, err = facetrack(capsys, run, "--truth", truth, "--shift", "7")
-    assert code == 3 and err.count("\n") == 1
-    assert facetrack(capsys, run, "--truth", truth, "--shift", "7", "--partial")[0] == 0
-    assert facetrack(capsys, run, "--truth", tmp_path / "none.csv", "--overwrite")[0] == 3
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
