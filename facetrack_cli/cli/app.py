@@ -11,7 +11,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.cli.options import option
+from facetrack_cli.cli.options import flag, option
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import LOG_FORMAT
 
@@ -58,7 +58,7 @@ MODULES = {
 }
 """The file in commands/ of a command; others have one of their own name."""
 ALIASES = {"track": "run"}
-SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True}
+SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True, "auto_envvar_prefix": "FACETRACK"}
 
 READER_GONE = 141
 """Exit code when the reader of standard output is gone, as in `facetrack ... | head`: the shell's, for SIGPIPE."""
@@ -115,7 +115,7 @@ class LazyGroup(click.Group):
 
 
 @click.group(cls=LazyGroup, invoke_without_command=True, context_settings=SETTINGS)
-@click.option("--debug", is_flag=True, help="Show the traceback of an error (also FACETRACK_DEBUG=1).")
+@flag("--debug", allow_from_autoenv=False, help="Show the traceback of an error (also FACETRACK_DEBUG=1).")
 @option(
     "--log-format", type=click.Choice(["text", "json"]), default="text", metavar="FORMAT",
     help="What stderr says: text, or an object of JSON a line.",

@@ -1,4 +1,4 @@
-"""What commands share: kinds of values, options with defaults by variables, a help in sections, groups of options.
+"""What commands share: kinds of values, a help in sections, groups of options.
 
 A kind of value says what the help calls it, how it is read, and what a shell completes. A shell asks at each key, so
 completion loads no recipe. A group of options reaches its command as one value, as `extent` of `@extent_options`.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -187,24 +186,7 @@ def frame_at(at: str, clock: Clock) -> int:
 Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
-class Option(click.Option):
-    """An option whose default the user may set by a variable, as FACETRACK_RUN_JOBS=4 for --jobs of run."""
-
-    def variable(self, ctx: click.Context) -> str:
-        words = f"{ctx.command_path} {max(self.opts, key=len).lstrip('-')}"
-        return words.replace(" ", "_").replace("-", "_").upper()
-
-    def resolve_envvar_value(self, ctx: click.Context) -> str | None:
-        return os.environ.get(self.variable(ctx)) or None
-
-    def get_error_hint(self, ctx: click.Context | None) -> str:
-        """In errors an option that a variable sets is called by that."""
-        if ctx and ctx.get_parameter_source(str(self.name)) is click.core.ParameterSource.ENVIRONMENT:
-            return self.variable(ctx)
-        return super().get_error_hint(ctx)
-
-
-option = functools.partial(click.option, cls=Option)
+option = click.option
 flag = functools.partial(option, is_flag=True)
 
 

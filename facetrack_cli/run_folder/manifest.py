@@ -13,7 +13,6 @@ import contextlib
 import hashlib
 import os
 import re
-import shlex
 import stat
 import threading
 import traceback
@@ -176,9 +175,7 @@ def check_belongs(path: Path) -> None:
     run = read_manifest(path.parent) if path.name in OWNED else None
     if run is None:
         return
-    if path.name not in run.files:
-        raise InputError(f"{path}: is not of the run in this folder, as {NAME} says; remove it, or copy it elsewhere")
-    if run.files[path.name].sha256 != digest([path]):
+    if path.name not in run.files or run.files[path.name].sha256 != digest([path]):
         raise InputError(
             f"{path}: is not as its run wrote it, as {NAME} beside it says: it was edited, or is of another run; "
             "copy it elsewhere to read it as it is"
@@ -187,18 +184,11 @@ def check_belongs(path: Path) -> None:
 
 def outdated(folder: Path) -> list[str]:
     """A line on the files that report, plot and export made of the track that is replaced now; none without any."""
-    made: dict[str, str] = {}
     with contextlib.suppress(OSError):
         there = sorted(path.name for path in folder.iterdir() if path.name not in OWNED)
-        made = {name: command for name in there if (command := made_by(name))}
-    again = [f"facetrack {by} {shlex.quote(str(folder))} --overwrite" for by in dict.fromkeys(made.values())]
-    return [f"{folder}: older than the track: {', '.join(made)}; make anew: {', '.join(again)}"] if made else []
-
-
-def made_by(name: str) -> str:
-    """The command that writes a file of this name beside a trajectory; "" for any other file."""
-    commands = {REPORT: "report", PLOT: "plot"}
-    return commands.get(name, "export --to FORMAT" if name.startswith("trajectory.") else "")
+        if made := [name for name in there if name in (REPORT, PLOT) or name.startswith("trajectory.")]:
+            return [f"{folder}: older than the track: {', '.join(made)}; make them anew with --overwrite"]
+    return []
 
 
 def commit(

@@ -286,8 +286,6 @@ def test_on_a_terminal_there_are_a_table_and_colours():
     plain = re.sub(r"\x1b\[[0-9;]*m", "", table)
     marked = [line.split()[1] for line in plain.splitlines() if line.startswith("-> ") and "is the one" not in line]
     assert marked == [*TAKE] == ["face", "correlation_filter", "signer", "adaptive_recognition"]
-    assert "\x1b[" in seen("recipes", "show", "sir")
-    assert "\x1b[" not in seen("recipes", "show", "sir", NO_COLOR="1")
 
 
 def test_out_of_memory_is_no_fault_of_ours(monkeypatch, capsys):

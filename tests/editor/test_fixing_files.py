@@ -159,10 +159,8 @@ def test_where_nothing_is_corrected_any_more_the_files_do_not_speak_of_correctio
     before = files_of(out)
     for name in ("report.html", "trajectory.mot.txt"):
         (out / name).write_text("x")
-    older = (
-        f"{out}: older than the track: report.html, trajectory.mot.txt; make anew: facetrack report {out} --overwrite"
-    )
-    assert put(out)[-1] == f"{older}, facetrack export --to FORMAT {out} --overwrite"
+    older = f"{out}: older than the track: report.html, trajectory.mot.txt; make them anew with --overwrite"
+    assert put(out)[-1] == older
     with fixing(out) as fixer:
         fixer.remove(4, "face")
         save(fixer)

@@ -430,7 +430,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("FACETRACK_RUN_CONFIG", "factorized")
-    monkeypatch.setenv("FACETRACK_RUN_SET", "filter.particles=20")
+    monkeypatch.setenv("FACETRACK_RUN_OVERRIDES", "filter.particles=20")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -251,7 +251,7 @@ def test_results_that_are_there_are_not_touched(run, clip):
     init = ["--init", folder / "corrected.init.yaml"]
     code, _, err = run(clip, *SMALL, "--overwrite", "--no-video", *init)
     assert code == 0 and {*names(folder)} == {*mine, "run.json", *TABLES}
-    assert "older than the track: report.html, trajectory.wide.csv; make anew: facetrack report sway-face --over" in err
+    assert "older than the track: report.html, trajectory.wide.csv; make them anew" in err
     assert "older" not in run(clip, *SMALL, "--no-video", *init)[2], "nothing is replaced"
 
 
