@@ -206,7 +206,8 @@ class RunFolder:
             self.checkpoints = Checkpoints(self.path, key, video=self.plan.draws)
             last = self.checkpoints.find() if job.resume and not job.overwrite else None
         marks = last.sinks if isinstance(last, RunState) else ()
-        if last and len(marks) == len(sinks) and all(sink.fits(mark) for sink, mark in zip(sinks, marks, strict=True)):
+        fits = len(marks) == len(sinks) and all(sink.fits(mark) for sink, mark in zip(sinks, marks, strict=True))
+        if isinstance(last, RunState) and fits:
             last.outcome.resumed = last.frame
             return last
         remove_checkpoints(self.path)
