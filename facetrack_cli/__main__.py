@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import TextIO
 
 from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, as_json, from_system, log_line
-from facetrack_cli.runs.signals import TerminatedError, raising
+from facetrack_cli.runs.signals import ending_at_once
 
 _MAX_MESSAGE = 1000  # characters of an error
 _STREAM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
@@ -22,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _open_streams()
     if argv is None:
         gc.set_threshold(100_000, 20, 100)  # to look through what is imported, and stays, takes a tenth of a short run
-    with raising():  # also while the commands are loaded
+    with ending_at_once():  # also while the commands are loaded
         code = _run(argv)
     if argv is None:
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # while the interpreter ends, they must not change the exit code
@@ -67,9 +67,6 @@ def _run(argv: Sequence[str] | None) -> int:
             return _failed(error.__cause__)
         _say("interrupted")
         return ExitCode.INTERRUPTED
-    except TerminatedError:
-        _say("terminated")
-        return ExitCode.TERMINATED
     except BrokenPipeError:
         _forget(sys.stdout)
         return READER_GONE

@@ -11,7 +11,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.cli.options import option
+from facetrack_cli.cli.options import flag, option
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import LOG_FORMAT
 
@@ -58,9 +58,7 @@ MODULES = {
 }
 """The file in commands/ of a command; others have one of their own name."""
 ALIASES = {"track": "run"}
-GONE = {"smooth": "run --smooth", "repeat": "compare --seeds", "tune": "compare", "suggest": "recipes"}
-"""Commands of before, and what does their work now."""
-SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True}
+SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True, "auto_envvar_prefix": "FACETRACK"}
 
 READER_GONE = 141
 """Exit code when the reader of standard output is gone, as in `facetrack ... | head`: the shell's, for SIGPIPE."""
@@ -106,8 +104,6 @@ class LazyGroup(click.Group):
         args = [ALIASES.get(args[0], args[0]), *args[1:]]
         name = args[0]
         if name not in COMMANDS and not name.startswith("-"):
-            if name in GONE:
-                ctx.fail(f'no command "{name}"; it is facetrack {GONE[name]} now')
             near = get_close_matches(name, [*COMMANDS, *ALIASES], n=1)
             hint = f'did you mean "{near[0]}"?' if near else f"there are: {', '.join(COMMANDS)}"
             ctx.fail(f'no command "{name}"; {hint}')
@@ -119,7 +115,7 @@ class LazyGroup(click.Group):
 
 
 @click.group(cls=LazyGroup, invoke_without_command=True, context_settings=SETTINGS)
-@click.option("--debug", is_flag=True, help="Show the traceback of an error (also FACETRACK_DEBUG=1).")
+@flag("--debug", allow_from_autoenv=False, help="Show the traceback of an error (also FACETRACK_DEBUG=1).")
 @option(
     "--log-format", type=click.Choice(["text", "json"]), default="text", metavar="FORMAT",
     help="What stderr says: text, or an object of JSON a line.",
@@ -138,7 +134,7 @@ def cli(ctx: click.Context, debug: bool, log_format: str) -> None:
         facetrack run --help
 
     Variables set defaults of options, as FACETRACK_RUN_JOBS=4 for --jobs of
-    run; --help of a command shows those that are set.
+    run.
 
     Exit codes: 0 done, 1 internal error, 2 usage, recipe or output,
     3 input, 4 target lost (with --fail-on-lost), 5 some of a batch failed,

@@ -1,4 +1,4 @@
-"""What commands share: kinds of values, options with defaults by variables, a help in sections, groups of options.
+"""What commands share: kinds of values, a help in sections, groups of options.
 
 A kind of value says what the help calls it, how it is read, and what a shell completes. A shell asks at each key, so
 completion loads no recipe. A group of options reaches its command as one value, as `extent` of `@extent_options`.
@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import math
-import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -21,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import click
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError, log_line
+from facetrack_cli.core.errors import ExitCode, UsageError, log_line
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
@@ -47,18 +45,6 @@ class Whole(click.IntRange):
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         return "N"
-
-
-class Number(click.FloatRange):
-    """A number in a range: nan and infinity are none."""
-
-    name = "number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        number = super().convert(value, param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"{value!r} is no finite number.", param, ctx)
-        return number
 
 
 class Text(click.ParamType):  # type: ignore[type-arg]  # it has arguments since Click 8.4
@@ -128,35 +114,6 @@ def _recipes(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
     return _files(ctx, incomplete) + [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
-def _keys(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-    """Keys that the recipe of the command line has, or any shipped one."""
-    shipped = {path.stem: path for path in shipped_recipes()}
-    values = [ctx.params.get(name) for name in ("config", "recipe")]
-    names = [name for value in values for name in ([value] if isinstance(value, str) else value or ())]
-    files = [shipped.get(name.removesuffix(".yaml"), Path(name)) for name in names] or list(shipped.values())
-    keys: dict[str, None] = {}
-    for file in files:
-        with contextlib.suppress(OSError, ValueError):
-            keys.update(dict.fromkeys(_keys_of(file.read_text(encoding="utf-8"))))
-    return [CompletionItem(f"{key}=") for key in keys if key.startswith(incomplete)]
-
-
-def _keys_of(text: str) -> Iterator[str]:
-    """The keys of a recipe that have values, with dots between the levels, as its lines show them."""
-    above: list[tuple[int, str]] = []  # indentation and name of the sections around a line
-    for indent, name, value in re.findall(r"^( *)(\w+):(.*)$", text, re.MULTILINE):
-        while above and above[-1][0] >= len(indent):
-            above.pop()
-        key = ".".join([*(key_above for _, key_above in above), name])
-        value = value.partition(" #")[0].strip()
-        if value.startswith("{"):
-            yield from (f"{key}.{below}" for below in re.findall(r"(\w+):", value))
-        elif value:
-            yield key
-        else:
-            above.append((len(indent), name))
-
-
 # how values are read
 
 
@@ -203,7 +160,7 @@ INIT = Text(
     "FILE", lambda value: value if value in ("haar", "yunet") else Path(value), _files,
     "an init file, or haar to look for a face",
 )  # fmt: skip
-RECIPE, KEY = Text("RECIPE", complete=_recipes), Text("KEY=VALUE", complete=_keys)
+RECIPE, KEY = Text("RECIPE", complete=_recipes), Text("KEY=VALUE")
 BOX, RATE = Text("X,Y,W,H", _box), Text("RATE", _rate)
 FRAME = Whole(min=0)
 
@@ -229,32 +186,7 @@ def frame_at(at: str, clock: Clock) -> int:
 Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
-class Option(click.Option):
-    """An option whose default the user may set by a variable, as FACETRACK_RUN_JOBS=4 for --jobs of run."""
-
-    def variable(self, ctx: click.Context) -> str:
-        words = f"{ctx.command_path} {max(self.opts, key=len).lstrip('-')}"
-        return words.replace(" ", "_").replace("-", "_").upper()
-
-    def resolve_envvar_value(self, ctx: click.Context) -> str | None:
-        return os.environ.get(self.variable(ctx)) or None
-
-    def process_value(self, ctx: click.Context, value: Any) -> Any:
-        try:
-            return super().process_value(ctx, value)
-        except (click.ClickException, FacetrackError) as error:
-            if ctx.get_parameter_source(str(self.name)) is not click.core.ParameterSource.ENVIRONMENT:
-                raise
-            message = error.message if isinstance(error, click.ClickException) else str(error)
-            raise UsageError(f"{self.variable(ctx)}: {message.rstrip('.')}") from None
-
-    def get_help_extra(self, ctx: click.Context) -> Any:
-        """Beside the default, the variable that has replaced it."""
-        value = self.resolve_envvar_value(ctx)
-        return super().get_help_extra(ctx) | ({} if value is None else {"envvars": (f"{self.variable(ctx)}={value}",)})
-
-
-option = functools.partial(click.option, cls=Option)
+option = click.option
 flag = functools.partial(option, is_flag=True)
 
 
@@ -373,7 +305,6 @@ config = option(
     help="Recipe: a file, or a name [default: face; with --box correlation_filter].",
 )
 clip = option("--clip", type=INPUT, help="The clip, if it is elsewhere now.")
-title = option("--title", type=Text("TEXT"), help="Title of the page [default: clip and recipe].")
 target = option("--target", type=Text("NAME[/PART]"), help="One target, or one part of it, alone.")
 overwrite = flag("--overwrite", help="Replace files that are there already.")
 quiet = flag("--quiet", "-q", help="Say nothing but errors.")
@@ -505,13 +436,11 @@ def working(quiet: bool, name: str, stopped: str) -> Iterator[tuple[Stop, Progre
             raise click.exceptions.Exit(stop.code or ExitCode.FAULT) from None
 
 
-def write_figure(
-    path: Path, make: Callable[[], Figure], *, overwrite: bool, inputs: Iterable[Path] = (), dpi: float = 120.0
-) -> None:
+def write_figure(path: Path, make: Callable[[], Figure], *, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
     """The figure, in the form that the file's ending names; refuses before `make` what would be refused after it."""
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.report.figures.style import need_matplotlib, render
 
     check_new(path, overwrite=overwrite, inputs=inputs)
     need_matplotlib()
-    write_new(path, render(make(), path.suffix[1:].lower(), dpi=dpi), overwrite=overwrite)
+    write_new(path, render(make(), path.suffix[1:].lower()), overwrite=overwrite)

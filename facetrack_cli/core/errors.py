@@ -153,7 +153,7 @@ def named_as_arguments() -> Iterator[None]:
 
 
 LOG_FORMAT: Final = "FACETRACK_LOG_FORMAT"  # a variable, so that the processes of a batch know too
-LOG_LINES: Final = 20  # of what a process wrote to standard error that are kept, the last ones
+
 _LEVELS: Final = {"error: ": "error", "warning: ": "warning", "note: ": "info"}
 
 

@@ -293,17 +293,6 @@ def digest(files: Iterable[Path], *, names: bool = False, stopped: Callable[[], 
     return total.hexdigest()
 
 
-def sampled(path: Path) -> str:
-    """A digest of a file that is soon computed: of its size, its first and last MiB, and 62 places between. OSError."""
-    size = path.stat().st_size
-    total = hashlib.sha256(str(size).encode())
-    with path.open("rb") as file:
-        for place in range(64):
-            file.seek(max(size - (1 << 20), 0) * place // 63)
-            total.update(file.read(1 << 20 if place in (0, 63) else 1 << 14))
-    return total.hexdigest()
-
-
 def check_readable(path: Path, most: int, what: str = "file") -> None:
     """InputError for a file of more than `most` bytes, and for a device or a pipe, which may never end. OSError."""
     status = path.stat()

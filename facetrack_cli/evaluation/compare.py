@@ -38,7 +38,7 @@ from facetrack_cli.evaluation.summary import (
     scalars,
 )
 from facetrack_cli.recipe.model import Recipe, to_dict
-from facetrack_cli.runs.plan import ClipRequest, far_from_truth
+from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.seeds import SeedPlan, SeedRun, outline, run_plans
 from facetrack_cli.runs.signals import Stop
@@ -280,7 +280,6 @@ def run_recipes(
                 raise UsageError(f"--rank-by {rank_by}: {measured}; rank by these")
             plans.append(plan)
             entries[label].start = start
-            entries[label].warnings += filter(None, [far_from_truth(start, truth)])
         except FacetrackError as e:
             if stop():
                 return []

@@ -40,18 +40,17 @@ class Checkpoints:
         self.folder, self._key, self._video = out / FOLDER, key, video
         check_plain(self.folder, self.folder / STATE)
         self._worker = ThreadPoolExecutor(1, "checkpoint")
-        self._marked: dict[int, tuple[Arrays, Steps]] = {}  # by frames: what waits for the video
         self._ready: tuple[Arrays, Steps] | None = None
         self._last_s, self._last_frames = time.monotonic(), 0
 
-    def find(self) -> tuple[Any, Any] | None:
-        """The last state of this very run, and that of its video, None without; None if none can be read."""
+    def find(self) -> Any:
+        """The last state of this very run; None if none can be read."""
 
-        def make(stored: Stored) -> tuple[Any, Any] | None:
-            if stored.text("key") != self._key or ("painted" in stored) != self._video:
+        def make(stored: Stored) -> Any:
+            if stored.text("key") != self._key:
                 return None
             self._last_frames = int(stored.file["frames"])
-            return read_value(stored, "run"), read_value(stored, "painted") if self._video else None
+            return read_value(stored, "run")
 
         if (self.folder / STATE).is_file():
             sweep(self.folder)
@@ -66,24 +65,16 @@ class Checkpoints:
         return frames - self._last_frames >= EVERY_FRAMES or time.monotonic() - self._last_s >= EVERY_S
 
     def mark(self, frames: int, state: Any, steps: Steps) -> None:
-        """Keep the `state` after so many frames: at once, or when the video has come as far; `steps` come before."""
+        """Keep the `state` after so many frames, once there is one more, since after the last nothing is kept.
+
+        The `steps` come before.
+        """
         self._last_s, self._last_frames = time.monotonic(), frames
-        arrays = {"frames": np.array(frames), **flat_value("run", state)}
-        if self._video:
-            self._marked[frames] = arrays, steps
-        else:
-            self._ready = arrays, steps
+        self._ready = {"frames": np.array(frames), **flat_value("run", state)}, steps
 
-    def mark_video(self, frames: int, cut: Any, finish: Callable[[], None]) -> None:
-        """After so many frames of video, which is `cut` there: keep its state if the run is marked there."""
-        self._worker.submit(self._keep, {}, [finish])
-        if frames in self._marked:
-            arrays, steps = self._marked.pop(frames)
-            self._ready = arrays | flat_value("painted", cut), steps
-
-    def release(self, *, video: bool = False) -> None:
-        """Keep what is marked, now that there is one more frame (`video`: painted): after the last one nothing is."""
-        if self._ready is not None and video == self._video:
+    def release(self) -> None:
+        """Keep what is marked."""
+        if self._ready is not None:
             self._worker.submit(self._keep, *self._ready)
             self._ready = None
 
@@ -93,8 +84,7 @@ class Checkpoints:
             self.folder.mkdir(exist_ok=True)
             for step in steps:
                 step()
-            if arrays:
-                KIND.write(self.folder / STATE, {"key": np.array(self._key), **arrays})
+            KIND.write(self.folder / STATE, {"key": np.array(self._key), **arrays})
 
     def end(self) -> None:
         """Wait until all is kept."""

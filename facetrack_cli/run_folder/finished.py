@@ -26,7 +26,6 @@ from facetrack_cli.trajectory.writers import FORMATS, Format
 from facetrack_cli.video.images import listing
 from facetrack_cli.video.source import given_rate
 
-STATUS: Final = get_args(Status)
 _AGAIN: Final = "make the run again"
 
 
@@ -140,16 +139,9 @@ def read_files(files: Mapping[Format, Path]) -> Trajectory:
     for path in files.values():
         with reading(path):
             check_belongs(path)
-    if not {"lost_frames", "init"} <= {*rows.header} or not np.isin(rows.status, STATUS).all():
+    whole = (np.diff(rows.frames) == 1).all() and all(len(part) == len(rows.frames) for part in rows.parts)
+    if not whole or not {"lost_frames", "init"} <= {*rows.header} or not np.isin(rows.status, get_args(Status)).all():
         raise InputError(f"{main}: is not as facetrack run writes it, was it edited? {_AGAIN}")
-    frames = rows.frames
-    if (gaps := np.flatnonzero(np.diff(frames) != 1)).size:
-        after, before = frames[gaps[0] + 1], frames[gaps[0]]
-        raise InputError(f"{main}: frame {after} follows frame {before}; {_AGAIN}")
-    for part in rows.parts:
-        if len(part) < len(frames):
-            missing = np.setdiff1d(frames, part.frame)[0]
-            raise InputError(f"{main}: frame {missing} has no row of {part.name}; {_AGAIN}")
     return rows
 
 
@@ -202,21 +194,11 @@ def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
 
 
 def _check_rows(main: Path, run: Run) -> None:
-    """InputError if the corrections are not in order, or the rows are not what this recipe makes of this start."""
-    start, places = run.start, [(correction.frame, correction.target) for correction in run.start.corrections]
-    followed = {*start.targets, *run.recipe.later}
-    ours = all(correction.target in followed and correction.frame > start.frame for correction in start.corrections)
-    if not ours or places != sorted(set(places), key=lambda place: (place[0], places.index(place))):
-        raise InputError(f"{main}: init.corrections is not as facetrack run writes it; {_AGAIN}")
+    """InputError if the rows are not what this recipe makes of this start and its corrections."""
     try:
         check_start(run.start, run.header.source.size, run.recipe.points)
         tracker = build_tracker(run.recipe, run.start, run.header.source.fps)
     except FacetrackError as e:
         raise InputError(f"{main}: its start and its recipe do not go together: {e}") from None
-    expected = {target.name: target.parts for target in tracker}
-    if list(expected.items()) != list(run.parts.items()):
-        sides: tuple[Mapping[str, tuple[str, ...]], ...] = run.parts, expected
-        there, wanted = (", ".join(f"{name}/{part}" for name in side for part in side[name]) for side in sides)
-        raise InputError(f"{main}: has rows of {there}, and its recipe follows {wanted}; {_AGAIN}")
-    if run.first != run.start.frame:
-        raise InputError(f"{main}: its rows begin with frame {run.first}, its start with {run.start.frame}; {_AGAIN}")
+    if run.first != run.start.frame or [(target.name, target.parts) for target in tracker] != list(run.parts.items()):
+        raise InputError(f"{main}: its rows are not those of its recipe, start and corrections; {_AGAIN}")

@@ -11,10 +11,8 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
 import re
-import shlex
 import stat
 import threading
 import traceback
@@ -29,7 +27,6 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import (
-    LOG_LINES,
     BusyError,
     ExitCode,
     FacetrackError,
@@ -47,7 +44,6 @@ from facetrack_cli.core.files import (
     digest,
     discard,
     read_bounded,
-    sampled,
     temporary_path,
 )
 from facetrack_cli.core.numbers import dumps
@@ -78,7 +74,6 @@ FILTERED: Final = "trajectory.filtered.csv"
 OWNED: Final = (VIDEO, POSTERIOR, FILTERED, PEOPLE, *TABLES, NAME)  # the files that a run writes, or replaces
 REPORT: Final = "report.html"
 PLOT: Final = "plot.png"
-LARGE_BYTES = 1 << 26
 KILLED: Final = "killed"
 _FRAME: Final[Mapping[Format, re.Pattern[bytes]]] = {
     "csv": re.compile(rb"(\d{1,15}),.*"),
@@ -114,8 +109,7 @@ class Manifest(RunSummary):
     their points that the other senses bear out, None without one.
     `doubts` is what speaks against the track, `look` the first and last frames to look at, the longest span first.
     `began` and `ended` are UTC; `seconds` is the time between them, in which all but `resumed` frames were tracked. In
-    a batch a clip that failed has its `error`, and `log`, the last lines of a process that died. Of `files` of more
-    than `LARGE_BYTES` `samples` has the digest by which they are known again, since that of all takes seconds.
+    a batch a clip that failed has its `error`.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
@@ -136,9 +130,7 @@ class Manifest(RunSummary):
     seconds: float | None = None
     error: str | None = None
     exit_code: int | None = None
-    log: tuple[str, ...] = ()
     files: dict[str, File] = field(default_factory=dict)
-    samples: dict[str, str] = field(default_factory=dict)
 
     @property
     def network(self) -> str:
@@ -183,9 +175,7 @@ def check_belongs(path: Path) -> None:
     run = read_manifest(path.parent) if path.name in OWNED else None
     if run is None:
         return
-    if path.name not in run.files:
-        raise InputError(f"{path}: is not of the run in this folder, as {NAME} says; remove it, or copy it elsewhere")
-    if run.files[path.name].sha256 != digest([path]):
+    if path.name not in run.files or run.files[path.name].sha256 != digest([path]):
         raise InputError(
             f"{path}: is not as its run wrote it, as {NAME} beside it says: it was edited, or is of another run; "
             "copy it elsewhere to read it as it is"
@@ -194,18 +184,11 @@ def check_belongs(path: Path) -> None:
 
 def outdated(folder: Path) -> list[str]:
     """A line on the files that report, plot and export made of the track that is replaced now; none without any."""
-    made: dict[str, str] = {}
     with contextlib.suppress(OSError):
         there = sorted(path.name for path in folder.iterdir() if path.name not in OWNED)
-        made = {name: command for name in there if (command := made_by(name))}
-    again = [f"facetrack {by} {shlex.quote(str(folder))} --overwrite" for by in dict.fromkeys(made.values())]
-    return [f"{folder}: older than the track: {', '.join(made)}; make anew: {', '.join(again)}"] if made else []
-
-
-def made_by(name: str) -> str:
-    """The command that writes a file of this name beside a trajectory; "" for any other file."""
-    commands = {REPORT: "report", PLOT: "plot"}
-    return commands.get(name, "export --to FORMAT" if name.startswith("trajectory.") else "")
+        if made := [name for name in there if name in (REPORT, PLOT) or name.startswith("trajectory.")]:
+            return [f"{folder}: older than the track: {', '.join(made)}; make them anew with --overwrite"]
+    return []
 
 
 def commit(
@@ -223,9 +206,7 @@ def commit(
         if run is not None:
             parts = {path.name: temporary_path(path) for path in files if path.name in OWNED}
             new = {name: File(part.stat().st_size, digest([part])) for name, part in parts.items()}
-            large = {name: sampled(parts[name]) for name, file in new.items() if file.bytes > LARGE_BYTES}
-            samples = {name: sample for name, sample in run.samples.items() if name not in new}
-            run = replace(run, files={**run.files, **new}, samples={**samples, **large})
+            run = replace(run, files={**run.files, **new})
             gone += [folder / name for name in OWNED if name not in run.files and folder / name not in files]
             try:
                 text = _adapter().dump_json(run, indent=1, exclude={"variable_fps", "evidence", "source_sha256"})
@@ -254,22 +235,16 @@ def as_line(error: Exception) -> FacetrackError:
     return FacetrackError(f"internal error, please report it: {type(error).__name__}: {error}")
 
 
-def failed(run: Manifest, error: Exception, log: Sequence[str] = ()) -> Manifest:
-    """The run with the error that ended it. `log`: the last lines of its process, if that died."""
+def failed(run: Manifest, error: Exception) -> Manifest:
+    """The run with the error that ended it."""
     line = as_line(error)
-    last = tuple(text.encode(errors="replace").decode() for text in log[-LOG_LINES:])
-    return replace(
-        run, complete=False, error=as_text(str(line)), exit_code=int(line.exit_code), log=last, ended=utc_now()
-    )
+    return replace(run, complete=False, error=as_text(str(line)), exit_code=int(line.exit_code), ended=utc_now())
 
 
-def note_failure(
-    lock: FolderLease, folder: Path, run: Manifest, clip: Path, error: Exception, log: Sequence[str] = ()
-) -> None:
+def note_failure(lock: FolderLease, folder: Path, run: Manifest, clip: Path, error: Exception) -> None:
     """Write into run.json that a clip failed, with what is known of its `run`; what was tracked of it stays.
 
     Nothing is written where the error is one of writing, and over results that are whole or of something else.
-    `log`: the last lines of a process that died.
     """
     if isinstance(error, OutputError):
         return
@@ -283,7 +258,7 @@ def note_failure(
             return
         else:
             run = replace(run, clip=clip_stat(clip))
-        commit(lock, folder, [], failed(run, error, log))
+        commit(lock, folder, [], failed(run, error))
 
 
 def error_of(run: Manifest) -> FacetrackError | None:
@@ -420,13 +395,8 @@ def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
     head = next((i for i, line in enumerate(lines) if _FRAME[form].fullmatch(line)), len(lines))
     body = [line for line in lines[head:-1] if _FRAME[form].fullmatch(line)]
     if form == "csv":
-        groups = [list(rows) for _, rows in groupby(body, lambda line: line.partition(b",")[0])]
-        if len(groups) < 2 or len(groups[-1]) < len(groups[0]):
-            groups = groups[:-1]
+        groups = [list(rows) for _, rows in groupby(body, lambda line: line.partition(b",")[0])][:-1]
         return b"\n".join([*lines[:head], *chain.from_iterable(groups), b""]), len(groups)
-    with contextlib.suppress(ValueError):  # the last line has no end yet, and may be torn inside of an object
-        if _FRAME[form].fullmatch(lines[-1]) and json.loads(lines[-1]):
-            body.append(lines[-1])
     between = b",\n" if form == "json" else b"\n"
     whole = between.join([*(line.rstrip(b",") for line in body)])
     end = tail(form, RunSummary(), len(body)).encode()
@@ -481,7 +451,7 @@ class ClipDigest:
         """The clip with its checksum, for which it waits if the run is `whole`; None if the clip is gone."""
         self._stopped = not whole
         self._thread.join()
-        return self.clip and Clip(self.clip.bytes, self._found, self.clip.path, self.clip.changed_ns)
+        return self.clip and replace(self.clip, sha256=self._found)
 
 
 def clip_stat(clip: Path) -> Clip | None:
@@ -513,9 +483,9 @@ def _is_same(clip_then: Clip, clip: Path) -> bool:
 
 def _is_as_written(folder: Path, name: str, run: Manifest) -> bool:
     """Whether a file is what its run wrote; of a run that did not end, whose tables are replaced, if its size is."""
-    path, of, sample = folder / name, run.files[name], run.samples.get(name)
+    path, of = folder / name, run.files[name]
     with contextlib.suppress(OSError, ValueError):
         stat_now = path.lstat()
         if stat.S_ISREG(stat_now.st_mode) and stat_now.st_size == of.bytes:
-            return run.stopped is not None or (sampled(path) == sample if sample else digest([path]) == of.sha256)
+            return run.stopped is not None or digest([path]) == of.sha256
     return False

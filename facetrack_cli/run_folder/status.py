@@ -77,8 +77,8 @@ class ClipStatus:
 
     `frames` are those that are tracked, `of` those in all, where known; `lost` is the share of them in which the part
     that is lost most is lost, `doubtful` says whether something speaks against the track, `look` what to look at
-    first, and `still` which frame shows it. `since` and `ended` are UTC; `error` and the last
-    lines of its `log` say why it failed.
+    first, and `still` which frame shows it. `since` and `ended` are UTC; `error` says why it
+    failed.
     """
 
     clip: str
@@ -98,7 +98,6 @@ class ClipStatus:
     still: int | None = None
     error: str | None = None
     exit_code: int | None = None
-    log: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -127,15 +126,15 @@ class Status:
     @property
     def remaining_s(self) -> float | None:
         """Seconds until all is done, with as many processes as there are now; None if there are none, or not known."""
-        running = self.counts["running"]
-        return self.work_s / running if self.work_s and running else None if self.work_s else self.work_s
+        running, work_s = self.counts["running"], self.work_s
+        return work_s / running if work_s and running else None if work_s else work_s
 
     def json(self) -> str:
-        seconds = {"remaining_s": self.remaining_s, "work_s": self.work_s}
         fields = {
             "folder": as_text(str(self.folder)),
             "counts": self.counts,
-            **{name: None if value is None else round(value, 1) for name, value in seconds.items()},
+            "remaining_s": None if self.remaining_s is None else round(self.remaining_s, 1),
+            "work_s": None if self.work_s is None else round(self.work_s, 1),
             "clips": [asdict(clip) for clip in self.clips],
         }
         return document("facetrack-status", fields, indent=1)
@@ -152,27 +151,17 @@ class Status:
                 rate = "" if clip.frames_per_s is None else f", {clip.frames_per_s:.1f} frames/s"
                 since = f"on {clip.host or 'a machine'} since {clip.since}"
                 yield f"running: {clip.clip}: {since}, {clip.frames}{of} frames{rate}"
-        for clip in self.clips:
-            if clip.state == "interrupted":
-                kept = f" ({clip.frames} frame{'s' * (clip.frames > 1)})" if clip.frames else ""
-                yield f"interrupted: {clip.clip}: what it had tracked is kept{kept}"
-        for clip in self.clips:
-            if clip.log:
-                yield f"the last lines of {clip.clip}:"
-                yield from (f"    {line}" for line in clip.log[-5:])
-        left = sum(self.counts[state] for state in ("running", "interrupted", "not begun"))
-        clips, running = f"{left} {self.kind}{'s' * (left != 1)}", self.counts["running"]
+        running = self.counts["running"]
+        left = running + self.counts["interrupted"] + self.counts["not begun"]
+        again = "" if running else "; nothing is running: give the command again"
         if not left and self.kind == "chunk":
             yield "no chunk is left: give the command again, which joins them"
         elif not left:
             yield f"nothing is left{', but --retry-failed tries what failed again' if self.counts['failed'] else ''}"
-        elif self.work_s is None:
-            yield f"{clips} left; none is done yet that would tell how long one takes"
-        elif not running:
-            work = f"about {duration(self.work_s)} of work"
-            yield f"{clips} left, {work}; nothing is running: give the command again"
         else:
-            yield f"{clips} left: about {duration(self.work_s / running)}, {running} at a time"
+            work = "" if self.work_s is None else f": about {duration(self.work_s / max(running, 1))}"
+            at = f", {running} at a time" if work and running else ""
+            yield f"{left} {self.kind}{'s' * (left != 1)} left{work}{at}{again}"
 
 
 def worst(clips: Sequence[ClipStatus]) -> Iterator[str]:
@@ -281,7 +270,7 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
     tracked, took = run.frames - run.resumed, run.seconds
     lost, look = _worst_part(run)
     first, last = max(run.look, key=lambda span: span[1] - span[0], default=(None, None))
-    members = ("frames", "host", "ended", "seconds", "complete", "error", "exit_code", "log")
+    members = ("frames", "host", "ended", "seconds", "complete", "error", "exit_code")
     return ClipStatus(
         clip=clip or (run.clip.path if run.clip is not None else name),
         folder=name,

@@ -33,7 +33,7 @@ from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.people import cast_in
 from facetrack_cli.runs.plan import Job, check_count, check_smoothing, completed, resolve, search, silent
 from facetrack_cli.runs.progress import Bar, Progress, watched
-from facetrack_cli.runs.record import ClipFacts, Recorder, Results, Rows, RunFolder, Video, header_of, tables
+from facetrack_cli.runs.record import ClipFacts, Recorder, Results, Rows, RunFolder, header_of, outputs
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import read_init
@@ -203,8 +203,7 @@ class Recording:
     def __enter__(self) -> Recording:
         with contextlib.ExitStack() as opened:
             folder = opened.enter_context(RunFolder(resolve(self.job)))
-            video = Video(folder.plan, folder) if folder.plan.draws else None
-            self._into = opened.enter_context(Recorder(folder.plan, tables(folder.plan), video, folder))
+            self._into = opened.enter_context(Recorder(folder.plan, outputs(folder.plan, folder), folder))
             self._opened = opened.pop_all()
         return self
 

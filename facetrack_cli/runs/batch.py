@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import glob
 import hashlib
+import itertools
 import os
 import re
 import sys
@@ -24,13 +25,13 @@ from typing import Final, NamedTuple
 from facetrack_cli.core.errors import BusyError, FacetrackError, InputError, UsageError, about, from_system, reason
 from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, read_bounded
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.lease import FolderLease, here, holder, is_held
+from facetrack_cli.run_folder.lease import FolderLease, here, is_held
 from facetrack_cli.run_folder.manifest import NAME, Manifest, as_line, note_failure, recover_interrupted
 from facetrack_cli.runs.clip import Work, run
 from facetrack_cli.runs.plan import Job, Outcome, Report, resolve, silent
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.workers import DiedError, cores, share_threads, side_by_side
+from facetrack_cli.runs.workers import cores, share_threads, side_by_side
 from facetrack_cli.start.precompile import precompiling
 from facetrack_cli.trajectory.reader import is_there
 from facetrack_cli.video import images
@@ -55,8 +56,7 @@ def folders(clips: Sequence[Path], recipe: str) -> list[str]:
 
     Clips of one name are told apart by the folders they lie in, as many as it takes; in one folder, by their suffix.
     """
-    places = [absolute(clip) for clip in clips]
-    names = [title(clip) for clip in clips]
+    places, names = [absolute(clip) for clip in clips], [title(clip) for clip in clips]
     for depth in range(1, max((len(clip.parts) for clip in places), default=0) + 2):
         count = Counter(map(str.casefold, names))
         clashing = [i for i, name in enumerate(names) if count[name.casefold()] > 1]
@@ -66,11 +66,9 @@ def folders(clips: Sequence[Path], recipe: str) -> list[str]:
             last = clip.name.replace(".", "-") if beside[clip.parent] > 1 else title(clip)
             names[i] = "-".join([*clip.parent.parts[1:][-depth:], last])
     taken: set[str] = set()
-    count = Counter(map(str.casefold, names))
     for i, name in enumerate(names):
-        if name.casefold() in taken:
-            names[i] = next(new for n in range(2, len(names) + 2) if not count[(new := f"{name}-{n}").casefold()])
-            count[names[i].casefold()] += 1
+        free = (f"{name}-{n}" if n > 1 else name for n in itertools.count(1))
+        names[i] = next(each for each in free if each.casefold() not in taken)
         taken.add(names[i].casefold())
     return [f"{name}-{recipe}" for name in names]
 
@@ -128,11 +126,8 @@ def run_shared(
                 yield outcome
         if busy and not said and not stop():
             said = True
-            notes = [holder(job.out) for job in busy if job.out is not None]
-            hosts = sorted({str(note["host"]) for note in notes if note is not None and "host" in note})
             clips, them = ("1 clip is", "it") if len(busy) == 1 else (f"{len(busy)} clips are", "them")
-            where = f" on {', '.join(hosts)}" if hosts else ""
-            progress.say(f"{clips} being tracked by another facetrack{where}; waiting for {them}")
+            progress.say(f"{clips} being tracked by another facetrack; waiting for {them}")
         free, busy = _wait(busy, stop)
         decided, left = check_all(free)
         yield from decided
@@ -186,10 +181,9 @@ def outcome_of_crash(job: Job, error: Exception) -> Outcome:
         frames = max(frames, plan.previous.frames)
     kept = f"the frames that it had tracked are kept ({frames})" if frames else "nothing was kept"
     error_line = FacetrackError(f"{job.clip}: {error}; {kept}")
-    log = error.log if isinstance(error, DiedError) else ()
     if plan is not None and job.out is not None and job.batch:
         with contextlib.suppress(FacetrackError), FolderLease(job.out) as lease:
-            note_failure(lease, job.out, Manifest(asked=plan.asked, host=here()[0]), job.clip, error_line, log)
+            note_failure(lease, job.out, Manifest(asked=plan.asked, host=here()[0]), job.clip, error_line)
     return Outcome(clip=job.clip, error=error_line)
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TypeAlias
 
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.engine.corrected import restored
@@ -23,12 +24,11 @@ from facetrack_cli.runs.record import (
     RunFolder,
     RunState,
     Sink,
-    Video,
     header_of,
+    outputs,
     record,
-    tables,
 )
-from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.start.assembly import tracker_for
@@ -79,14 +79,36 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
         return ended
     if job.out is None:
         return track_clip(plan, None, stop, report, looked)
-    if plan.names and plan.tracked is not None:
-        return name_run(plan, Outcome.of(job, plan.tracked), stop, looked)
-    with RunFolder(plan, stop) as folder:
-        plan = folder.plan
-        if (ended := plan.ended()) is not None:  # meanwhile, by another process
-            return ended
-        done = (work or track_clip)(plan, folder, stop, report, looked)
-    return name_run(plan, done, stop, looked) if plan.names and done.error is None and done.stopped is None else done
+    if (job.smooth or plan.names) and plan.tracked is not None:
+        done = replace(Outcome.of(job, plan.tracked), again=None)
+    else:
+        with RunFolder(plan, stop) as folder:
+            plan = folder.plan
+            if (ended := plan.ended()) is not None:  # meanwhile, by another process
+                return ended
+            done = (work or track_clip)(plan, folder, stop, report, looked)
+    if done.error is not None or done.stopped is not None:
+        return done
+    if plan.names:
+        return name_run(plan, done, stop, looked)
+    return _smoothed(job, done, stop, looked) if job.smooth else done
+
+
+def _smoothed(job: Job, done: Outcome, stop: Stop, looked: Report) -> Outcome:
+    """Smooth a run that was tracked; an error is in the outcome. Once `stop`, the same command does it."""
+    from facetrack_cli.runs.smooth import save_smoothed
+
+    assert job.out is not None
+    try:
+        files, notes = save_smoothed(job.out, job.clip, lambda n, of: looked(n, of, "smoothing"), stop)
+    except StoppedError:
+        done.warnings = (*done.warnings, "not smoothed; the same command again does it")
+    except FacetrackError as e:
+        done.error = e
+    else:
+        done.smoothed, done.files = True, files
+        done.warnings = (*done.warnings, *(note for note in notes if note not in done.warnings))
+    return done
 
 
 def track_clip(
@@ -107,20 +129,17 @@ def track_clip(
         if not stop():
             raise
         return Outcome(clip=job.clip, streamed=job.out is None, stopped=stop.reason)
-    resumed, video, sinks = None, None, sinks or tables(plan)
+    resumed, sinks = None, sinks or outputs(plan, folder)
     if folder is not None:
         sinks = [*sinks, RunMonitor.of(job.recipe, start)]
-        if job.posterior:
+        if job.smooth:
             from facetrack_cli.runs.smooth import PosteriorWriter
 
             sinks.append(PosteriorWriter(folder.path))
         resumed = folder.resume(start, sinks)
-        video = Video(plan, folder) if plan.draws else None
-    with Recorder(plan, sinks, video, folder, resumed) as into:
+    with Recorder(plan, sinks, folder, resumed) as into:
         state = into.state
-        why = "from its start, since its checkpoint is damaged, or of another version, another start or another clip"
-        notes = start.note, why * (folder is not None and folder.anew)
-        state.frame, into.outcome.note = state.frame if resumed else start.frame, "; ".join(filter(None, notes))
+        state.frame, into.outcome.note = state.frame if resumed else start.frame, start.note
         with follow(plan, start, shots, state, stop) as results:
             done = record(results, into, stop, report)
     if done.verdict and job.fps is None and done.frames > 1 and not brings_rate(job.clip):

@@ -18,86 +18,71 @@ import socket
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, UsageError, needed, reason
 from facetrack_cli.core.files import read_bounded
-from facetrack_cli.run_folder.manifest import NAME, as_line
 from facetrack_cli.runs.batch import attempt, outcome_of_crash, run_shared
-from facetrack_cli.runs.plan import Job, Outcome, resolve
+from facetrack_cli.runs.plan import Job, Outcome
 from facetrack_cli.runs.progress import Progress
-from facetrack_cli.runs.signals import Stop, StoppedError
+from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import share_threads
 
-After: TypeAlias = Callable[[Outcome, Stop], tuple[object, Sequence[str]]]
-"""What is done with a clip that was tracked, as smoothing; it gives warnings, and can be pickled."""
 RETRIES: Final = 2  # of a clip that is not itself at fault
 ANSWER_S = 30.0  # for a scheduler to answer
 LOOK_S = 0.1  # between two looks at the clips that are out
-UNSEEN_S = 60.0  # until files that a worker wrote show here
 STOP_S = 30.0  # for clips that are told to end, to close their files
 
 
-def run_cluster(
-    jobs: Sequence[Job], where: str, stop: Stop, progress: Progress, after: After | None = None
-) -> Iterator[Outcome]:
-    """Run `jobs` on the cluster `where`, and then `after`; each outcome is yielded as it ends.
+def run_cluster(jobs: Sequence[Job], where: str, stop: Stop, progress: Progress) -> Iterator[Outcome]:
+    """Run `jobs` on the cluster `where`; each outcome is yielded as it ends.
 
     A job that fails does not stop the others. Once `stop` says so, the clips at work close their files, as far as they
     can within `STOP_S`, and the others are not begun. Raises UsageError if no scheduler answers.
     """
-    client = _connect(where, stop, progress)
+    client = _connect(where, progress)
     try:
-        yield from run_shared(jobs, partial(_turn, client, stop, progress, after), stop, progress)
+        yield from run_shared(jobs, partial(_turn, client, stop, progress), stop, progress)
     finally:
         with contextlib.suppress(Exception):
             client.close(timeout=ANSWER_S)
 
 
-def _connect(where: str, stop: Stop, progress: Progress) -> Any:
-    """A client of the scheduler, None on a wish to stop. Raises UsageError if none answers within `ANSWER_S`."""
-    deadline, warned = time.monotonic() + ANSWER_S, False
-    while not stop():
-        try:
-            if not warned and not _is_here(address_of(where)):
-                said = f"{address_of(where)} is another machine; a scheduler of Dask may run code on this one, too"
-                progress.say(f"facetrack: warning: --cluster: {said}")
-                warned = True
-            client = _client(address_of(where), ANSWER_S / 6)
-            threads = client.nthreads().values()
-        except (OSError, UsageError) as e:  # of a file that is being written, too
-            if time.monotonic() > deadline:
-                said = f"no scheduler of Dask answers at {address_of(where)} within {ANSWER_S:.0f} s"
-                remedy = "start one with `dask scheduler`, or take -j"
-                raise UsageError(f"--cluster {where}: {said} ({reason(e)}); {remedy}") from e
-            time.sleep(LOOK_S)
-            continue
-        if not threads:
-            progress.say(f"facetrack: the scheduler of {where} has no worker; waiting for one")
-        elif max(threads) > 1:
-            said = "a worker tracks one clip at a time, whatever its threads; start workers with --nthreads 1"
-            progress.say(f"facetrack: warning: {where}: {said}")
-        return client
-    return None
+def _connect(where: str, progress: Progress) -> Any:
+    """A client of the scheduler. Raises UsageError if none answers within `ANSWER_S`."""
+    address = address_of(where)
+    if not _is_here(address):
+        said = f"{address} is another machine; a scheduler of Dask may run code on this one, too"
+        progress.say(f"facetrack: warning: --cluster: {said}")
+    try:
+        client = _client(address, ANSWER_S)
+        threads = client.nthreads().values()
+    except OSError as e:
+        said = f"no scheduler of Dask answers at {address} within {ANSWER_S:.0f} s"
+        raise UsageError(f"--cluster {where}: {said} ({reason(e)}); start one with `dask scheduler`, or take -j") from e
+    if not threads:
+        progress.say(f"facetrack: the scheduler of {where} has no worker; waiting for one")
+    elif max(threads) > 1:
+        said = "a worker tracks one clip at a time, whatever its threads; start workers with --nthreads 1"
+        progress.say(f"facetrack: warning: {where}: {said}")
+    return client
 
 
-def _turn(
-    client: Any, stop: Stop, progress: Progress, after: After | None, jobs: Sequence[Job]
-) -> Iterator[tuple[Job, Outcome]]:
+def _turn(client: Any, stop: Stop, progress: Progress, jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
     """Run each of the jobs until it is decided what becomes of it."""
     batch, folder, killed = secrets.token_hex(8), str(Path.cwd()), set[Path]()
 
     def submit(job: Job) -> Any:
-        sent = pickle.dumps((replace(job, retry_failed=True), after))
+        sent = pickle.dumps(replace(job, retry_failed=True))
         return client.submit(_on_worker, __version__, folder, batch, sent, pure=False, retries=RETRIES)
 
-    began, ended, frames, deadline, patience_s = time.monotonic(), 0, 0, math.inf, UNSEEN_S
+    began, ended, frames, deadline = time.monotonic(), 0, 0, math.inf
     progress.begin(f"{len(jobs)} clips", "clips", len(jobs))
     out = {submit(job): job for job in jobs}
     while out and time.monotonic() < deadline and client.status == "running":
@@ -114,10 +99,8 @@ def _turn(
                 again = replace(job, overwrite=False) if begun else job
                 out[submit(again)] = again
             elif outcome is not None:
-                shown = _shown(job, outcome, stop, patience_s)
-                patience_s = patience_s if shown is outcome else 0.0
-                ended, frames = ended + 1, frames + shown.frames
-                yield job, shown
+                ended, frames = ended + 1, frames + outcome.frames
+                yield job, outcome
             del out[future]
         progress.update(ended, len(jobs), frames / (time.monotonic() - began))
         time.sleep(LOOK_S)
@@ -149,17 +132,6 @@ def _outcome(job: Job, future: Any, killed: set[Path]) -> Outcome | None:
     return outcome_of_crash(job, error)
 
 
-def _shown(job: Job, outcome: Outcome, stop: Stop, patience_s: float) -> Outcome:
-    """The outcome, once what the worker wrote shows here; another one if it does not within `patience_s`."""
-    until = time.monotonic() + patience_s
-    while outcome.files and not (outcome.files[0].parent / NAME).exists() and not stop():
-        if time.monotonic() > until:
-            line = f"{job.clip}: was tracked, but {job.out} does not show it here"
-            return Outcome(clip=job.clip, error=FacetrackError(f"{line}; all machines must see the same folders"))
-        time.sleep(LOOK_S)
-    return outcome
-
-
 def _tell(client: Any, batch: str) -> None:
     """Let the workers end the clips of this batch; nobody waits for a worker that hangs."""
 
@@ -181,7 +153,7 @@ def _end(batch: str) -> None:
 
 
 def _on_worker(version: str, folder: str, batch: str, sent: bytes) -> Outcome | None:
-    """A task: the outcome of a job, None if it is not begun any more. `sent` has the job and what is done after it.
+    """A task: the outcome of the job that is `sent`, None if it is not begun any more.
 
     Raises FacetrackError for what Dask is to try again: all but a clip that is itself at fault, or is busy.
     """
@@ -204,18 +176,9 @@ def _on_worker(version: str, folder: str, batch: str, sent: bytes) -> Outcome | 
             os.chdir(folder)
         except OSError as e:
             raise FacetrackError(f"{folder}: {e.strerror} on {host}; all machines must see the same folders") from None
-        job, after = pickle.loads(sent)
+        job = pickle.loads(sent)
         share_threads(job.threads)
         outcome = attempt(job, stop)
-        smoothed = outcome.again is not None and outcome.again.smoothed
-        if after is not None and outcome.error is None and not smoothed and not stop():
-            try:
-                outcome.warnings = (*outcome.warnings, *after(outcome, stop)[1])
-                outcome.again = outcome.again and resolve(job).previous
-            except StoppedError:  # before it was smoothed
-                return None
-            except Exception as e:
-                outcome.error = as_line(e)
     if outcome.error is not None and not isinstance(outcome.error, InputError | BusyError) and not stop():
         raise outcome.error
     return outcome

@@ -8,7 +8,7 @@ import hashlib
 import math
 import os
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from fractions import Fraction
 from itertools import chain, islice
@@ -19,15 +19,13 @@ from typing import Final, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from facetrack_cli.core import __version__
-from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS, HANDS, DetectorName
 from facetrack_cli.core.files import check_folder, check_plain
-from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.spaces import box_of
-from facetrack_cli.recipe.load import default_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.lease import is_held
 from facetrack_cli.run_folder.manifest import (
@@ -54,7 +52,7 @@ from facetrack_cli.video.source import Source, open_source
 
 SIGNS_FRAMES: Final = 50  # in which hands are looked at, where a recipe follows those of one of several faces
 MIN_MOVED, MOVES_MORE = 2.0, 2.0  # sizes of its face; and times as far as the hands of the largest face
-MIN_OVERLAP: Final = 0.5  # of the boxes: a region with less does not count as found
+MOST_NAMED: Final = 4  # of the parts that are lost, the worst ones
 Report: TypeAlias = Callable[..., None]  # frames done, frames in all if that is known, and what is done
 
 
@@ -285,20 +283,6 @@ def hands_moved(frames: Sequence[Trajectory]) -> float:
     return total
 
 
-def far_from_truth(start: Start, truth: Trajectory) -> str | None:
-    """A line if a start's box lies elsewhere than the ground truth's in its frame: then every figure measures that."""
-    for name, target in start.targets.items() if start.origin != str(truth.path) else ():
-        for rows in truth.at(start.frame).parts:
-            if target.box is None or rows.target not in (name, "") or not np.isfinite(rows.boxes).all():
-                continue
-            if len(rows) and (overlap := float(iou(np.array([target.box]), rows.boxes)[0])) < MIN_OVERLAP:
-                return (
-                    f"{start.origin} puts the box of {name} in frame {start.frame} where it overlaps the truth's "
-                    f"by {overlap:.2f} alone; all figures measure that too: begin with --box, or with another --init"
-                )
-    return None
-
-
 class Split(NamedTuple):
     """How long chunks are to be, in frames or in seconds."""
 
@@ -313,7 +297,8 @@ class Split(NamedTuple):
 class Job(ClipRequest):
     """What is asked of one clip. `out` None streams the one format to standard output.
 
-    `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept. `strict`:
+    `lag`: by how many frames rows come later, given the frames up to then. `smooth`: whether they are smoothed at the
+    end, given the whole clip. `strict`:
     whether a damaged clip is an error; its rows are kept. `resume`: whether a run that was
     ended goes on from its last checkpoint. `batch`: whether a clip that fails has a run.json that says so; it is not
     tried again then, but with `retry_failed`. `split`: the length of chunks that are tracked apart and joined.
@@ -327,8 +312,7 @@ class Job(ClipRequest):
     overwrite: bool = False
     threads: int = 2
     lag: int = 0
-    posterior: bool = False
-    default_reason: str = ""  # why this recipe, said after the next step
+    smooth: bool = False
     strict: bool = False
     resume: bool = True
     batch: bool = False
@@ -370,7 +354,7 @@ class Plan:
 
     @property
     def tracked(self) -> Manifest | None:
-        """The run.json of a run that came to its end, named or not, and is not to be replaced."""
+        """The run.json of a run that came to its end, named and smoothed or not, and is not to be replaced."""
         previous = None if self.job.overwrite else self.previous
         return previous if previous is not None and previous.error is None and previous.stopped is None else None
 
@@ -379,8 +363,8 @@ class Plan:
         previous, job = self.previous, self.job
         if previous is None or job.overwrite:
             return None
-        named = not self.names or PEOPLE in previous.files
-        whole = self.tracked is not None and named and (VIDEO in previous.files or not job.video)
+        whole = self.tracked is not None and (VIDEO in previous.files or not job.video)
+        whole &= (not self.names or PEOPLE in previous.files) and (not job.smooth or previous.smoothed)
         failed_before = previous.error is not None and job.batch and not job.retry_failed
         return Outcome.of(job, previous) if whole or failed_before else None
 
@@ -413,18 +397,13 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
         check_plain(job.out)
     if not locked:
         recover_interrupted(job.out, lambda: True)
+    held = not locked and is_held(job.out)  # whoever writes there may be writing the same results
     previous, there = previous_run(job.out, asked, job.clip)
-    # what is cut short is replaced, and what failed
-    overwrite = job.overwrite or previous is not None or (there is not None and there.is_failure)
-    init = job.init if isinstance(job.init, Path) else None
-    inputs = job.clip, init, job.recipe.path
-    try:
-        check_folder(job.out, OWNED, overwrite=overwrite, inputs=inputs)
-    except OutputError:  # another facetrack may have written the same results since, or be writing them
-        previous, _ = previous_run(job.out, asked, job.clip)
-        if locked or (previous is None and not is_held(job.out)):
-            raise
-        check_folder(job.out, OWNED, overwrite=True, inputs=inputs)
+    if not held:
+        # what is cut short is replaced, and what failed
+        overwrite = job.overwrite or previous is not None or (there is not None and there.is_failure)
+        init = job.init if isinstance(job.init, Path) else None
+        check_folder(job.out, OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
     return Plan(job, asked, everyone, previous)
 
 
@@ -440,7 +419,7 @@ def digest_of(job: Job) -> str:
         init = clip_digest(init)
     elif isinstance(init, Start):
         init = to_record(init)
-    options = [str(job.fps), job.lag, job.posterior, job.formats, job.video, job.strict]
+    options = [str(job.fps), job.lag, job.smooth, job.formats, job.video, job.strict]
     options += [] if job.gallery is None else [str(job.gallery)]
     options += [] if job.stream is None else [f"stream {job.stream}"]
     asked = [
@@ -477,7 +456,7 @@ def _check_options(job: Job, everyone: bool, kept: bool) -> None:
     if job.faces == "all" and job.recipe.later:
         who = f"recipe {job.recipe.name} follows the hands of one person"
         raise UsageError(f"--faces all: {who}; leave it out, and choose the signer with --box X,Y,W,H")
-    if everyone and (job.lag or job.posterior):
+    if everyone and (job.lag or job.smooth):
         raise UsageError(
             "--faces all follows people over cuts, and no row is smoothed over a cut; leave one of them out"
         )
@@ -487,7 +466,7 @@ def _check_options(job: Job, everyone: bool, kept: bool) -> None:
         raise UsageError(f"--gallery: {job.clip} has a start, and people are named where faces are searched for")
     if job.gallery is not None:
         load_people(job.gallery)
-    if job.lag or job.posterior:
+    if job.lag or job.smooth:
         check_smoothing(job.recipe)
 
 
@@ -511,6 +490,7 @@ class Outcome(RunSummary):
     look: tuple[tuple[int, int], ...] = ()
     borne_out: float | None = None
     again: Manifest | None = None
+    smoothed: bool = False
     resumed: int | None = None
     network: str = ""
 
@@ -528,6 +508,7 @@ class Outcome(RunSummary):
             error=error_of(run) or (InputError(run.warnings[-1]) if job.strict and not run.complete else None),
             again=run,
             network=run.network,
+            smoothed=run.smoothed,
         )
 
     def next_step(self) -> str:
@@ -549,10 +530,14 @@ class Outcome(RunSummary):
             parts.append(f"{self.frames_per_s:.1f} frames/s")
         if self.network:
             parts.append(self.network)
+        if self.smoothed:
+            parts.append("smoothed")
         if self.resumed is not None:
             parts.append(f"went on from frame {self.resumed}")
         if self.lost_frames:
-            parts.append(f"lost: {lost_words(self.lost_frames)}")
+            worst = sorted(self.lost_frames.items(), key=lambda item: -item[1])
+            named = ", ".join(f"{name.replace('/', ' ')} in {n}" for name, n in worst[:MOST_NAMED])
+            parts.append(f"lost: {named}{', and others' * (len(worst) > MOST_NAMED)} frames")
         if self.stopped or not self.complete:
             parts.append(self.stopped or "incomplete")
         where = "standard output" if self.streamed else "nothing"
@@ -561,30 +546,9 @@ class Outcome(RunSummary):
         return f"{self.clip} -> {where}: {'; '.join(parts)}"
 
 
-def lost_words(frames: Mapping[str, int]) -> str:
-    """In how many frames each target/part is lost, worst first, with the name of a target once."""
-    parts: dict[str, dict[int, list[str]]] = {}  # of each target, by their number of frames
-    for name, count in sorted(frames.items(), key=lambda item: -item[1]):
-        target, _, part = name.rpartition("/")
-        parts.setdefault(target, {}).setdefault(count, []).append(part)
-    words, last = [], 0
-    for target, counts in parts.items():
-        lost = ", ".join(f"{' and '.join(names)} in {n}" for n, names in counts.items())
-        words.append(f"{target} {lost}".strip())
-        last = [*counts][-1]
-    return f"{'; '.join(words)} frame{'s' * (last != 1)}"
-
-
 def check_smoothing(recipe: Recipe) -> None:
     """UsageError for a recipe whose trackers have no posterior to smooth."""
     if not recipe.filters:
         raise UsageError(f"{recipe.name} is one of OpenCV's trackers, which have no posterior to smooth; take another")
     if all(isinstance(settings.target, CloudSettings) for settings in recipe.filters.values()):
         raise UsageError(f"{recipe.name}: the particles of a cloud are the target itself, no posterior to smooth")
-
-
-def default_reason(box: Box | None) -> str:
-    """Why a run that names no recipe took its own, and how to find others."""
-    why = "for whatever is in a --box" if box is not None else "for a face and its features, where no --box is given"
-    name = default_recipe(box=box is not None)
-    return f"; recipe {name} is the default {why}, others: facetrack recipes"

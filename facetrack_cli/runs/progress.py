@@ -28,6 +28,8 @@ def watched() -> bool:
 class Progress:
     """One task at a time, in `unit`s: frames of a clip, clips of a batch. A line every ten seconds, none if `quiet`."""
 
+    _name = _unit = _doing = ""
+
     def __init__(self, quiet: bool = False) -> None:
         self._quiet = quiet
 
@@ -52,7 +54,7 @@ class Progress:
         if not self._quiet and self._due(EVERY_S):
             # the length that a file states is a guess
             of = "" if not total else f" of about {total}" if unit == "frames" else f" of {total}"
-            speed = "" if unit == "kernels" else f", {self._rate(done, rate)}"
+            speed = "" if unit == "kernels" else f", {self._rate(done, rate):.1f} frames/s"
             self.say(f"{self._name}{self._doing}: {done}{of} {unit}{speed}")
 
     def say(self, line: str) -> None:
@@ -76,26 +78,18 @@ class Progress:
         self._last = now if due else self._last
         return due
 
-    def _rate(self, done: int, rate: float | None) -> str:
-        return f"{done / (time.monotonic() - self._began) if rate is None else rate:.1f} frames/s"
+    def _rate(self, done: int, rate: float | None) -> float:
+        return done / (time.monotonic() - self._began) if rate is None else rate
 
 
 class Events(Progress):
     """A line of JSON for each message, with the clip, and every second one with how far it is."""
 
-    _name = _unit = _doing = ""
-
     def _show(self, done: int, total: int | None, rate: float | None, unit: str) -> None:
         if not self._quiet and self._due(EVERY_JSON_S):
-            speed = float(self._rate(done, rate).split()[0])
-            write_line(
-                f"progress{self._doing}",
-                clip=self._clip(),
-                done=done,
-                total=total or None,
-                unit=unit,
-                frames_per_s=None if unit == "kernels" else speed,
-            )
+            speed = None if unit == "kernels" else round(self._rate(done, rate), 1)
+            far = {"done": done, "total": total or None, "unit": unit, "frames_per_s": speed}
+            write_line(f"progress{self._doing}", clip=self._clip(), **far)
 
     def error(self, line: str) -> None:
         write_line(line, clip=self._clip())
@@ -129,7 +123,10 @@ class Bar(Progress):
             total = total if total and done <= total else None  # a stated length may be wrong
             count = f"{done}{f'/{total}' if total else ''} {unit}"
             [task] = self._bar.task_ids
-            name, speed = flat(f"{self._name}{self._doing}"), "" if unit == "kernels" else self._rate(done, rate)
+            name, speed = (
+                flat(f"{self._name}{self._doing}"),
+                "" if unit == "kernels" else f"{self._rate(done, rate):.1f} frames/s",
+            )
             self._bar.update(task, description=name, completed=done, total=total, count=count, rate=speed)
 
     def say(self, line: str) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import platform
 import sys
 import time
@@ -58,7 +57,7 @@ from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.workers import Painter
 from facetrack_cli.trajectory.diagnostics import KNOWN
-from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, to_record
+from facetrack_cli.trajectory.reader import to_record
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, SCHEMA, VERSION, WRITERS, Format, Header
 from facetrack_cli.video.source import Source
@@ -133,6 +132,8 @@ class Sink:
     """Takes the results of a run, and writes or counts them. A file is written under the temporary name of `path`."""
 
     path: Path | None = None
+    every = False  # whether it also takes frames without targets, which are none of the run's
+    missing: OutputError | None = None  # why there is no file, though all others are whole
 
     def fits(self, mark: Any) -> bool:
         """Whether the sink can continue from a checkpoint's mark: it is its own, and what was written still exists."""
@@ -181,7 +182,6 @@ class RunFolder:
         assert plan.job.out is not None
         self.plan, self.path = plan, plan.job.out
         self.checkpoints: Checkpoints | None = None
-        self.anew = False  # although it has a checkpoint
         self.lease = FolderLease(self.path, stopped)
         self._run = Manifest(networks=plan.job.recipe.networks, host=here()[0])
 
@@ -196,8 +196,8 @@ class RunFolder:
             self._opened = opened.pop_all()
         return self
 
-    def resume(self, start: Start, sinks: Sequence[Sink]) -> tuple[RunState, Any] | None:
-        """The last checkpoint of the same job, and of its video; None if there is none, or it is not to be used."""
+    def resume(self, start: Start, sinks: Sequence[Sink]) -> RunState | None:
+        """The last checkpoint of the same job; None if there is none, or it is not to be used."""
         job, last = self.plan.job, None
         if job.recipe.filters and not job.lag:
             clip = clip_stat(job.clip)
@@ -205,11 +205,11 @@ class RunFolder:
             key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
             self.checkpoints = Checkpoints(self.path, key, video=self.plan.draws)
             last = self.checkpoints.find() if job.resume and not job.overwrite else None
-        marks = last[0].sinks if last is not None and isinstance(last[0], RunState) else ()
-        if last and len(marks) == len(sinks) and all(sink.fits(mark) for sink, mark in zip(sinks, marks, strict=True)):
-            last[0].outcome.resumed = last[0].frame
+        marks = last.sinks if isinstance(last, RunState) else ()
+        fits = len(marks) == len(sinks) and all(sink.fits(mark) for sink, mark in zip(sinks, marks, strict=True))
+        if isinstance(last, RunState) and fits:
+            last.outcome.resumed = last.frame
             return last
-        self.anew = job.resume and not job.overwrite and (self.path / checkpoint.FOLDER / checkpoint.STATE).is_file()
         remove_checkpoints(self.path)
         return None
 
@@ -247,7 +247,7 @@ class RunFolder:
             run = failed(run, error)
         try:
             commit(self.lease, self.path, done.files, run)
-            return [*outdated(self.path), *_kept_corrections(self.plan.job, self.path)]
+            return outdated(self.path)
         except OutputError as e:  # the lease is lost
             errors.append(e)
         except OSError as e:
@@ -270,29 +270,20 @@ class Recorder:
     plan : Plan
     sinks : Sequence[Sink]
         In the order in which they take a result.
-    video : Video or None
-        Takes a result last, while the next one is tracked; a checkpoint waits for it.
     folder : RunFolder or None
         None of a stream, and of what stays in memory.
-    resumed : tuple of RunState and Any, or None
-        Where a run that is gone on with stood, and its video.
+    resumed : RunState or None
+        Where a run that is gone on with stood.
     """
 
     def __init__(
-        self,
-        plan: Plan,
-        sinks: Sequence[Sink],
-        video: Video | None = None,
-        folder: RunFolder | None = None,
-        resumed: tuple[RunState, Any] | None = None,
+        self, plan: Plan, sinks: Sequence[Sink], folder: RunFolder | None = None, resumed: RunState | None = None
     ) -> None:
-        self.plan, self.sinks, self.video, self._folder = plan, sinks, video, folder
+        self.plan, self.sinks, self._folder = plan, sinks, folder
         job = plan.job
-        start: tuple[RunState, Any] = RunState(0, Outcome(clip=job.clip, streamed=job.out is None)), None
-        self.state, self._painted = resumed or start
+        self.state = resumed or RunState(0, Outcome(clip=job.clip, streamed=job.out is None))
         self.outcome, self._before = self.state.outcome, self.state.outcome.frames
         self.total: int | None = None  # the number of frames that the clip says it has, if it does
-        self._all: list[Sink] = [*([] if video is None else [video]), *sinks]
 
     def __enter__(self) -> Recorder:
         return self
@@ -308,15 +299,15 @@ class Recorder:
         header = results.header(first.rows)
         for sink, mark in zip(self.sinks, self.state.sinks or [None] * len(self.sinks), strict=True):
             sink.begin(results.clip, header, mark)
-        if self.video is not None:
-            self.video.begin(results.clip, header, self._painted)
 
     def write(self, result: FrameResult) -> None:
         """Write one more frame. Without targets it counts in a film; between joined chunks it is only drawn."""
         self.state.notes = (*self.state.notes, *result.notes)[:_MAX_NOTES]
-        if result.targets or self.plan.everyone:
-            for sink in self.sinks:
+        counts = bool(result.targets) or self.plan.everyone
+        for sink in self.sinks:
+            if counts or sink.every:
                 sink.write(result)
+        if counts:
             self.outcome.count(result.rows)
         self.state.frame = result.frame.index + 1
         if self._folder is not None:
@@ -326,8 +317,6 @@ class Recorder:
                 if self.state.at.states and checkpoints.is_due(self.outcome.frames):
                     self.state.sinks = tuple(sink.mark() for sink in self.sinks)
                     checkpoints.mark(self.outcome.frames, self.state, [sink.sync for sink in self.sinks])
-        if self.video is not None:
-            self.video.write(result)
 
     def close(self, stopped: str | None = None, error: Exception | None = None) -> Outcome:
         """Finish every file, let all of them replace the old ones, and return what became of the clip.
@@ -342,17 +331,17 @@ class Recorder:
         clip = self._digest.end(whole=done.stopped is None)
         done.source_sha256 = clip.sha256 if clip else ""
         errors: list[Exception] = []
-        steps: list[Callable[[Outcome], None]] = [sink.end for sink in reversed(self._all)]
+        steps: list[Callable[[Outcome], None]] = [sink.end for sink in reversed(self.sinks)]
         steps += [] if folder is None else [folder.end_checkpoints]
-        for step in (*steps, *(sink.close for sink in self._all)):
+        for step in (*steps, *(sink.close for sink in self.sinks)):
             try:
                 step(done)
             except Exception as e:
                 errors.append(e)
-        missing = None if self.video is None else self.video.missing
+        missing = next((sink.missing for sink in self.sinks if sink.missing is not None), None)
         if folder is not None:
             # a text file that a full disk cut short is kept, a video is not
-            paths = [sink.path for sink in self._all if sink.path is not None]
+            paths = [sink.path for sink in self.sinks if sink.path is not None]
             done.files = [path for path in paths if temporary_path(path).is_file()]
             lines = folder.commit(done, clip, self._before, error, errors)
             if done.stopped is None and not errors and missing is None:
@@ -370,7 +359,7 @@ class Recorder:
 
     def __exit__(self, *_: object) -> None:
         """Drop what was not closed."""
-        for sink in self._all:
+        for sink in self.sinks:
             with contextlib.suppress(Exception):
                 sink.discard()
 
@@ -437,25 +426,16 @@ def header_of(job: Job, clip: ClipFacts, start: Start, more: Header, rows: Traje
     }
 
 
-def _kept_corrections(job: Job, folder: Path) -> list[str]:
-    """A line on each file of corrections there, of the track before, that this run did not begin with."""
-    init = os.path.realpath(job.init) if isinstance(job.init, Path) else ""
-    return [
-        f"{path}: corrections of the track before, kept and not in this one; --init {path} takes them"
-        for path in (folder / CORRECTED, folder / UNSAVED)
-        if path.is_file() and os.path.realpath(path) != init
-    ]
-
-
 def _versions() -> Mapping[str, str]:
     """Of what the numbers may depend on beside facetrack itself."""
     modules = {"numpy": np, "opencv": cv2, "numba": numba}
     return {"python": platform.python_version(), **{name: module.__version__ for name, module in modules.items()}}
 
 
-def tables(plan: Plan) -> list[Sink]:
-    """A table of each format that was asked for."""
-    return [Table(plan.job.out, form) for form in plan.job.formats]
+def outputs(plan: Plan, folder: RunFolder | None) -> list[Sink]:
+    """The video, if one is drawn, and a table of each format that was asked for."""
+    video = [Video(plan, folder)] if folder is not None and plan.draws else []
+    return [*video, *(Table(plan.job.out, form) for form in plan.job.formats)]
 
 
 class Table(Sink):
@@ -529,13 +509,18 @@ class Video(Sink):
     `missing` says why there is none; the tables are whole all the same.
     """
 
-    missing: OutputError | None = None
+    every = True
+    path: Path
 
     def __init__(self, plan: Plan, folder: RunFolder) -> None:
-        self.path: Path = folder.path / VIDEO
+        self.path = folder.path / VIDEO
         self._title, self._threaded, self._folder = plan.job.recipe.name, plan.job.threads > 1, folder
         self._video: VideoWriter | None = None
         self._painter: Painter | None = None
+        self._mark: Any = None
+
+    def fits(self, mark: Any) -> bool:
+        return mark is not None
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
         from facetrack_cli.video.overlay import Overlay
@@ -544,8 +529,8 @@ class Video(Sink):
         self._overlay, cut = Overlay(clip.size, fps=float(clip.fps), title=self._title), Cut()
         if mark is not None:
             cut, self._overlay.memory = mark
-        self._painted, pieces = cut.frames, self._folder.checkpoints and self._folder.checkpoints.folder
-        about: dict[str, Any] = {"audio_from": clip.sound, "replace": False, "pieces": pieces, "after": cut}
+        self._painted, self._pieces = cut.frames, self._folder.checkpoints and self._folder.checkpoints.folder
+        about: dict[str, Any] = {"audio_from": clip.sound, "replace": False, "pieces": self._pieces, "after": cut}
         self._video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, **about)
         self._painter = Painter(self._paint, threaded=self._threaded)
 
@@ -558,18 +543,22 @@ class Video(Sink):
         assert self._video is not None
         if self.missing is not None:
             return
-        image, checkpoints = self._overlay.draw(result), self._folder.checkpoints
+        image = self._overlay.draw(result)
         try:
             self._video.write(image, result.frame.time_s)
+            self._painted += 1
+            if self._pieces and self._painted % checkpoint.PIECE_FRAMES == 0:
+                cut, finish = self._video.cut()
+                finish()
+                self._mark = cut, self._overlay.memory
         except OutputError as e:
             self.missing = e
-            return
-        self._painted += 1
-        if checkpoints is not None:
-            checkpoints.release(video=True)
-            if self._painted % checkpoint.PIECE_FRAMES == 0:
-                cut, finish = self._video.cut()
-                checkpoints.mark_video(self._painted, (cut, self._overlay.memory), finish)
+
+    def mark(self) -> Any:
+        """Where the last piece ended, which is the last frame wherever a run is marked; None without a video."""
+        assert self._painter is not None
+        self._painter.wait()
+        return None if self.missing else self._mark
 
     def end(self, done: Outcome) -> None:
         """The video ends before the tables, so that they can say what was wrong with it."""
@@ -577,7 +566,6 @@ class Video(Sink):
         try:
             self._painter.end()
         finally:
-            self._folder.end_checkpoints()
             try:
                 self._video.close()
             except OutputError as e:
@@ -588,6 +576,5 @@ class Video(Sink):
         if self._painter is not None:
             with contextlib.suppress(BaseException):
                 self._painter.end()
-        self._folder.end_checkpoints()
         if self._video is not None:
             self._video.discard()

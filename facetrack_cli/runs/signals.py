@@ -8,21 +8,17 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
-from typing import Any, ClassVar, NoReturn, TypeAlias
+from typing import NoReturn, TypeAlias
 
-from facetrack_cli.core.errors import ExitCode
+from facetrack_cli.core.errors import ExitCode, log_line
 
 Stopped: TypeAlias = Callable[[], bool]  # whether the work is to end
 # a closed terminal (not on Windows) ends a run as properly as SIGTERM does
 _CODES = {"SIGINT": ExitCode.INTERRUPTED, "SIGTERM": ExitCode.TERMINATED, "SIGHUP": ExitCode.TERMINATED}
-
-
-class TerminatedError(BaseException):
-    """SIGTERM where no Stop listens."""
+_SHOW_CURSOR = "\r\x1b[?25h"  # which a bar hides
 
 
 class StoppedError(Exception):
@@ -37,15 +33,13 @@ def never() -> bool:
 class Stop:
     """Whether the run is to end. `code` is the exit code of the first wish; `elsewhere` asks another process."""
 
-    before: ClassVar[ExitCode | None] = None  # of a signal that came before any Stop listened
-
     def __init__(self, elsewhere: Callable[[], ExitCode | None] = lambda: None) -> None:
         self.code: ExitCode | None = None
         self._elsewhere = elsewhere
 
     def __call__(self) -> bool:
         if self.code is None:
-            self.code = Stop.before or self._elsewhere()
+            self.code = self._elsewhere()
         return self.code is not None
 
     @property
@@ -70,35 +64,21 @@ class Stop:
 
 
 @contextlib.contextmanager
-def raising() -> Iterator[None]:
-    """Where no Stop listens, Ctrl-C raises KeyboardInterrupt, other signals TerminatedError; what is ignored stays so.
+def ending_at_once() -> Iterator[None]:
+    """Where no Stop listens, a signal ends the process at once, with its line and exit code.
 
-    Handlers of others stay.
-
-    Within an import, which may turn the exception into another one, the process ends at once. Python drops what is
-    raised within a `__del__` or a callback: then the next Stop ends at once.
+    Nothing is raised, since imports and `__del__` would drop it, and nothing is left half done: files appear whole.
+    What is ignored stays so, and so do handlers of others.
     """
 
-    def end(number: int, frame: FrameType | None) -> NoReturn:
-        while frame is not None:
-            if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
-                code = _CODES[signal.Signals(number).name]
-                what = "interrupted" if code is ExitCode.INTERRUPTED else "terminated"
-                with contextlib.suppress(OSError):
-                    os.write(2, f"facetrack: {what}\n".encode())
-                os._exit(code)
-            frame = frame.f_back
-        Stop.before = _CODES[signal.Signals(number).name]
-        raise KeyboardInterrupt if number == signal.SIGINT else TerminatedError
+    def end(number: int, _: FrameType | None) -> NoReturn:
+        code = _CODES[signal.Signals(number).name]
+        line = log_line("facetrack: interrupted" if code is ExitCode.INTERRUPTED else "facetrack: terminated")
+        with contextlib.suppress(OSError):
+            os.write(2, f"{_SHOW_CURSOR * os.isatty(2)}{line}\n".encode())
+        os._exit(code)
 
-    def report(dropped: Any) -> None:
-        if not isinstance(dropped.exc_value, KeyboardInterrupt | TerminatedError):
-            reported(dropped)
-
-    reported, sys.unraisablehook = sys.unraisablehook, report
     with contextlib.ExitStack() as restored:
-        restored.callback(setattr, sys, "unraisablehook", reported)
-        restored.callback(setattr, Stop, "before", None)
         main = threading.current_thread() is threading.main_thread()
         for number in [sig for sig in signal.Signals if sig.name in _CODES] if main else ():
             if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):

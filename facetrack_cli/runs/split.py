@@ -16,7 +16,7 @@ import hashlib
 import shutil
 from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -36,7 +36,7 @@ from facetrack_cli.runs.batch import attempt, check_all, run_batch, run_shared
 from facetrack_cli.runs.people import ORIGIN
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, digest_of, resolve
 from facetrack_cli.runs.progress import Progress
-from facetrack_cli.runs.record import ClipFacts, Ended, Recorder, Results, RunFolder, Video, header_of, record, tables
+from facetrack_cli.runs.record import ClipFacts, Ended, Recorder, Results, RunFolder, header_of, outputs, record
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.runs.workers import decoded_ahead
@@ -64,8 +64,8 @@ def run_chunks(
         return
     chunks = chunks_of(whole, _planned(whole, stop, progress))
     decided, left = check_all(chunks[shard[0] - 1 :: shard[1]])
-    for outcome in chain(decided, run_batch(left, min(workers, len(left)), stop, progress)):
-        yield CHUNKS, outcome
+    ended_ones = chain(decided, run_batch(left, min(workers, len(left)), stop, progress))
+    yield from ((CHUNKS, outcome) for outcome in ended_ones)
     if stop():
         return
     if shard[1] > 1:
@@ -76,12 +76,11 @@ def run_chunks(
             return
 
     def join(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
-        for clip_job in jobs:
-            progress.begin(f"[1/1] {clip_job.clip.name}")
-            yield clip_job, attempt(clip_job, stop, progress.update, progress.looked, join_chunks)
+        for each in jobs:
+            progress.begin(f"[1/1] {each.clip.name}")
+            yield each, attempt(each, stop, progress.update, progress.looked, join_chunks)
 
-    for outcome in run_shared([job], join, stop, progress):
-        yield "", outcome
+    yield from (("", outcome) for outcome in run_shared([job], join, stop, progress))
 
 
 def chunks_of(whole: Plan, plan: ChunkPlan) -> list[Job]:
@@ -89,14 +88,12 @@ def chunks_of(whole: Plan, plan: ChunkPlan) -> list[Job]:
     job, out = whole.job, whole.job.out
     assert out is not None
     by = next((name for name in DETECTORS if name in (job.init, plan.start.origin)), None) or detector().name
-    job = replace(
-        job, box=None, init_frame=None, chunk=True, split=None, formats=("json",), video=False, strict=False, batch=True
-    )
+    apart: dict[str, Any] = {"split": None, "formats": ("json",), "video": False, "strict": False, "batch": True}
+    job = replace(job, box=None, init_frame=None, chunk=True, **apart)
     chunks = []
     for i, (first, stop) in enumerate(plan.cuts):
-        where: dict[str, Any] = {"init": plan.start, "start": plan.start.frame}
-        if whole.everyone or i > 0:
-            where = {"init": by, "start": first}
+        searched = whole.everyone or i > 0
+        where = {"init": by, "start": first} if searched else {"init": plan.start, "start": plan.start.frame}
         chunks.append(replace(job, out=folder_of(out, i), stop=stop, **where))
     return chunks
 
@@ -126,7 +123,9 @@ def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
         _check_detector(job, start)
     times, keys = _frames(job, start, stop, progress)
     cuts = cut_by_length(start.frame, times, job.split, keys, str(job.clip))
-    ChunkPlan.of(key, start, [*cuts[:-1], (cuts[-1][0], job.stop)]).write(job.out)
+    record = {"key": key, "origin": start.origin, "note": start.note, "record": to_record(start)}
+    make_folder(folder)
+    write_new(folder / PLAN, dumps(record | {"cuts": [*cuts[:-1], (cuts[-1][0], job.stop)]}).encode(), overwrite=True)
     return read_plan(job.out)  # as others read it
 
 
@@ -213,19 +212,9 @@ class ChunkPlan(BaseModel):
     record: dict[str, Any]
     cuts: tuple[tuple[int, int | None], ...]
 
-    @classmethod
-    def of(cls, key: str, start: Start, cuts: Sequence[tuple[int, int | None]]) -> ChunkPlan:
-        return cls(key=key, origin=start.origin, note=start.note, record=to_record(start), cuts=tuple(cuts))
-
     @property
     def start(self) -> Start:
         return replace(StartRecord.model_validate(self.record).start_from(self.origin), note=self.note)
-
-    def write(self, out: Path) -> None:
-        """Write it beside the chunks of a run. Raises OutputError."""
-        path = out / CHUNKS / PLAN
-        make_folder(path.parent)
-        write_new(path, self.model_dump_json().encode(), overwrite=True)
 
 
 def read_plan(out: Path) -> ChunkPlan:
@@ -351,8 +340,7 @@ def _named(later: Trajectory, pairs: Mapping[str, str], taken: Collection[str]) 
     return names
 
 
-@dataclass(frozen=True)
-class _Part:
+class _Part(NamedTuple):
     """The rows that one chunk gives: frames [first, stop). Targets get new `names`; those `marked` start at `first`."""
 
     table: Path
@@ -376,7 +364,7 @@ class _Survey:
 
     def __init__(self, whole: Plan, plan: ChunkPlan) -> None:
         job, everyone = whole.job, whole.everyone
-        assert job.out is not None and job.split is not None
+        assert job.out is not None
         self.parts: list[_Part] = []
         self.chunks: list[dict[str, object]] = []
         self.seams: list[Seam] = []
@@ -389,8 +377,7 @@ class _Survey:
         end, before = plan.start.frame, None
         for i, (first, _) in enumerate(plan.cuts):
             folder = folder_of(job.out, i)
-            rows = self._read(folder, first)
-            if rows is None:
+            if (rows := self._read(folder, first)) is None:
                 continue
             begins = first if everyone else int(rows.frames[0])
             names, marked = {name: name for name in rows.targets}, frozenset[str]()
@@ -403,8 +390,8 @@ class _Survey:
                         share = f"they agree in {100 * seam.agreement:.0f} % of the frames that both have"
                         said.append(f"{self._clip}: two chunks differ where they meet at frame {seam.frame}: {share}")
                 self.seams.append(seam)
-                self.parts[-1] = replace(self.parts[-1], stop=min(self.parts[-1].stop, begins))
-            said += [] if everyone else self._gap(end if not self.parts else self.parts[-1].stop, begins)
+                self.parts[-1] = self.parts[-1]._replace(stop=min(self.parts[-1].stop, begins))
+            said += self._gap(end if not self.parts else self.parts[-1].stop, begins)
             end = int(rows.frames[-1]) + 1
             self.parts.append(_Part(folder / TABLE, begins, end, names, marked))
             taken |= {*names.values()}
@@ -412,7 +399,7 @@ class _Survey:
             before = renamed(rows.between(plan.cuts[min(i + 1, len(plan.cuts) - 1)][0], end), names)
         if not self.parts:
             raise InputError(f"{self._clip}: no chunk has rows: {self._why}")
-        if self.chunks[-1]["frames"] == 0 and not everyone:
+        if self.chunks[-1]["frames"] == 0:
             said += self._gap(end, plan.cuts[-1][1])
         self.warnings = (*self._warnings, *said)
 
@@ -440,8 +427,8 @@ class _Survey:
         return rows
 
     def _gap(self, end: int, begins: int | None) -> list[str]:
-        """A line if frames from `end` on are in no chunk; None: up to the end of the clip."""
-        if begins is not None and end >= begins:
+        """A line if frames from `end` on are in no chunk; None: up to the end of the clip. Of a film nobody may be."""
+        if self._everyone or (begins is not None and end >= begins):
             return []
         self.complete = False
         until = "on" if begins is None else f"to {begins - 1}"
@@ -454,8 +441,7 @@ def join_chunks(plan: Plan, folder: RunFolder, stop: Stop, report: Report, looke
     with stitched(plan, stop) as (results, start):
         monitor = RunMonitor.of(plan.job.recipe, start)
         monitor.detector = None  # it has looked at the chunks as they were tracked
-        video = Video(plan, folder) if plan.draws else None
-        with Recorder(plan, [*tables(plan), monitor], video, folder) as into:
+        with Recorder(plan, [*outputs(plan, folder), monitor], folder) as into:
             into.outcome.note = start.note
             done = record(results, into, stop, report)
     done.frames_per_s = 0.0  # rows were joined, not tracked

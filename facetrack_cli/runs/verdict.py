@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -33,6 +33,7 @@ LOW: Final = 0.9  # the frame of the lowest mean confidence is named if that is 
 SURE_OF_NAMES: Final = 0.8  # probability, below which the names of hands are in doubt
 MIN_LOOKS: Final = 3  # fewer looks than this say nothing
 _MAX_SPANS: Final = 3  # the longest ones, which are named
+Spans: TypeAlias = list[tuple[int, int]]  # first and last frames
 
 
 @dataclass
@@ -57,10 +58,9 @@ class RunMonitor(Sink):
     borne_out: float = 0.0  # the sum of the shares of its points that the other senses bear out
     lost_frames: int = 0
     hidden_frames: int = 0
-    lost: list[tuple[int, int]] = field(default_factory=list)  # first and last frames, the longest ones
-    now: tuple[int, int] | None = None
+    lost: Spans = field(default_factory=list)  # where a part is lost
     hands: int = -1  # frames in which a hand is seen; -1 where none is followed
-    unnamed: list[tuple[int, int]] = field(default_factory=list)  # where names of hands are in doubt, the longest ones
+    unnamed: Spans = field(default_factory=list)  # where names of hands are in doubt
 
     @classmethod
     def of(cls, recipe: Recipe, start: Start) -> RunMonitor:
@@ -98,7 +98,6 @@ class RunMonitor(Sink):
     def take(self, rows: Trajectory) -> None:
         """Take in the rows of one more frame."""
         if not len(rows):  # nobody is there
-            self._ended()
             return
         for diagnostics in rows.diagnostics.values():
             if np.isfinite(share := float(diagnostics.get(NETWORK.name)[-1])):
@@ -111,9 +110,7 @@ class RunMonitor(Sink):
         gone = rows.status == "lost"
         if gone.any():
             self.lost_frames += 1
-            self.now = (index if self.now is None else self.now[0], index)
-        else:
-            self._ended()
+            self.lost = _grown(self.lost, index)
         self.hidden_frames += bool((rows.status == "hidden").any())
         confidence = rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")]
         if confidence.size:
@@ -128,14 +125,10 @@ class RunMonitor(Sink):
         self.hands = max(self.hands, 0) + seen
         named = [reported.get(NAMED.name)[0] for target, reported in rows.diagnostics.items() if target in HANDS]
         if seen and named and min(named) < SURE_OF_NAMES:
-            # the span that goes on is kept, however short it is
-            first = next((a for a, b in self.unnamed if b == index - 1), index)
-            others = sorted((span for span in self.unnamed if span[0] != first), key=lambda span: span[0] - span[1])
-            self.unnamed = [*others[: _MAX_SPANS - 1], (first, index)]
+            self.unnamed = _grown(self.unnamed, index)
 
     def line(self) -> str:
         """The verdict in one line."""
-        self._ended()
         why, by = self.doubts(), self.detector and self.detector.name
         who, lost = "some part " if self.several else "", "never called lost"
         if self.lost_frames:
@@ -149,12 +142,12 @@ class RunMonitor(Sink):
             parts.append(f"while it is followed, {by} sees a face there in {self.seen} of {self.looks} looks")
         if self.lost_seen:
             parts.append(f"while it is lost, {by} sees a face in {self.lost_seen} of {self.lost_looks} looks")
-        look = [f"{places(sorted(self.lost))} (lost)"] if self.lost else []
+        look = [f"{places(sorted(_longest(self.lost)))} (lost)"] if self.lost else []
         if self.least[0] < LOW:
             raw = "" if self.calibrated else ", not calibrated"
             look.append(f"{self.least[1]} (lowest confidence, {self.least[0]:.2f}{raw})")
         if self.unnamed:
-            parts.append(f"which hand is which is in doubt in frames {places(sorted(self.unnamed))}")
+            parts.append(f"which hand is which is in doubt in frames {places(sorted(_longest(self.unnamed)))}")
         if look:
             parts.append(f"look at frames {', '.join(look)}")
         return "; ".join(parts)
@@ -162,8 +155,7 @@ class RunMonitor(Sink):
     @property
     def look(self) -> tuple[tuple[int, int], ...]:
         """First and last frames to look at first: the longest in which a part is lost, else the least sure one."""
-        self._ended()
-        return tuple(self.lost) or ((self.least[1],) * 2,) * (self.least[0] < LOW)
+        return tuple(_longest(self.lost)) or ((self.least[1],) * 2,) * (self.least[0] < LOW)
 
     def doubts(self) -> str:
         """What speaks against the track; "" if nothing does."""
@@ -182,12 +174,6 @@ class RunMonitor(Sink):
         looks = f"in {self.seen} of {self.looks} looks alone"
         return f"{self.detector.name} sees a face there {looks}; it may be something else, begin with --box X,Y,W,H"
 
-    def _ended(self) -> None:
-        """The longest spans, with the one that ends here."""
-        if self.now is not None:
-            self.lost = sorted([*self.lost, self.now], key=lambda span: span[0] - span[1])[:_MAX_SPANS]
-            self.now = None
-
     def _look(self, result: FrameResult, detector: Detector) -> None:
         name, target = next(iter(self.start.targets.items()))  # the first is that of the face that was searched for
         rows = next((target.rows for target in result.targets if target.rows.target == name), None)
@@ -200,6 +186,16 @@ class RunMonitor(Sink):
             upright = Similarity(np.array(centre(box)), box[2] / FACE, quarter).read(result.frame)
             self.looks += 1
             self.seen += detector.measure(upright.bgr, STILL) is not None
+
+
+def _longest(spans: Spans) -> Spans:
+    return sorted(spans, key=lambda span: span[0] - span[1])[:_MAX_SPANS]
+
+
+def _grown(spans: Spans, index: int) -> Spans:
+    """The longest spans, and that which goes on to this frame, however short it is."""
+    first = next((a for a, b in spans if b == index - 1), index)
+    return [*_longest([span for span in spans if span[0] != first]), (first, index)]
 
 
 def _face(rows: Trajectory, began: Box, points: Mapping[str, Point]) -> Box | None:

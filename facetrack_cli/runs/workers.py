@@ -17,18 +17,16 @@ import faulthandler
 import multiprocessing
 import os
 import signal
-import sys
-import tempfile
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from itertools import takewhile
 from multiprocessing.context import BaseContext
-from pathlib import Path
 from queue import Empty, Full, Queue
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import cv2
 
@@ -41,12 +39,16 @@ MAX_QUEUE = 4  # frames in each queue
 MAX_QUEUE_BYTES = 32 << 20  # of their pixels, unless one frame alone has more
 POLL_S = 0.1  # how long a stage sleeps at most before it looks whether the run was cancelled
 PATIENCE_S = 1.0  # a decoder that does not come back from a read is left behind after this long
-T = TypeVar("T")
 
 
 def share_threads(threads: int) -> None:
     """Leave one thread to decoding. Idle threads of OpenCV spin: on two cores this takes a tenth of a run."""
     cv2.setNumThreads(max(threads - 1, 1))
+
+
+def _room(frame: Frame) -> int:
+    """How many frames of this size wait for a stage at most."""
+    return max(1, min(MAX_QUEUE, MAX_QUEUE_BYTES // max(3 * frame.size[0] * frame.size[1], 1)))
 
 
 @contextlib.contextmanager
@@ -58,90 +60,30 @@ def decoded_ahead(
     An exception of `frames` is raised behind the frames that came before it.
     """
     if not threaded:
-        yield _until(frames, stopped)
+        yield takewhile(lambda _: not stopped(), frames)
         return
-    cancelled = threading.Event()
-    decoded = _Channel[Frame](cancelled.is_set)
+    queue, cancelled = Queue[Frame | BaseException | None](MAX_QUEUE), threading.Event()
 
-    def decode() -> None:
-        try:
-            if all(map(decoded.put, frames)):  # which holds no frame while the next one is decoded
-                decoded.put(None)
-        except BaseException as e:
-            decoded.put(e)
-
-    decoder = threading.Thread(target=decode, name="decode", daemon=True)
-    decoder.start()
-    try:
-        yield decoded.items(stopped)
-    finally:
-        cancelled.set()
-        decoder.join(PATIENCE_S)
-
-
-class Painter:
-    """Paints results, in their order, in a thread of its own. An exception of `paint` is raised by `put` or `end`."""
-
-    def __init__(self, paint: Callable[[FrameResult], None], *, threaded: bool = True) -> None:
-        self._paint, self._error = paint, list[BaseException]()
-        self._results = _Channel[FrameResult](lambda: bool(self._error))
-        self._thread = threading.Thread(target=self._run, name="paint", daemon=True) if threaded else None
-        if self._thread is not None:
-            self._thread.start()
-
-    def put(self, result: FrameResult) -> None:
-        if self._thread is None:
-            self._paint(result)
-        elif not self._results.put(result):
-            self.end()
-
-    def end(self) -> None:
-        """Wait until all is painted."""
-        if self._thread is not None:
-            self._results.put(None)
-            self._thread.join()
-            self._thread = None
-            if self._error:
-                raise self._error[0]
-
-    def _run(self) -> None:
-        try:
-            for result in self._results.items(never):
-                self._paint(result)
-        except BaseException as e:
-            self._error.append(e)
-
-
-def _until(frames: Iterable[Frame], stopped: Callable[[], bool]) -> Iterator[Frame]:
-    if not stopped():
-        for frame in frames:
-            yield frame
-            if stopped():
-                return
-
-
-class _Channel(Generic[T]):
-    """A bounded queue. Either end gives up on request, so that no stage waits for one that has ended."""
-
-    def __init__(self, given_up: Callable[[], bool]) -> None:
-        self._queue, self._given_up = Queue[T | BaseException | None](MAX_QUEUE), given_up
-
-    def put(self, item: T | BaseException | None) -> bool:
-        """Append an item; False if the reader is gone. None ends the items; an exception is raised in the reader."""
-        frame = item.frame if isinstance(item, FrameResult) else item
-        if isinstance(frame, Frame):
-            in_colours = max(3 * frame.size[0] * frame.size[1], 1)
-            self._queue.maxsize = max(1, min(MAX_QUEUE, MAX_QUEUE_BYTES // in_colours))
-        while not self._given_up():
+    def put(item: Frame | BaseException | None) -> bool:
+        if isinstance(item, Frame):
+            queue.maxsize = _room(item)
+        while not cancelled.is_set():
             with contextlib.suppress(Full):
-                self._queue.put(item, timeout=POLL_S)
+                queue.put(item, timeout=POLL_S)
                 return True
         return False
 
-    def items(self, stopped: Callable[[], bool]) -> Iterator[T]:
+    def decode() -> None:
+        try:
+            if all(map(put, frames)):  # which holds no frame while the next one is decoded
+                put(None)
+        except BaseException as e:
+            put(e)
+
+    def decoded() -> Iterator[Frame]:
         while not stopped():
             try:
-                item = self._queue.get(timeout=POLL_S)
+                item = queue.get(timeout=POLL_S)
             except Empty:
                 continue
             if item is None:
@@ -150,6 +92,50 @@ class _Channel(Generic[T]):
                 raise item
             yield item
             del item  # while the next one is waited for
+
+    decoder = threading.Thread(target=decode, name="decode", daemon=True)
+    decoder.start()
+    try:
+        yield decoded()
+    finally:
+        cancelled.set()
+        decoder.join(PATIENCE_S)
+
+
+class Painter:
+    """Paints results, in their order, in a thread of its own. An exception of `paint` is raised by what comes after."""
+
+    def __init__(self, paint: Callable[[FrameResult], None], *, threaded: bool = True) -> None:
+        self._paint, self._waiting = paint, deque[Future[None]]()
+        self._thread = ThreadPoolExecutor(1, "paint") if threaded else None
+        self._failed = False
+
+    def put(self, result: FrameResult) -> None:
+        if self._thread is None:
+            self._paint(result)
+            return
+        self._waiting.append(self._thread.submit(self._next, result))
+        self.wait(_room(result.frame))
+
+    def _next(self, result: FrameResult) -> None:
+        if not self._failed:
+            self._failed = True  # unless it is painted: nothing follows a frame that is not
+            self._paint(result)
+            self._failed = False
+
+    def wait(self, room: int = 0) -> None:
+        """Wait until no more than `room` results are left to be painted."""
+        while len(self._waiting) > room:
+            self._waiting.popleft().result()
+
+    def end(self) -> None:
+        """Wait until all is painted."""
+        try:
+            self.wait()
+        finally:
+            if self._thread is not None:
+                self._thread.shutdown(cancel_futures=True)
+                self._waiting.clear()
 
 
 Work: TypeAlias = Callable[[Any, Stop, Callable[..., None]], Any]
@@ -160,9 +146,7 @@ ORPHAN_S = 1.5  # for a task to close its files, once the process that gave it i
 
 
 class DiedError(FacetrackError):
-    """A process ended by itself, and its result is lost. The argument says how; `log` has its standard error."""
-
-    log: Sequence[str] = ()
+    """A process ended by itself, and its result is lost. The argument says how."""
 
 
 def side_by_side(
@@ -185,47 +169,44 @@ def side_by_side(
         yield from _here(tasks, work, stop, report)
         return
     waiting = deque((index, 1) for index in range(len(tasks)))
-    running: dict[Future[tuple[object, str]], tuple[int, int, _Process]] = {}
+    running: dict[Future[object], tuple[int, int, _Process]] = {}
     processes: set[_Process] = set()
-    with contextlib.ExitStack() as ended:
-        logs = ended.enter_context(tempfile.TemporaryDirectory(prefix="facetrack-", ignore_cleanup_errors=True))
-        with _starting():
-            context = worker_context()
-            # without locks: a process that is killed while it holds a lock would stop all others
-            ending, frames = context.RawValue("i", 0), context.RawArray("q", len(tasks))
-        try:
-            while waiting or running:
-                if stop():
-                    waiting.clear()
-                    ending.value = stop.code or ExitCode.INTERRUPTED
-                while waiting and len(running) < workers:
-                    index, turn = waiting.popleft()
-                    idle = processes - {process for _, _, process in running.values()}
-                    while True:
-                        process = idle.pop() if idle else _Process(context, ending, frames, threads, Path(logs))
-                        processes.add(process)
-                        with _starting(), contextlib.suppress(BrokenProcessPool):  # it died while it had no task
-                            running[process.begin(work, index, tasks[index])] = index, turn, process
-                            break
-                        processes.remove(process)
-                for future in wait(running, LOOK_S, FIRST_COMPLETED).done:
-                    index, turn, process = running.pop(future)
-                    result: object = future.exception()
-                    if isinstance(result, BrokenProcessPool):
-                        processes.remove(process)
-                        result, killed = process.died()
-                        if killed and turn < tries and not stop():
-                            waiting.appendleft((index, turn + 1))
-                            continue
-                    elif result is None:
-                        result, said = future.result()
-                        sys.stderr.write(said)
-                    yield index, result
-                report(sum(frames))
-        finally:
-            ending.value = ending.value or ExitCode.INTERRUPTED
-            for process in processes:
-                process.pool.shutdown()
+    with _starting():
+        context = worker_context()
+        # without locks: a process that is killed while it holds a lock would stop all others
+        ending, frames = context.RawValue("i", 0), context.RawArray("q", len(tasks))
+    try:
+        while waiting or running:
+            if stop():
+                waiting.clear()
+                ending.value = stop.code or ExitCode.INTERRUPTED
+            while waiting and len(running) < workers:
+                index, turn = waiting.popleft()
+                idle = processes - {process for _, _, process in running.values()}
+                while True:
+                    process = idle.pop() if idle else _Process(context, ending, frames, threads)
+                    processes.add(process)
+                    with _starting(), contextlib.suppress(BrokenProcessPool):  # it died while it had no task
+                        running[process.begin(work, index, tasks[index])] = index, turn, process
+                        break
+                    processes.remove(process)
+            for future in wait(running, LOOK_S, FIRST_COMPLETED).done:
+                index, turn, process = running.pop(future)
+                result: object = future.exception()
+                if isinstance(result, BrokenProcessPool):
+                    processes.remove(process)
+                    result, killed = process.died()
+                    if killed and turn < tries and not stop():
+                        waiting.appendleft((index, turn + 1))
+                        continue
+                elif result is None:
+                    result = future.result()
+                yield index, result
+            report(sum(frames))
+    finally:
+        ending.value = ending.value or ExitCode.INTERRUPTED
+        for process in processes:
+            process.pool.shutdown()
 
 
 def _here(tasks: Sequence[Any], work: Work, stop: Stop, report: Callable[[int], None]) -> Iterator[tuple[int, Any]]:
@@ -251,13 +232,12 @@ def _result(work: Work, task: object, stop: Stop, report: Callable[..., None]) -
 class _Process:
     """A pool of one process. A larger pool would lose all tasks when one of its processes dies."""
 
-    def __init__(self, context: BaseContext, ending: Any, frames: Any, threads: int, logs: Path) -> None:
-        given = (ending, frames, threads, logs)
+    def __init__(self, context: BaseContext, ending: Any, frames: Any, threads: int) -> None:
+        given = (ending, frames, threads)
         self.pool = ProcessPoolExecutor(1, mp_context=context, initializer=_begin, initargs=given)
-        self._logs = logs
         self._process: Any = None
 
-    def begin(self, work: Work, index: int, task: object) -> Future[tuple[object, str]]:
+    def begin(self, work: Work, index: int, task: object) -> Future[object]:
         before = {*multiprocessing.active_children()} if self._process is None else set()
         future = self.pool.submit(_do, work, index, task)
         if self._process is None:
@@ -270,27 +250,22 @@ class _Process:
         if self._process is None:  # it ended before it was looked at
             return DiedError("its process ended as it began"), False
         code = self._process.exitcode
-        error = DiedError(f"its process ended with code {code}")
-        with contextlib.suppress(OSError):
-            error.log = (self._logs / f"{self._process.pid}").read_text(errors="replace").splitlines()
-        return error, (code or 0) < 0
+        return DiedError(f"its process ended with code {code}"), (code or 0) < 0
 
 
 # --- in the processes ------------------------------------------------------------------------------------------------
 
 _ending: Any  # shared: the exit code of the wish to stop, 0 without one
 _frames: Any  # shared: the frames done of each task
-_log: Path
 
 
-def _begin(ending: Any, frames: Any, threads: int, logs: Path) -> None:
-    global _ending, _frames, _log
-    _ending, _frames, _log = ending, frames, logs / f"{os.getpid()}"
+def _begin(ending: Any, frames: Any, threads: int) -> None:
+    global _ending, _frames
+    _ending, _frames = ending, frames
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal; the parent acts on it
-    with contextlib.suppress(OSError), _log.open("ab") as file:
-        os.dup2(file.fileno(), 2)
-        faulthandler.enable(2)
+    with contextlib.suppress(OSError, ValueError):  # without standard error
+        faulthandler.enable()
     share_threads(threads)
 
 
@@ -303,8 +278,8 @@ def _end_with_parent() -> None:
     os._exit(ExitCode.INTERRUPTED)
 
 
-def _do(work: Work, index: int, task: object) -> tuple[object, str]:
-    """The result of a task, and the lines that it wrote to standard error."""
+def _do(work: Work, index: int, task: object) -> object:
+    """The result of a task."""
     last = 0.0
 
     def report(done: int, total: int | None = None) -> None:
@@ -314,13 +289,7 @@ def _do(work: Work, index: int, task: object) -> tuple[object, str]:
 
     # the parent asked to stop, or has died
     with Stop(lambda: ExitCode(_ending.value) if _ending.value else None).listening() as stop:
-        result = _result(work, task, stop, report)
-    sys.stderr.flush()
-    lines = ""
-    with contextlib.suppress(OSError):
-        lines = _log.read_text(errors="replace")
-        os.truncate(_log, 0)
-    return result, lines
+        return _result(work, task, stop, report)
 
 
 @contextlib.contextmanager

@@ -1,6 +1,5 @@
 import os
 import re
-import signal
 import subprocess
 import sys
 import types
@@ -200,7 +199,6 @@ def test_a_command_may_return_its_exit_code_or_leave_with_it(boom, code):
         (["rnu"], 'no command "rnu"; did you mean "run"? (see facetrack --help)'),
         (["xyzzy"], f'no command "xyzzy"; there are: {", ".join(cli.COMMANDS)} (see facetrack --help)'),
         (["--hlep"], "No such option"),
-        (["smooth", "out"], 'no command "smooth"; it is facetrack run --smooth now'),
         (["recipes", "show"], "Missing argument 'RECIPE' (see facetrack recipes show --help)"),
         (["people", "out", "--save", "p.txt"], "p.txt: cannot tell the kind of file; let its name end in .npz"),
         (["export", "run"], "Missing option '--to'. Choose from: csv-wide, pose,"),
@@ -288,21 +286,6 @@ def test_on_a_terminal_there_are_a_table_and_colours():
     plain = re.sub(r"\x1b\[[0-9;]*m", "", table)
     marked = [line.split()[1] for line in plain.splitlines() if line.startswith("-> ") and "is the one" not in line]
     assert marked == [*TAKE] == ["face", "correlation_filter", "signer", "adaptive_recognition"]
-    assert "\x1b[" in seen("recipes", "show", "sir")
-    assert "\x1b[" not in seen("recipes", "show", "sir", NO_COLOR="1")
-
-
-@pytest.mark.one_in(4)
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
-@pytest.mark.parametrize("args", [["--help"], ["recipes"], ["recipes", "show", "sir"], ["recipes", "check", "sir"]])
-def test_standard_output_on_a_full_disk(args):
-    with Path("/dev/full").open("w") as full:
-        command = [sys.executable, "-m", "facetrack_cli", *args]
-        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
-    assert ended.returncode == 2
-    assert ended.stderr == (
-        "facetrack: error: standard output: cannot be written: No space left on device; send it elsewhere\n"
-    )
 
 
 def test_out_of_memory_is_no_fault_of_ours(monkeypatch, capsys):
@@ -312,15 +295,6 @@ def test_out_of_memory_is_no_fault_of_ours(monkeypatch, capsys):
     monkeypatch.setattr("facetrack_cli.core.models.shipped_recipes", refuse)
     assert main(["recipes"]) == 1
     assert capsys.readouterr().err.startswith("facetrack: error: not enough memory (Unable to allocate 73 TiB); take")
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_a_signal_outside_a_run(monkeypatch, capsys):
-    monkeypatch.setattr("facetrack_cli.core.models.shipped_recipes", lambda: os.kill(os.getpid(), signal.SIGTERM))
-    assert main(["recipes"]) == 143
-    assert capsys.readouterr().err == "facetrack: terminated\n"
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_init_finds_all_faces_of_a_frame(tmp_path, capsys):

@@ -5,7 +5,6 @@ import io
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import ExitCode, UsageError
@@ -64,13 +63,6 @@ def test_a_recipe_that_cannot_run_does_not_stop_the_others(facetrack):
     found = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))
     last = found["recipes"][-1]
     assert last["label"] == "mil" and last["rank"] is None and last["error"] and not last["runs"]
-
-
-def test_one_recipe_is_one(facetrack):
-    code, out, _ = facetrack("compare", CLIP, *TWO[:2], "--stop", "3", "--seeds", "1", "--no-plots", "-q")
-    assert code == 0 and "1 recipe on frames 0 to 2" in out
-    help_all = facetrack("compare", "--help-all")[1]
-    assert "--faces" not in help_all and "groundtruth_rect.txt" in help_all
 
 
 @pytest.mark.parametrize(
@@ -161,50 +153,3 @@ def test_a_truth_of_other_frames_is_told_after_the_first_recipe(facetrack):
 
     code, _, err = facetrack("compare", "cut.mp4", *TWO, *given, "--seeds", "1", "--partial")
     assert code == 0 and err.count("warning: cut.mp4: cut short or damaged") == 1
-
-
-@pytest.mark.nightly
-def test_a_disk_that_fills_up_costs_files_not_the_table(facetrack, monkeypatch):
-    original = Path.replace
-
-    def full(self, to):
-        if to.endswith("error.png"):
-            raise OSError(28, "No space left on device")
-        return original(self, to)
-
-    monkeypatch.setattr(Path, "replace", full)
-    code, out, err = facetrack("compare", CLIP, *TWO, *SHORT)
-    assert code == ExitCode.USAGE and "No space left" in err and "frames 0 to 11" in out
-
-
-def test_of_one_recipe_the_spread_over_seeds_is_told(facetrack):
-    one = ["--config", "sir", "--set", "filter.particles=20"]
-    code, out, err = facetrack("compare", CLIP, *one, "--seeds", "5", "--stop", "40", "--no-plots")
-    assert code == 0, err
-    assert "Mean ± standard deviation over 5 seeds" in " ".join(out.split())
-    [found] = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))["recipes"]
-    values = [run["points.mean_px"] for run in found["runs"]]
-    assert len(values) == 5 and found["mean"]["points.mean_px"] == pytest.approx(np.mean(values), abs=1e-5)
-    assert found["std"]["points.mean_px"] == pytest.approx(np.std(values, ddof=1), abs=1e-5) and min(values) > 0
-
-
-def test_a_truth_is_moved_by_frames(facetrack):
-    lines = (FOLDER / "expressions.truth.csv").read_text(encoding="utf-8").splitlines()
-    moved = [",".join([str(int(frame) - 6), *rest]) for frame, *rest in (line.split(",") for line in lines[1:])]
-    kept = [line for line in moved if not line.startswith("-")]
-    Path("moved.csv").write_text("\n".join([lines[0], *kept]) + "\n", encoding="utf-8")
-    clip = FOLDER / "expressions.mp4"
-    arguments = ["compare", clip, "--truth", "moved.csv", "--partial", "--config", "factorized:filter.particles=50"]
-    arguments += ["--seeds", "1", "--stop", "60", "--no-plots", "-q"]
-    code, out, _ = facetrack(*arguments, "--shift", "6", "--json")
-    assert code == 0 and json.loads(out)["recipes"][0]["mean"]["points.mean_px"] < 2
-
-
-def test_a_start_elsewhere_than_the_truth_is_told(facetrack):
-    Path("boxes.csv").write_text("frame,x,y,w,h\n0,10,10,30,30\n5,12,10,30,30\n")
-    code, _, err = facetrack(
-        *("compare", CLIP, "--truth", "boxes.csv", "--config", "mil", "--seeds", "1", "--stop", "6", "--no-plots")
-    )
-    assert code == 0 and "puts the box of face in frame 0 where it overlaps the truth's by 0.00 alone" in err
-    data = json.loads(Path("occlusion-compare/compare.json").read_text())
-    assert data["recipes"][0]["begins"].endswith(".init.yaml, frame 0")

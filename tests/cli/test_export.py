@@ -2,7 +2,6 @@
 
 import csv
 import json
-import math
 import time
 from collections import namedtuple
 from itertools import pairwise
@@ -347,10 +346,6 @@ def test_every_format_goes_to_standard_output_and_beside_the_trajectory(track, t
     assert {one.name for one in tmp_path.iterdir()} == {path.name, written.name}
 
 
-def test_otb_says_which_frame_is_line_1(track):
-    assert "line 1 is frame 10" in export(track(rows(frames=range(10, 13))), "--to", "otb").stderr
-
-
 @pytest.mark.parametrize(
     ("args", "code", "said"),
     [
@@ -391,17 +386,3 @@ def test_tables_that_a_format_has_no_room_for(track, tmp_path):
     assert "there is no folder" in refused(two, "--to", "dlc", "-o", tmp_path / "no/such/file.csv", code=2)
     folder = track(header={"source": {"path": str(tmp_path)}})
     assert "is a folder of images, which ELAN cannot play" in refused(folder, "--to", "eaf", code=3)
-
-
-def test_a_header_that_says_nothing_useful_is_as_none(track):
-    path = track(header={"source": "clip.mp4", "recipe": ["sir"]})
-    assert export(path, "--to", "dlc", "-o", "-").stdout.startswith("scorer,facetrack,")
-    assert "does not name its video" in refused(path, "--to", "eaf", code=3)
-
-
-def test_targets_keep_the_table_s_order():
-    found = [one_part(t, p, [0]) for t, p in (("b", "x"), ("a", "x"), ("b", "y"))]
-    table = joined(found)
-    grouped = [(name, [one.part for one in table.of_target(name)]) for name in table.targets]
-    assert grouped == [("b", ["x", "y"]), ("a", ["x"])]
-    assert all(math.isnan(v) for v in enclose([found[0], found[2]], "points").x)

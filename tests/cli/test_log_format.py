@@ -1,7 +1,6 @@
 """--log-format json: an object a line on standard error; NO_COLOR."""
 
 import json
-import os
 from fractions import Fraction
 
 import numpy as np
@@ -11,7 +10,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import LOG_FORMAT, log_line
 from facetrack_cli.recipe.load import find_recipe, read_recipe
 from facetrack_cli.runs import progress as module
-from facetrack_cli.runs.progress import Bar, progress
+from facetrack_cli.runs.progress import progress
 from facetrack_cli.video.writer import VideoWriter
 from tests.support.samples import FOLDER
 
@@ -106,11 +105,3 @@ def test_quiet_is_quiet(monkeypatch, capfd):
         shown.error("facetrack: error: bad")
     (said,) = objects(capfd.readouterr().err)
     assert (said["level"], said["clip"]) == ("error", "a.mp4")
-
-
-@pytest.mark.parametrize("value", ["1", ""])
-def test_no_color_takes_colours_from_the_bar(monkeypatch, value):
-    monkeypatch.setenv("NO_COLOR", value)
-    monkeypatch.delenv("FORCE_COLOR", raising=False)
-    assert Bar()._bar.console.no_color is bool(value)
-    assert "NO_COLOR" in os.environ

@@ -10,7 +10,6 @@ from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.model import json_schema
 from facetrack_cli.start.init_file import read_init
 from tests.support.media import write_pictures
 from tests.support.samples import FOLDER, read_pictures
@@ -146,12 +145,6 @@ def test_a_face_is_looked_for_until_hands_show_too(facetrack):
 )
 def test_what_a_recipe_may_leave_out(facetrack, override):
     assert run(facetrack, "--set", override, "--stop", 3, "-o", "o")[0] == 0
-
-
-def test_the_schema_knows_which_names_targets_may_have():
-    targets = json_schema()["$defs"]["ParticlesRecipe"]["properties"]["targets"]
-    assert targets["additionalProperties"] is False
-    assert list(targets["patternProperties"]) == ["^[a-z][a-z0-9_]*$"]
 
 
 # --- what is told ----------------------------------------------------------------------------------------------------

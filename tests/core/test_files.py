@@ -211,8 +211,6 @@ def test_a_number_of_thousands_of_digits(tmp_path, form):
 @pytest.mark.parametrize(
     ("arguments", "code", "line"),
     [
-        (["plot", "x", "--dpi", "nan"], 2, "'nan' is no finite number"),
-        (["plot", "x", "--width", "nan"], 2, "'nan' is no finite number"),
         ([*RUN, "--threads", "99999999999"], 2, "is not in the range 1<=x<=1000"),
         ([*RUN, "-j", "99999999999"], 2, "is not in the range 1<=x<=1000"),
         (["gallery", "show", "."], 3, ".: cannot be read: Is a directory"),

@@ -273,7 +273,7 @@ def data(name):
 ROWS = [
     *(f"export @ --to {to} -o {out}" for to in TO for out in ("-", "out.txt")),
     *(f"eval @ --truth IN/truth.csv{more}" for more in ("", " --partial", " --json out.json", " --csv -") * 3),
-    *("plot @ -o out.png --dpi 40",) * 2,
+    *("plot @ -o out.png",) * 2,
 ]
 CAST = ("--json", "--csv", "--rename face=Ann", "--merge face=face", "--split face@2f")
 RUNS = ["fix run --init IN/corrected.init.yaml --no-video -q"] * 4 + ["report run -o out.html -q"]

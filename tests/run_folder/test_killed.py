@@ -9,7 +9,6 @@ import re
 import shutil
 import signal
 import subprocess
-import threading
 from pathlib import Path
 
 import pytest
@@ -20,8 +19,6 @@ from facetrack_cli.run_folder import lease as locks
 from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.lease import LOCK, NOTE, FolderLease
 from facetrack_cli.run_folder.manifest import NAME, read_manifest, read_run, recover_interrupted
-from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.workers import DiedError, side_by_side
 from tests.support.leases import abandon, leave_here
 from tests.support.sway import FACETRACK, ROWS, SMALL, make_clip, names, until
 
@@ -181,21 +178,6 @@ def test_a_worker_that_is_killed_is_replaced_once(clip, whole, tmp_path, kills):
     known = read_manifest(folder)
     assert known.stopped == "killed" and len(read_run(folder).frames) >= 19
     assert "its process ended with code -9" in known.error and known.exit_code == 1
-
-
-def _ask_until_killed(task, stop, report):
-    if task < 8:
-        threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGKILL)).start()
-    while task < 8:
-        stop._elsewhere()
-    return stop()
-
-
-@pytest.mark.nightly
-@posix
-def test_a_worker_that_is_killed_while_it_asks_whether_to_stop_holds_up_no_other():
-    ended = dict(side_by_side(range(10), _ask_until_killed, 2, Stop()))
-    assert all(isinstance(ended[task], DiedError) for task in range(8)) and not ended[8] and not ended[9]
 
 
 # --- one writer, one set ---

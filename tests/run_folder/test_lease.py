@@ -324,13 +324,6 @@ def test_a_lease_that_is_a_link_or_a_pipe(tmp_path, name):
     assert left_in(tmp_path) == {}
 
 
-def test_temporary_names_cannot_be_guessed():
-    code = "from facetrack_cli.core.files import own_mark; print(own_mark())"
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip()
-    ours, theirs = (mark.split("-")[1] for mark in (own_mark(), said))
-    assert ours != theirs and len(ours) == len(theirs) == 16
-
-
 def test_what_ended_processes_left_is_swept_away(tmp_path):
     patterns = [
         f".trajectory-{{}}-{'a' * 16}.part.csv",

@@ -93,13 +93,11 @@ def test_rows_are_those_of_a_run_that_was_not_ended(tmp_path, recipe):
 
 
 @pytest.mark.parametrize("threads", [pytest.param(1, marks=pytest.mark.nightly), 2])
-def test_so_are_the_frames_of_the_video_and_the_posterior(tmp_path, threads, monkeypatch):
+def test_so_are_the_frames_of_the_video_and_smoothed_rows(tmp_path, threads, monkeypatch):
     monkeypatch.setattr(smooth, "_BLOCK_FRAMES", 5)
-    more = {"video": True, "threads": threads, "posterior": True, "formats": ("csv", "json", "jsonl")}
+    more = {"video": True, "threads": threads, "smooth": True, "formats": ("csv", "json", "jsonl")}
     out, whole = ended_twice(tmp_path, "face", **more)
     assert same(out, whole)
-    with np.load(out / "posterior.npz") as kept:
-        assert len([name for name in kept.files if name.endswith("/0/frame")]) == 6
 
 
 def test_so_are_corrected_tracks(tmp_path):
@@ -136,7 +134,7 @@ def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video):
 @pytest.mark.parametrize("how", [{"resume": False}, {"overwrite": True}, {}])
 def test_without_resuming_it_begins_at_its_start(interrupted, tmp_path, how):
     out = shutil.copytree(interrupted, tmp_path / "out")
-    assert run(job("factorized", out, posterior=True, **how)).resumed == (None if how else EVERY)
+    assert run(job("factorized", out, smooth=True, **how)).resumed == (None if how else EVERY)
 
 
 def test_opencvs_trackers_and_a_lag_begin_anew(tmp_path):
@@ -166,7 +164,7 @@ def interrupted(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(checkpoint, "EVERY_FRAMES", EVERY)
         patched.setattr(smooth, "_BLOCK_FRAMES", 5)
-        asked = job("factorized", tmp_path_factory.mktemp("interrupted") / "out", posterior=True)
+        asked = job("factorized", tmp_path_factory.mktemp("interrupted") / "out", smooth=True)
         run(asked, 11)
     return asked.out
 
@@ -178,9 +176,8 @@ def test_a_checkpoint_that_does_not_fit_is_left_out(interrupted, tmp_path, monke
     CHANGES[change](out)
     if change == "another numpy":
         monkeypatch.setattr(record, "_versions", lambda: {"numpy": "0"})
-    done = run(job("factorized", out, posterior=True, overwrite=change.startswith("rows")))
+    done = run(job("factorized", out, smooth=True, overwrite=change.startswith("rows")))
     assert done.resumed is None and done.frames == 26
-    assert ("since its checkpoint is damaged" in done.note) is not change.startswith("rows")
 
 
 def test_a_disk_without_space_for_a_checkpoint_is_no_harm(tmp_path, monkeypatch):

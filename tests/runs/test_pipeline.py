@@ -124,4 +124,4 @@ def test_queues_are_short_and_those_of_large_frames_shorter(monkeypatch, most_by
 
     recorded = Seen()
     run(frames(60, made=made), recorded, paint)
-    assert recorded == list(range(60)) and max(ahead) <= 2 * queue + 4 and threads == {"paint"}
+    assert recorded == list(range(60)) and max(ahead) <= 2 * queue + 4 and threads == {"paint_0"}

@@ -74,8 +74,7 @@ def test_processes_change_nothing_but_the_time():
     assert alone[:10] == [(2 * n, 30) for n in range(1, 11)], "frames of all seeds are counted"
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_plan_that_cannot_run_says_why_and_the_others_go_on(tmp_path, workers):
+def test_a_plan_that_cannot_run_says_why_and_the_others_go_on(tmp_path):
     start = Start(0, {"face": TargetStart(points={"nose": (3.0, 4.0)})}, "clip.init.yaml")
     good = plan(seeds=(0,))
     plans = [
@@ -85,7 +84,7 @@ def test_a_plan_that_cannot_run_says_why_and_the_others_go_on(tmp_path, workers)
         replace(good, start=Start(9999, good.start.targets, "late.yaml"), stop=None),
         plan(seeds=(0,), overrides=["prior.file=none.npz"]),
     ]
-    ended = list(run_plans(plans, workers))
+    ended = list(run_plans(plans, 2))
     assert [(len(one.runs), one.error is None) for one in ended] == [(0, False), (1, True)] + 3 * [(0, False)]
     assert ended[0].plan.label == "bad" and "clip.init.yaml: no point for mouth_left" in str(ended[0].error)
     assert "none.mp4" in str(ended[2].error) and isinstance(ended[3].error, InputError)

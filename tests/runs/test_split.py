@@ -17,7 +17,7 @@ from facetrack_cli.report.make import make_report
 from facetrack_cli.report.story import history_of, key_frames
 from facetrack_cli.runs import batch, split
 from facetrack_cli.runs.plan import Split
-from facetrack_cli.runs.split import OVERLAP_S, ChunkPlan, Seam, agreeing, cut_by_length, read_plan, renamed, stitch
+from facetrack_cli.runs.split import OVERLAP_S, Seam, agreeing, cut_by_length, renamed, stitch
 from facetrack_cli.start.init_file import write_init
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, one_part
@@ -149,7 +149,7 @@ def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, monkeypat
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--split", "30"), "give a unit"),
+        (("--split", "30"), "is no length"),
         (("--split", "m"), "is no length"),
         (("--split", "8s"), "overlap by 5 s; give --split 10s or more"),
         (("--split", "40f"), "give --split 50f or more"),
@@ -184,13 +184,6 @@ def test_chunks_cover_all_frames_and_overlap(first, count, gaps, length, spacing
         assert begin < after < stop
         assert times[stop - 1] < times[after] + OVERLAP_S <= times[min(stop, len(times) - 1)] + 1e-9
         assert length / 2 - 0.21 <= times[after] - times[begin] <= length + 0.21
-
-
-def test_a_plan_is_read_as_it_was_written(tmp_path):
-    start = Start(3, {"face": TargetStart((1.5, 2, 30, 40), {"nose": (3.25, 4.1)})}, "haar", (), "a note")
-    ChunkPlan.of("key", start, [(3, 9), (7, None)]).write(tmp_path)
-    read = read_plan(tmp_path)
-    assert (read.key, read.start, read.cuts) == ("key", start, ((3, 9), (7, None)))
 
 
 # --- where two chunks meet --------------------------------------------------------------------------------------------

@@ -79,10 +79,6 @@ def fix_command(
       facetrack fix out --init corrected.init.yaml --no-video
       facetrack fix out --import annotations.xml
       facetrack fix film --person Eileen@0:03
-
-    \b
-    Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
-    143 terminated.
     """
     from facetrack_cli.editor.history import Fixer
     from facetrack_cli.run_folder.finished import check_size, open_run
@@ -245,10 +241,6 @@ def people_command(
       facetrack people out --json | jq '.people[].name'
       facetrack people out --csv > intervals.csv
       facetrack people out --save people.npz
-
-    \b
-    Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
-    143 terminated.
     """
     from facetrack_cli.core.files import check_new
     from facetrack_cli.runs.people import people_in, recast, rows_in, save_looks

@@ -86,10 +86,6 @@ def eval_command(
       for run in runs/*/; do
         facetrack eval "$run" --truth clip.truth.csv --csv - | tail -n 1
       done
-
-    \b
-    Exit codes: 0 done, 2 usage or output, 3 a trajectory or ground truth that
-    cannot be read, or that do not belong together, 130 interrupted.
     """
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.identities import identified
@@ -232,10 +228,6 @@ def compare_command(
       facetrack compare clip.mp4 --config adaptive --config mine.yaml \\
         --gallery people.npz
       facetrack compare clip.mp4 --config a.yaml --config b.yaml --csv -q
-
-    \b
-    Exit codes: 0 done, 2 usage, recipe or output, 3 input,
-    5 some of the recipes could not run, 130 interrupted, 143 terminated.
     """
     from facetrack_cli.core.files import check_folder, make_folder, remove_folders
     from facetrack_cli.evaluation import compare

@@ -9,7 +9,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.app import cli, colour
+from facetrack_cli.cli.app import cli
 from facetrack_cli.cli.options import RECIPE, say
 from facetrack_cli.core.errors import ExitCode, InputError, RecipeError
 from facetrack_cli.core.models import BROUGHT, MODELS, fetch_model, model_path
@@ -48,13 +48,7 @@ def show(recipe: str) -> None:
     from facetrack_cli.recipe.load import find_recipe, read_recipe
 
     text = read_recipe(find_recipe(recipe))
-    if not colour():
-        click.echo(text, nl=not text.endswith("\n"))
-        return
-    from rich.console import Console
-    from rich.syntax import Syntax
-
-    Console(soft_wrap=True).print(Syntax(text, "yaml", theme="ansi_dark", background_color="default"))
+    click.echo(text, nl=not text.endswith("\n"))
 
 
 @recipes_command.command()
@@ -176,7 +170,7 @@ def get(name: str) -> None:
 def completion_command(shell: str) -> None:
     """Print what makes a shell complete command lines.
 
-    It completes commands, options, recipes, keys of --set, folders of runs and files. Put the line of your shell
+    It completes commands, options, recipes, folders of runs and files. Put the line of your shell
     where it begins: ~/.bashrc, ~/.zshrc (after compinit), ~/.config/fish/config.fish.
 
     \b

@@ -14,16 +14,15 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Command, Extent, Text, Whole, extent_options, flag, option, refuse, say
-from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError
+from facetrack_cli.core.errors import ExitCode, InputError
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
-    from facetrack_cli.runs.plan import Job, Outcome, Report
+    from facetrack_cli.runs.plan import Job, Outcome
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.writers import Format
 
-    After: TypeAlias = Callable[[Outcome, Stop, Progress], None]
     Batch: TypeAlias = Callable[..., Iterator[Outcome]]  # of jobs, stop, progress
 
 
@@ -34,25 +33,18 @@ MAX_DONE_LINES = 20  # for clips that were done before; of more clips there is o
 
 def _shard(value: str) -> tuple[int, int]:
     """The number of one of N jobs, and N."""
-    if not re.fullmatch("[0-9]{1,9}/[0-9]{1,9}", value):
-        raise click.BadParameter(f"{value!r}: give I/N, as 3/20, the third of twenty jobs")
-    number, count = map(int, value.split("/"))
-    if number == 0:
-        raise click.BadParameter(f"{value!r}: counts from 1: the first of {count} jobs is 1/{count}")
-    if number > count:
-        raise click.BadParameter(f"{value!r}: of {count} jobs the last is {count}/{count}")
+    number, count = map(int, value.split("/")) if re.fullmatch("[0-9]{1,9}/[0-9]{1,9}", value) else (0, 0)
+    if not 0 < number <= count:
+        raise click.BadParameter(f"{value!r}: give I/N, as 3/20, the third of twenty jobs; the first is 1/20")
     return number, count
 
 
 def _length(value: str) -> tuple[float, bool]:
     """A length in s, or in frames, and whether it is the latter."""
-    number, unit = value[:-1], value[-1:].lower()
-    if unit not in _UNITS:
-        raise click.BadParameter(f"{value!r}: give a unit, as in 10m, 90s, 1h, or 5000f for frames")
-    with contextlib.suppress(ValueError):
-        if 0 < (length := float(number) * _UNITS[unit]) < 1e9:
-            return length, unit == "f"
-    raise click.BadParameter(f"{value!r}: is no length of a chunk; give one as 10m, 90s, 1h or 5000f")
+    with contextlib.suppress(ValueError, KeyError):
+        if 0 < (length := float(value[:-1]) * _UNITS[value[-1:].lower()]) < 1e9:
+            return length, value[-1:].lower() == "f"
+    raise click.BadParameter(f"{value!r}: is no length of a chunk; give one as 10m, 90s, 1h, or 5000f for frames")
 
 
 def _formats(value: str) -> tuple[Format, ...]:
@@ -158,7 +150,7 @@ def run_command(
     from facetrack_cli.engine.kernels import cache
     from facetrack_cli.run_folder.status import check_networks, write_batch
     from facetrack_cli.runs.batch import expand, folders, run_batch, variant_name
-    from facetrack_cli.runs.plan import Job, Split, check_smoothing, default_reason, follows_everyone
+    from facetrack_cli.runs.plan import Job, Split, check_smoothing, follows_everyone
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.runs.workers import cores
@@ -175,8 +167,7 @@ def run_command(
         (remote and split, "--split tracks its chunks with -j or --shard; leave --cluster out"),
         (split and out == "-", "--split keeps its chunks in a folder; name one with --out"),
         (split and shard and overwrite, replaced),
-        (split and smooth, f"--smooth {whole}"),
-        (split and lag, f"--lag {whole}"),
+        (split and (smooth or lag), f"{'--smooth' if smooth else '--lag'} {whole}"),
         (smooth and lag, "--lag smooths while it runs, --smooth after it; give one of them"),
         (smooth and out == "-", "--smooth reads the run's files again, and -o - writes none; take --lag, or a folder"),
         (smooth and csv_alone, "--smooth reads the rows from JSON; give --format csv,json"),
@@ -227,28 +218,25 @@ def run_command(
                 gallery=Path(gallery) if gallery and faces == "all" and follows_everyone(recipe) else None,
                 overwrite=overwrite,
                 lag=lag or 0,
-                posterior=smooth,
+                smooth=smooth,
                 strict=strict,
                 resume=not no_resume,
                 batch=several,
                 retry_failed=retry_failed,
                 split=None if split is None else Split(*split),
-                default_reason=default_reason(extent.box) if config is None else "",
                 threads=threads or (1 if cluster else min(MOST_THREADS, max(1, cores() // workers))),
                 **vars(extent) | ({"fps": None} if extent.fps and brings_rate(clip) else {}),
             )
             for clip, folder in zip(clips, places, strict=True)
         ]
-        after = _smooth if smooth else None
         if split is not None:
             code = _chunks(todo[0], workers, stop, shown, shard or (1, 1))
-        elif cluster is not None and local is None:  # workers smooth what they track
-            there, here = (_smoothed, partial(_smooth, before=True)) if smooth else (None, None)
-            code = _several(todo, partial(run_cluster, where=cluster, after=there), stop, shown, here)
+        elif cluster is not None and local is None:
+            code = _several(todo, partial(run_cluster, where=cluster), stop, shown)
         elif several or remote:
-            code = _several(todo, partial(run_batch, workers=workers), stop, shown, after)
+            code = _several(todo, partial(run_batch, workers=workers), stop, shown)
         else:  # whose error is the command's
-            code = _one(todo[0], stop, shown, after)
+            code = _one(todo[0], stop, shown)
     return ExitCode.DONE if code is ExitCode.LOST and not fail_on_lost else code
 
 
@@ -271,14 +259,13 @@ def _live(
     out: str | None,
     extent: Extent,
     recipe_of: Callable[[str | None, Extent, str], Recipe],
-    faces: str,
+    faces: Literal["one", "all"],
     gallery: str | None,
 ) -> int:
     """Track what comes from a camera, a pipe or a clip; the exit code."""
-    from facetrack_cli.runs.live import LiveCast, follow, images_of
+    from facetrack_cli.runs.live import follow, images_of
     from facetrack_cli.runs.plan import follows_everyone
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.trackers.people.descriptor import load_people
 
     ctx, typed = click.get_current_context(), click.core.ParameterSource.COMMANDLINE
     fit = {"inputs", "config", "overrides", "seed", "gallery", "init", "box", "out", "live", "faces", "no_video"}
@@ -289,45 +276,19 @@ def _live(
         (len(inputs) > 1, "--live follows one INPUT; give one"),
         (out not in (None, "-"), "--live writes to stdout; leave --out out"),
         (unfit, f"--live has no {unfit[0] if unfit else ''}: frames are tracked as they come; leave it out"),
+        (faces == "all" and gallery, "--faces all --live names nobody; leave --gallery out"),
     )
     recipe = recipe_of(gallery, extent, faces)
-    init, cast = extent.box if extent.box is not None else extent.init, None
-    if faces == "all":
-        if not follows_everyone(recipe) or isinstance(init, Path | tuple):
-            raise UsageError("--faces all --live looks for every face; leave out --init, --box, and --config but face")
-        cast = LiveCast(init, 25.0, {} if gallery is None else load_people(Path(gallery)))
+    init = extent.box if extent.box is not None else extent.init
+    searches = follows_everyone(recipe) and not isinstance(init, Path | tuple)
+    other = "--faces all --live looks for every face; leave out --init, --box, and --config but face"
+    refuse((faces == "all" and not searches, other))
     with Stop().listening() as stop:
-        follow(images_of(inputs[0], say), recipe, init, click.echo, stop, cast)
+        follow(images_of(inputs[0], say), recipe, init, click.echo, stop, faces=faces)
     return stop.code or ExitCode.DONE
 
 
-def _smooth(outcome: Outcome, stop: Stop, shown: Progress, *, before: bool = False) -> None:
-    """Smooth what a clip gave; with `before` only what an earlier command tracked, and did not smooth."""
-    from facetrack_cli.runs.signals import StoppedError
-
-    if not outcome.files or outcome.error is not None or (before if outcome.again is None else outcome.again.smoothed):
-        return
-    shown.begin(f"{outcome.clip.name}, smoothed")
-    try:
-        files, notes = _smoothed(outcome, stop, shown.update)
-    except StoppedError:
-        shown.say(f"{outcome.clip}: not smoothed; the same command again does it")
-        return
-    for note in notes:
-        shown.say(f"facetrack: warning: {note}")
-    shown.say(f"{outcome.clip}: smoothed: {', '.join(path.name for path in files)}")
-
-
-def _smoothed(outcome: Outcome, stop: Stop, report: Report | None = None) -> tuple[list[Path], list[str]]:
-    """Smooth a clip that was tracked, also on a worker; its files, and warnings that were not given yet."""
-    from facetrack_cli.runs.plan import silent
-    from facetrack_cli.runs.smooth import save_smoothed
-
-    files, notes = save_smoothed(outcome.files[0].parent, outcome.clip, report or silent, stop)
-    return files, [note for note in notes if note not in outcome.warnings]
-
-
-def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
+def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
     """Run one clip; its error is the command's."""
     from facetrack_cli.runs.clip import run
     from facetrack_cli.runs.workers import share_threads
@@ -338,12 +299,9 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
     shown.close()
     if isinstance(outcome.error, BrokenPipeError):
         raise outcome.error
-    _report(outcome, shown, why=job.default_reason)
+    _report(outcome, shown)
     if outcome.error is not None:
         raise outcome.error
-    if after is not None and not stop():
-        after(outcome, stop, shown)
-        shown.close()
     return stop.code or (ExitCode.LOST if outcome.lost_at_end else ExitCode.DONE)
 
 
@@ -373,7 +331,7 @@ def _chunks(job: Job, workers: int, stop: Stop, shown: Progress, shard: tuple[in
     return stop.code or (ExitCode.LOST if whole.lost_at_end else ExitCode.DONE)
 
 
-def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
+def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
     from facetrack_cli.core.errors import about
     from facetrack_cli.run_folder.status import clip_status, worst
@@ -390,11 +348,6 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
                 if outcome.again is None or done <= MAX_DONE_LINES:
                     _report(outcome, shown, named=True)
                 lost += bool(outcome.lost_at_end)
-                if after is not None and not stop():
-                    try:
-                        after(outcome, stop, shown)
-                    except FacetrackError as e:
-                        outcome.error = e
             if outcome.error is not None:
                 failed += 1
                 before += outcome.again is not None
@@ -413,11 +366,8 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
     return ExitCode.BATCH if failed else ExitCode.LOST if lost else ExitCode.DONE
 
 
-def _report(outcome: Outcome, shown: Progress, *, named: bool = False, why: str = "") -> None:
-    """What the search took, warnings, the summary, the verdict; the next step, if no other clip is `named`.
-
-    `why` this recipe was taken is said of a doubtful run.
-    """
+def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
+    """What the search took, warnings, the summary, the verdict; the next step, if no other clip is `named`."""
     if outcome.note:
         shown.say(f"{outcome.clip}: {outcome.note}")
     for warning in outcome.warnings:
@@ -429,4 +379,4 @@ def _report(outcome: Outcome, shown: Progress, *, named: bool = False, why: str 
     if outcome.verdict and not (named and not outcome.doubts):
         shown.say(f"{outcome.clip}: {outcome.verdict}")
     if not named and (what := outcome.next_step()):
-        shown.say(f"{what}{why if outcome.doubts else ''}")
+        shown.say(what)

@@ -72,9 +72,6 @@ def export_command(
       facetrack export out/ --to otb --target face/nose -o -
       facetrack export out/trajectory.csv --to eaf --media clip.mp4
       facetrack export out/ --to elan --into session.eaf --overwrite
-
-    \b
-    Exit codes: 0 done, 2 usage or output, 3 input.
     """
     from facetrack_cli.core.files import StreamSink, check_new, write_new
     from facetrack_cli.runs.export import content, encoded
@@ -149,11 +146,10 @@ export_command.help = inspect.cleandoc(str(export_command.help)).replace("FORMAT
 @truth_options
 @option("-o", "--out", type=options.FILE, help="The page [default: RUN_DIR/report.html, or batch.html].")
 @options.clip
-@options.title
 @options.overwrite
 @options.quiet
 def report_command(
-    folder: Path, truth: Path | None, reference: TruthOptions, out: Path | None, clip: Path | None, title: str | None,
+    folder: Path, truth: Path | None, reference: TruthOptions, out: Path | None, clip: Path | None,
     overwrite: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Write one HTML page about a run, or about a batch.
@@ -173,10 +169,6 @@ def report_command(
       facetrack report out --truth clip.truth.csv -o paper/supplement.html
       facetrack report out --clip /archive/clip.mp4 --overwrite
       facetrack report results
-
-    \b
-    Exit codes: 0 done, 2 usage, output, or matplotlib is missing,
-    3 input, 130 interrupted, 143 terminated.
     """
     from facetrack_cli.core.files import check_new, check_plain, write_new
     from facetrack_cli.report.make import BATCH_PAGE, TruthFile, make_batch_report, make_report
@@ -199,9 +191,9 @@ def report_command(
         shown.begin(folder.name or str(folder), "clips" if batch else "frames")
         measured = None if truth is None else TruthFile(truth, *vars(reference).values())
         if batch:
-            page = make_batch_report(folder, to, title, shown.update)
+            page = make_batch_report(folder, to, report=shown.update)
         else:
-            page = make_report(folder, truth=measured, clip=clip, title=title, report=shown.update)
+            page = make_report(folder, truth=measured, clip=clip, report=shown.update)
         with Stop().listening() as stop:  # a Ctrl-C before this ends us with nothing written, from here on with all
             write_new(to, page.html, overwrite=overwrite)
         for note in page.notes:
@@ -217,12 +209,9 @@ def report_command(
 @option("--measure", type=options.Text("NAMES"), help="Draw these measures and events alone, separated by commas.")
 @options.figure_file("plot.png beside TRAJECTORY")
 @options.overwrite
-@options.title
-@option("--width", type=options.Number(4, 40), metavar="INCHES", default=10, help="Width of the page.")
-@option("--dpi", type=options.Number(40, 600), metavar="N", default=120, help="Pixels an inch of a PNG.")
 def plot_command(
     trajectory: Path, truth: Path | None, reference: TruthOptions, measure: str | None, out: Path | None,
-    overwrite: bool, title: str | None, width: float, dpi: float,
+    overwrite: bool,
 ) -> None:  # fmt: skip
     """Draw what happened in a trajectory.
 
@@ -241,11 +230,6 @@ def plot_command(
       facetrack plot out/trajectory.csv --target face/nose -o nose.svg
       facetrack plot out/ --truth groundtruth_rect.txt --partial --overwrite
       facetrack plot out/ --measure mouth_opening,blink -o figure.pdf
-
-    \b
-    Exit codes: 0 done, 2 usage or output, or matplotlib is missing,
-    3 a trajectory or ground truth that cannot be read, or that do not belong
-    together, 130 interrupted.
     """
     from facetrack_cli.report.figures import measures_figure, page_figure
     from facetrack_cli.run_folder.manifest import PLOT, read_run
@@ -258,10 +242,10 @@ def plot_command(
         table = read_run(trajectory)
         if measure is not None:
             names = [name.strip() for name in measure.split(",")]
-            return measures_figure(choose(table, reference.target), names, title=title, width=width)
+            return measures_figure(choose(table, reference.target), names)
         pairs = None if truth is None else reference.pairs(table, reference.read(truth), say)
-        return page_figure(choose(table, reference.target), pairs, title=title, width=width)
+        return page_figure(choose(table, reference.target), pairs)
 
     out = out or (trajectory if trajectory.is_dir() else trajectory.parent) / PLOT
-    write_figure(out, draw, overwrite=overwrite, dpi=dpi)
+    write_figure(out, draw, overwrite=overwrite)
     say(f"{trajectory} -> {out}")
