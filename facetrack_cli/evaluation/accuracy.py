@@ -1,9 +1,9 @@
 """How well boxes and points follow the ground truth.
 
-Of boxes: the measures of OTB, GOT-10k and VOT, and the good tracking rate.
+Of boxes: the measures of OTB and GOT-10k, and the good tracking rate.
 
     measures = measure_boxes(ours, truth, visible=visible, size=(1280, 720))
-    measures.success_auc, measures.ao, measures.vot_accuracy
+    measures.success_auc, measures.ao
 
 Boxes are (T, 4): left, top, width, height in pixels, one row for each frame; the centre is left + (width - 1) / 2. What
 is not known is nan. Three rules hold for every measure:
@@ -14,8 +14,7 @@ is not known is nan. Three rules hold for every measure:
 
 Where the toolkits differ from that: got10k 0.1.3 counts a row without ground truth as a failure in its OTB experiment
 (its GOT-10k experiment, and the LaSOT experiment of later sources, leave such rows out), and its AO is nan as soon as
-one prediction is nan. vot-toolkit leaves out rows without ground truth, but also rows without a prediction, unless it
-is given `ignore_unknown: False`, as in VOTS.
+one prediction is nan.
 
 Of points: errors, Euclidean distances in pixels, and the recovery of parts after occlusions. A *normalised* error is
 divided by a length of the ground truth (rows.py). Failure rate and AUC are those of the facial landmark literature
@@ -52,7 +51,6 @@ class BoxMeasures:
                     (Müller et al. 2018; Fan et al. 2019), as LaSOT's table and got10k report; `normalised_20` is at 0.2
     ao, sr50, sr75  mean IoU, and the shares strictly above 0.5 and 0.75 (Huang, Zhao and Huang 2019; got10k's
                     ExperimentGOT10k); `got10k_success` is its curve over GOT10K_THRESHOLDS
-    vot_accuracy    mean of `vot_overlaps` (vot-toolkit's SequenceAccuracy; Kristan et al. 2016)
     good_rate, strict_rate  share of rows `within` 0.5 and 0.25 of the box
     hidden_rows     hidden rows with a true box, which no other measure counts; `hidden_overlap` is their mean IoU
 
@@ -68,7 +66,6 @@ class BoxMeasures:
     ao: Annotated[Value, Measure("GOT-10k\nAO", UNIT, "more")]
     sr50: Annotated[Value, Measure("SR 0.5\n%", PERCENT, "more")]
     sr75: Annotated[Value, Measure("SR 0.75\n%", PERCENT, "more")]
-    vot_accuracy: Annotated[Value, Measure("VOT\naccuracy", UNIT, "more")]
     good_rate: Annotated[Value, Measure("good\n%", PERCENT, "more")]
     strict_rate: Annotated[Value, Measure("strict\n%", PERCENT, "more")]
     hidden_rows: Annotated[int, Measure("hidden\nrows", COUNT, rare=True)]
@@ -121,18 +118,14 @@ def measure_boxes(
     visible: Mask | None = None,
     hidden: Mask | None = None,
     init: Mask | None = None,
-    our_corners: Array | None = None,
-    true_corners: Array | None = None,
     size: tuple[int, int] | None = None,
 ) -> BoxMeasures:
     """All measures of boxes `ours` against `truth`, (T, 4) each, row by row of the same frames.
 
     visible, hidden: (T,) what the ground truth says of each row; by default all rows are visible.
     init: (T,) rows that the tracker was given; by default the first. OTB's experiment puts the ground truth there
-    (overlap 1, error 0), and so does the good tracking rate here; GOT-10k and VOT leave them out (VOT: the burn-in of 1
-    of the unsupervised experiments of VOT-ST2020 to 2022).
-    our_corners, true_corners: (T, 4, 2) polygons, which VOT takes in place of the boxes where they are not nan.
-    size: (width, height) of the frames, for GOT-10k and VOT, which both clip to it; without it nothing is clipped.
+    (overlap 1, error 0), and so does the good tracking rate here; GOT-10k leaves them out.
+    size: (width, height) of the frames, to which GOT-10k clips; without it nothing is clipped.
     """
     ours, truth = np.asarray(ours, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     finite = np.isfinite(truth).all(axis=1)
@@ -150,7 +143,6 @@ def measure_boxes(
     precision = share_up_to(distance[counts], PRECISION_THRESHOLDS)
     normalised_precision = share_up_to(normalised[counts], NORMALISED_THRESHOLDS)
     clipped = np.nan_to_num(iou(ours[later], truth[later], size))
-    our_corners, true_corners = (None if each is None else each[later] for each in (our_corners, true_corners))
     some = bool(counts.any())
     return BoxMeasures(
         rows=int(counts.sum()),
@@ -162,7 +154,6 @@ def measure_boxes(
         ao=mean(clipped),
         sr50=mean(clipped > 0.5),
         sr75=mean(clipped > 0.75),
-        vot_accuracy=mean(vot_overlaps(ours[later], truth[later], our_corners, true_corners, size)),
         good_rate=mean(within(otb, truth)[counts]),
         strict_rate=mean(within(otb, truth, 0.25)[counts]),
         hidden_rows=int(covered.sum()),
@@ -182,104 +173,6 @@ def _centres(boxes: Array) -> Array:
 
 def _length(offsets: Array) -> Array:
     return np.asarray(np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2))
-
-
-def vot_overlaps(
-    ours: Array,
-    truth: Array,
-    our_corners: Array | None = None,
-    true_corners: Array | None = None,
-    size: tuple[int, int] | None = None,
-) -> Array:
-    """(T,) overlap 0..1 of boxes (T, 4), or of polygons (T, 4, 2) where there are corners without nan, as VOT has it.
-
-    A row without a region of ours (nan) has 0; one without ground truth has nan. vot-toolkit
-    (`vot.region.raster.calculate_overlap`) makes float32 of all numbers, rounds them to whole pixels (halves to the
-    even one), paints both regions and counts. What follows from that, and is followed here:
-
-    - A rectangle [left, top, w, h] covers columns round(left) .. round(left) + round(w) - 1.
-    - A polygon covers the pixels of its border too: one over the corners of a rectangle has a row and a column more.
-    - With `size` only pixels of the frame count.
-    - Where the upright rectangle around both regions is not at least 2 by 2 pixels, the overlap is 1: of lines in one
-      column, or of two empty boxes at one place. Where only its part within the frame is not, the overlap is 0.
-
-    Two oddities are not followed. Without `size` (its analyses always pass it) vot-toolkit counts wrongly where a
-    rectangle has negative coordinates, since it cuts the mask at the absolute coordinate. And it takes a missing region
-    for one at the frame's corner, where it can overlap ground truth of less than 2 by 2 pixels wholly; here it is 0.
-    """
-    a, a_low, a_high, a_polygon = _regions(ours, our_corners)
-    b, b_low, b_high, b_polygon = _regions(truth, true_corners)
-    low, high = np.minimum(a_low, b_low), np.maximum(a_high, b_high)
-    degenerate = ~(low < high).all(axis=1)
-    if size is not None:
-        low, high = np.maximum(low, 0.0), np.minimum(high, np.array(size, dtype=np.float64) - 1.0)
-
-    def count(first: Array, last: Array) -> Array:
-        sides = np.minimum(last, high) - np.maximum(first, low) + 1.0
-        return np.asarray(np.prod(np.maximum(sides, 0.0), axis=1))
-
-    shared = count(np.maximum(a_low, b_low), np.minimum(a_high, b_high))
-    union = count(a_low, a_high) + count(b_low, b_high) - shared
-    missing, unknown = np.isnan(a).any(axis=(1, 2)), np.isnan(b).any(axis=(1, 2))
-    for t in np.flatnonzero((a_polygon | b_polygon) & ~missing & ~unknown & (low <= high).all(axis=1)).tolist():
-        regions = (a[t], a_polygon[t]), (b[t], b_polygon[t])
-        p, q = (_runs(region, bool(is_polygon), low[t], high[t]) for region, is_polygon in regions)
-        both = np.minimum(p[:, :, None, 1], q[:, None, :, 1]) - np.maximum(p[:, :, None, 0], q[:, None, :, 0]) + 1
-        shared[t] = np.maximum(both, 0).sum()
-        union[t] = sum((runs[..., 1] - runs[..., 0] + 1).sum() for runs in (p, q)) - shared[t]
-    overlap = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0.0)
-    overlap[(low >= high).any(axis=1)] = 0.0
-    overlap[degenerate] = 1.0
-    overlap[missing] = 0.0
-    overlap[unknown] = np.nan
-    return overlap
-
-
-def _regions(boxes: Array, corners: Array | None) -> tuple[Array, Array, Array, Mask]:
-    """(T, 4, 2) corners on whole pixels, of rectangles their outermost pixels; (T, 2) first column and row, and last
-    ones; and (T,) whether it is a polygon. An empty rectangle ends before it begins, and is not turned round.
-    """
-    with np.errstate(over="ignore"):
-        left, top, w, h = np.round(np.asarray(boxes, dtype=np.float64).astype(np.float32)).T
-        # the sum is one of float32, which matters from 2 ** 24 on
-        right, bottom = (left + w).astype(np.float64) - 1.0, (top + h).astype(np.float64) - 1.0
-    region = np.stack([left, top, right, top, right, bottom, left, bottom], axis=1).astype(np.float64).reshape(-1, 4, 2)
-    if corners is None:
-        return region, region[:, 0], region[:, 2], np.zeros(len(boxes), dtype=np.bool_)
-    polygons = np.round(np.asarray(corners, dtype=np.float64).astype(np.float32)).astype(np.float64)
-    there: Mask = np.asarray(np.isfinite(polygons).all(axis=(1, 2)))
-    low = np.where(there[:, None], polygons.min(axis=1), region[:, 0])
-    high = np.where(there[:, None], polygons.max(axis=1), region[:, 2])
-    return np.where(there[:, None, None], polygons, region), low, high, there
-
-
-def _runs(region: Array, is_polygon: bool, low: Array, high: Array) -> Array:
-    """(H, 3, 2) first and last columns of the runs of pixels of a region (4, 2) in each row; empty ones are 0, -1.
-
-    Columns and rows are counted from `low`, up to `high`, which matters: where an edge meets a row is cut towards zero.
-    """
-    (x, y), (width, height) = (region - low).T, (high - low + 1).astype(int).tolist()
-    row, runs = np.arange(height)[:, None], np.tile([0.0, -1.0], (height, 3, 1))
-    if not is_polygon:
-        first, last = max(x[0], 0.0), min(x[2], width - 1.0)
-        runs[((row >= y[0]) & (row <= y[2]))[:, 0] & (first <= last), 0] = first, last
-        return runs
-    x0, y0 = np.roll(x, 1), np.roll(y, 1)
-    # both ends of an edge count, so that a corner is met twice; of a level edge each end comes by itself
-    met = (np.minimum(y, y0) <= row) & (row <= np.maximum(y, y0))
-    nodes = np.where(y0 == y, x, np.trunc(x + (row - y) / np.where(y0 == y, 1, y0 - y) * (x0 - x)))
-    nodes, count = np.sort(np.where(met, nodes, np.inf), axis=1), met.sum(axis=1)
-    at, covered = np.zeros(height), np.full(height, -1.0)
-    for i in range(3):
-        begins = (at == i) & (i < count - 1)
-        # a corner met twice begins no run, unless it is the last
-        twice = begins & (nodes[:, i] == nodes[:, i + 1]) & (i < count - 2)
-        at += np.where(begins, 2 - twice, 0)
-        first, last = np.maximum(nodes[:, i], covered + 1), np.minimum(nodes[:, i + 1], width - 1)
-        drawn = begins & ~twice & (first <= last)
-        runs[drawn, i] = np.stack([first, last], axis=1)[drawn]
-        covered[drawn] = last[drawn]
-    return runs
 
 
 FAILURE = 0.1  # normalised error above which a row has failed, as in COFW and WFLW; 300-W takes 0.08

@@ -64,7 +64,7 @@ class Scoring:
     select: str | None = None  # the one target of the ground truth
     partial: bool = False  # whether that may be shorter than the run
     stop: int | None = None  # the frame before which the runs end
-    size: tuple[int, int] | None = None  # (width, height) of the frames, to which GOT-10k and VOT clip boxes
+    size: tuple[int, int] | None = None  # (width, height) of the frames, to which GOT-10k clips boxes
 
 
 @dataclass(frozen=True, eq=False)

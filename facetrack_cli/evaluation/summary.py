@@ -147,7 +147,7 @@ def rounded(value: float | None, digits: int) -> float | None:
 @dataclass(frozen=True)
 class Options:
     """`normalise`: see `check_normalise`; `failure`: the normalised error above which a row has failed; `size`: (width,
-    height) of the frames where it is known, to which GOT-10k and VOT clip boxes.
+    height) of the frames where it is known, to which GOT-10k clips boxes.
     """
 
     normalise: str = "size"
@@ -293,8 +293,6 @@ def _boxes(pairs: Sequence[Pair], parts: Sequence[Rows], size: tuple[int, int] |
         visible=column(rows, "visible") & ~later,
         hidden=column(rows, "hidden") & ~later & ~column(rows, "left_out"),
         init=column(rows, "init"),
-        our_corners=ours.corners,
-        true_corners=truth.corners,
         size=size,
     )
 
@@ -307,7 +305,7 @@ def scalars(evaluation: Evaluation) -> dict[str, float]:
 _WHY: Final = (  # a figure that is not defined although the other is, and why
     ("points.mean_px", "points.rows", "no visible row has a true position and one of ours, so there is no error"),
     ("boxes.success_auc", "boxes.rows", "no visible row has a true box, so there is no overlap"),
-    ("boxes.ao", "boxes.success_auc", "AO, SR and the accuracy of VOT leave out given rows; no others have a true box"),
+    ("boxes.ao", "boxes.success_auc", "AO and SR leave out given rows; no others have a true box"),
     (
         "occlusions.recovered",
         "occlusions.occlusions",

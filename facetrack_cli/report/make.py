@@ -18,7 +18,6 @@ import shlex
 import urllib.parse
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -27,11 +26,10 @@ import numpy as np
 
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import FacetrackError, InputError, needed
-from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import TABLES
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.numbers import clock as at_clock
-from facetrack_cli.core.types import BOX, Correction, Frame, Start
+from facetrack_cli.core.types import BOX, Frame
 from facetrack_cli.core.types import Image as Pixels
 from facetrack_cli.evaluation.rows import Pair, match
 from facetrack_cli.evaluation.summary import Options, evaluate, facts, sheets
@@ -51,15 +49,15 @@ from facetrack_cli.run_folder.manifest import (
 )
 from facetrack_cli.run_folder.status import ClipStatus, badness, name_of, survey
 from facetrack_cli.runs.plan import Report, silent
-from facetrack_cli.start.init_file import as_yaml, read_init
+from facetrack_cli.start.init_file import as_yaml
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.people import PersonRecord, TrackRecord, read_people, read_still
-from facetrack_cli.trajectory.reader import CORRECTED, ClipHeader, Header, InitHeader, read_header
+from facetrack_cli.trajectory.reader import Header, read_header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
 from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.video.overlay import Overlay
-from facetrack_cli.video.source import FOLDER_FPS, brings_rate, given_rate, open_source
+from facetrack_cli.video.source import given_rate, open_source
 
 # texts that YAML reads as such without quotes, also within brackets; but for words that it reads as something else
 _PLAIN = re.compile("(?!(?:null|true|false|yes|no|on|off|y|n)$)[a-z_][a-z0-9_./-]*", re.IGNORECASE)
@@ -90,75 +88,22 @@ def init_yaml(header: Header) -> str:
     return as_yaml(header.init.start, header.clip_name)
 
 
-def command(header: Header, last: int, folder: Path | None = None) -> str:
-    """The command that makes the run again, up to the frame `last`. A recipe that differs from the shipped ones is a
-    file NAME.yaml. Corrections are in the run's init file or `folder`; else in `CORRECTED`, an init file to be made.
+def command(header: Header, last: int) -> str:
+    """The command that makes the run again, up to the frame `last`, with the start of the page as NAME.init.yaml, and
+    with its recipe as NAME.yaml, where that is not the shipped one.
     """
-    words = ["facetrack", "run", header.source.path, *_recipe_words(header), "--seed", str(header.seed)]
-    words += [*_init_words(header.init, folder), "--stop", str(last + 1), *_rate_words(header.source)]
-    if header.split is not None:
-        words += ["--split", header.split.length]
-    words += ["-o", "again"]
-    return shlex.join(words)
-
-
-def _recipe_words(header: Header) -> list[str]:
-    name = header.recipe_name
-    shipped = next((str(file) for file in shipped_recipes() if file.stem == name), None)
-    try:
-        if shipped is not None:
-            recipe = {key: value for key, value in header.recipe.items() if key != "name"}
-            ours, wanted = to_dict(load_recipe(shipped)), completed(recipe) | {"seed": 0}
-            overrides = [f"{key}={value}" for key, value in _differences(ours | {"seed": 0}, wanted)]
-            if to_dict(load_recipe(shipped, overrides)) | {"seed": 0} == wanted:
-                return ["--config", name, *(word for override in overrides for word in ("--set", override))]
-    except (FacetrackError, TypeError, ValueError):  # of another version, or beyond what --set can say
-        pass
-    return ["--config", f"{name}.yaml"]
-
-
-def _differences(ours: Mapping[str, Any], wanted: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """(key, value as YAML) of each difference; a mapping with other keys as a whole."""
-    for key, value in wanted.items():
-        own = ours.get(key)
-        if isinstance(value, Mapping) and isinstance(own, Mapping) and value.keys() == own.keys():
-            yield from _differences(own, value, f"{above}{key}.")
-        elif value != own:
-            yield f"{above}{key}", _flow(value)
-
-
-def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
-    at = ["--init-frame", str(init.frame)]
-    if init.corrections:
-        beside = [] if folder is None else [str(folder / CORRECTED)]
-        for name in (init.origin, *beside):
-            with contextlib.suppress(FacetrackError):
-                start = read_init(Path(name))
-                if _corrections(start) == _corrections(init.start):
-                    return ["--init", name, *([] if start.frame == init.frame else at)]
-        return ["--init", CORRECTED]
-    first = next(iter(init.targets.values()), None)
-    if init.origin in DETECTORS:
-        return ["--init", init.origin, *(at if init.frame else [])]
-    if init.origin == "--box" and first is not None and first.box is not None:
-        return ["--box", ",".join(f"{side:.12g}" for side in first.box), *(at if init.frame else [])]
-    same = False
-    with contextlib.suppress(FacetrackError):
-        same = read_init(Path(init.origin)).frame == init.frame
-    return ["--init", init.origin, *([] if same else at)]
-
-
-def _corrections(start: Start) -> list[Correction]:
-    """Without the names of targets, since a recipe may call a face the head."""
-    return [replace(correction, target="") for correction in start.corrections]
-
-
-def _rate_words(source: ClipHeader) -> list[str]:
-    path, folder, rate = Path(source.path), False, Fraction(source.fps).limit_denominator(1001)
+    name, source, recipe = header.recipe_name, header.source, dict(header.recipe)
+    shipped = name in (file.stem for file in shipped_recipes())
+    with contextlib.suppress(FacetrackError):  # of another version
+        shipped = shipped and to_dict(load_recipe(name)) | {"seed": 0, "name": name} == completed(recipe) | {"seed": 0}
+    words = ["facetrack", "run", source.path, "--config", name if shipped else f"{name}.yaml"]
+    words += ["--init", f"{name}.init.yaml", "--seed", str(header.seed), "--stop", str(last + 1)]
+    words += [] if source.stream is None else ["--stream", str(source.stream)]
     with contextlib.suppress(FacetrackError, OSError, ValueError):
-        folder = not brings_rate(path) or (not path.exists() and not path.suffix)
-    stream = [] if source.stream is None else ["--stream", str(source.stream)]
-    return [*stream, *(["--fps", str(rate)] if folder and rate != FOLDER_FPS else [])]
+        rate = given_rate(Path(source.path), source.fps)
+        words += ["--fps", str(rate)] if rate else []
+    words += ["--split", header.split.length] if header.split is not None else []
+    return shlex.join([*words, "-o", "again"])
 
 
 MIN_SIZE: Final = (640, 480)  # images are enlarged to fit this, so that the overlay can be read ...
@@ -408,7 +353,7 @@ def make_report(
     images = key_images(table, header, shown, clip, _video(run), report)
     mean, looks = story.confidence_of(table), story.to_look_at(followed, history, clock)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
-    again = command(header, last, run)
+    again = command(header, last)
     network = f" Its points were placed {manifest.network}." if manifest is not None and manifest.network else ""
 
     def picture(entry: PersonRecord | TrackRecord) -> Image | None:
@@ -519,7 +464,7 @@ def page_template(name: str) -> Any:
     style = (folder / "report.css").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
-    environment.globals |= {"bins": _BINS, "max_spans": MAX_SPANS, "corrected": CORRECTED}
+    environment.globals |= {"bins": _BINS, "max_spans": MAX_SPANS}
     return environment.get_template(name)
 
 

@@ -1,4 +1,4 @@
-"""The box measures: against their plain twins, their own laws, a case worked out by hand, and got10k and vot-toolkit.
+"""The box measures: against their plain twins, their own laws, a case worked out by hand, and got10k.
 
 These were recorded to 1e-9, and are asked again if FACETRACK_PEERS says by whom.
 """
@@ -18,20 +18,17 @@ from facetrack_cli.evaluation.accuracy import (
     measure_boxes,
     share_above,
     share_up_to,
-    vot_overlaps,
     within,
 )
 from tests.peers import cases
 from tests.twins import boxes as naive_boxes
 
 NAN = [np.nan] * 4
-SHARES = ("success_auc", "precision_20", "normalised_auc", "ao", "sr50", "vot_accuracy", "good_rate", "strict_rate")
+SHARES = ("success_auc", "precision_20", "normalised_auc", "ao", "sr50", "good_rate", "strict_rate")
 place = st.floats(-50, 150).map(lambda v: round(v, 2))
 side = st.floats(0.1, 90).map(lambda v: round(v, 2))
 box = st.tuples(place, place, side, side)
 pairs = st.lists(st.tuples(box, box), min_size=1, max_size=8)
-whole_box = st.tuples(*[st.integers(-4, 12)] * 2, *[st.integers(0, 9)] * 2)
-quad = st.lists(st.tuples(*[st.integers(-8, 24).map(lambda v: v / 2)] * 2), min_size=4, max_size=4)
 
 
 def arrays(rows):
@@ -116,7 +113,6 @@ def test_measures_of_an_example_worked_out_by_hand():
     assert found.ao == pytest.approx((1 + 3 / 13 + 0 + 0.5) / 4)
     assert (found.sr50, found.sr75) == (1 / 4, 1 / 4)
     assert found.got10k_success[50] == 1 / 4 and found.got10k_success[49] == 2 / 4 and found.got10k_success[-1] == 0
-    assert found.vot_accuracy == pytest.approx(found.ao)  # whole pixels
     assert (found.good_rate, found.strict_rate) == (3 / 5, 3 / 5)
 
 
@@ -126,7 +122,7 @@ def test_without_an_initial_row_the_first_counts_as_any():
     first = 38 / 42
     assert found.overlap[0] == pytest.approx(first)
     assert found.centre_error[0] == 2
-    assert found.ao == found.vot_accuracy == pytest.approx((first + 1 + 3 / 13 + 0 + 0.5) / 5)
+    assert found.ao == pytest.approx((first + 1 + 3 / 13 + 0 + 0.5) / 5)
 
 
 @pytest.mark.parametrize("rows", [0, 1, 4])
@@ -145,28 +141,6 @@ def test_a_tracker_without_any_box_has_zeros():
     assert (found.rows, found.missing) == (5, 5)
     for name in SHARES:
         assert getattr(found, name) == 0.0, name
-
-
-sizes = st.none() | st.tuples(st.integers(1, 12), st.integers(1, 12))
-
-
-@given(st.lists(st.tuples(whole_box, whole_box), min_size=1, max_size=6), sizes)
-def test_vot_overlap_of_rectangles_is_that_of_painted_ones(rows, size):
-    expected = [naive_boxes.vot_overlap(*row, size) for row in rows]
-    np.testing.assert_allclose(vot_overlaps(*arrays(rows), size=size), expected, atol=1e-12)
-
-
-@given(st.lists(st.tuples(quad, quad, whole_box, st.integers(0, 2)), min_size=1, max_size=5), sizes)
-def test_vot_overlap_of_polygons_is_that_of_painted_ones(rows, size):
-    regions = [((p, q), (p, b), (b, q))[kind] for p, q, b, kind in rows]
-    expected = [naive_boxes.vot_overlap(*pair, size) for pair in regions]
-    rectangles = np.array([b for _, _, b, _ in rows], dtype=float)
-    corners = np.array([[p, q] for p, q, _, _ in rows], dtype=float)
-    kinds = np.array([kind for *_, kind in rows])
-    corners[kinds == 1, 1] = np.nan
-    corners[kinds == 2, 0] = np.nan
-    found = vot_overlaps(rectangles, rectangles, corners[:, 0], corners[:, 1], size)
-    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("side", [1.0, 30.0, 47.5])
@@ -194,19 +168,8 @@ def peers():
 
 def ours(case):
     """The measures as measure.py has them."""
-    kept = {"our_corners": case.our_corners, "true_corners": case.true_corners, "size": case.size}
     known = ~np.isnan(case.truth).any(axis=1)
-    found = measure_boxes(case.ours, case.truth, **kept)
-    # as the toolkit burns in, and leaves out what has no prediction
-    there, first = np.isfinite(case.ours).all(axis=1), np.arange(len(case.ours))
-    accuracy = {
-        f"{burn_in} {skip}": measure_boxes(
-            case.ours, case.truth, **kept, visible=(first >= burn_in) & (there | (not skip)), init=first < 0
-        ).vot_accuracy
-        for burn_in in (1, 10)
-        for skip in (False, True)
-    }
-    overlap = vot_overlaps(case.ours, case.truth, case.our_corners, case.true_corners, case.size)
+    found = measure_boxes(case.ours, case.truth, size=case.size)
     return {
         "iou": iou(case.ours, case.truth),
         "iou_clipped": iou(case.ours, case.truth, case.size),
@@ -221,8 +184,6 @@ def ours(case):
         "otb_success_of_all": found.success_auc * known.sum() / len(known),
         "normalised": {"curve": found.normalised_precision, "score": found.normalised_auc},
         "got10k": {"ao": found.ao, "sr": found.sr50, "sr75": found.sr75, "succ_curve": found.got10k_success},
-        "vot_overlap": overlap,
-        "vot_accuracy": accuracy,
     }
 
 
@@ -244,12 +205,6 @@ def check(case, theirs):
     missing = np.isnan(case.ours).any(axis=1) & ~np.isnan(case.truth).any(axis=1)
     with_nan = theirs.pop("got10k_ao_with_nan")
     assert with_nan is None if missing[1:].any() else with_nan == theirs["got10k"]["ao"]
-    # a row without ground truth has an overlap for vot-toolkit, which leaves it out of the accuracy
-    unknown = np.isnan(case.truth).any(axis=1)
-    theirs["vot_overlap"] = np.where(unknown, np.nan, np.array(theirs["vot_overlap"], dtype=float))
-    # no frame to average over is 0 for vot-toolkit, and not known for us
-    for key, value in mine["vot_accuracy"].items():
-        mine["vot_accuracy"][key] = value or 0.0
     assert not differences(mine, theirs)
 
 
@@ -259,15 +214,13 @@ def test_measures_are_those_recorded_from_the_toolkits(name):
 
 
 def test_records_reach_every_rule():
-    """What would make the comparison empty: no miss, no absence, no value on a threshold, no polygon."""
+    """What would make the comparison empty: no miss, no absence, no value on a threshold."""
     edges, walk = RECORDED["edges"][0], RECORDED["walk"][0]
     for case in (edges, walk):
         assert np.isnan(case.ours).any() and np.isnan(case.truth).any()
     overlaps = iou(edges.ours, edges.truth)
     assert {0.0, 0.5, 0.75, 1.0} <= set(overlaps[~np.isnan(overlaps)])
     assert 20.0 in centre_errors(edges.ours, edges.truth)
-    assert RECORDED["polygons"][0].our_corners is None
-    assert RECORDED["two polygons"][0].our_corners is not None
 
 
 @pytest.mark.nightly

@@ -1,4 +1,4 @@
-"""Boxes for the toolkits and for us, and how measure.py is run over them.
+"""Boxes for the toolkit and for us, and how measure.py is run over them.
 
 `python -m tests.peers.cases PYTHON` writes expected.json again, by the Python that has the packages of
 requirements.txt.
@@ -19,12 +19,10 @@ NAN = [np.nan] * 4
 
 
 class Case(NamedTuple):
-    """Boxes (T, 4) of a tracker and the ground truth; corners (T, 4, 2) or None; (width, height) of the image."""
+    """Boxes (T, 4) of a tracker and the ground truth; (width, height) of the image."""
 
     ours: np.ndarray
     truth: np.ndarray
-    our_corners: np.ndarray | None
-    true_corners: np.ndarray | None
     size: tuple[int, int]
 
 
@@ -77,7 +75,7 @@ def edges():
     ]
     ours, truth = np.array(pairs, dtype=float).transpose(1, 0, 2)
     ours = np.where(np.isnan(ours).any(axis=1, keepdims=True), np.nan, ours)
-    return Case(ours, truth, None, None, (160, 120))
+    return Case(ours, truth, (160, 120))
 
 
 def walk(rng, rows, size=(320, 240)):
@@ -98,28 +96,7 @@ def walk(rng, rows, size=(320, 240)):
     truth[rng.random(rows) < 0.1] = np.nan
     truth[0] = [*centre[0].clip(5, 100), 30, 40]  # what the tracker starts from
     ours[0] = truth[0] + rng.choice([0, 3])
-    return Case(ours, truth, None, None, size)
-
-
-def polygons(rng, rows, size=(320, 240), both=False):
-    """Truth as polygons, and the tracker's as boxes or polygons: turned boxes, and any four corners, even crossing."""
-    case = walk(rng, rows, size)
-
-    def turned(boxes):
-        angle = rng.choice([0, np.pi / 2, 0.3, 1.0, rng.uniform(-3, 3)], len(boxes))
-        half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (boxes[:, None, 2:] - 1) / 2
-        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)
-        corners = boxes[:, None, :2] + (boxes[:, None, 2:] - 1) / 2 + half @ turn
-        wild = rng.random(len(boxes)) < 0.3
-        corners[wild] += rng.normal(0, 25, (int(wild.sum()), 4, 2))
-        flat = rng.random(len(boxes)) < 0.05
-        corners[flat] = corners[flat][:, :1]
-        return corners
-
-    upright = rng.random(rows) < 0.2  # lines of VOT may be of either kind
-    true_corners = turned(case.truth)
-    true_corners[upright] = np.nan
-    return case._replace(our_corners=turned(case.ours) if both else None, true_corners=true_corners)
+    return Case(ours, truth, size)
 
 
 def fixed():
@@ -127,8 +104,6 @@ def fixed():
     return {
         "edges": edges(),
         "walk": walk(np.random.default_rng(1), 40),
-        "polygons": polygons(np.random.default_rng(2), 40),
-        "two polygons": polygons(np.random.default_rng(3), 40, (200, 150), both=True),
     }
 
 
@@ -139,7 +114,7 @@ def random(seed):
         rng = np.random.default_rng([seed, at])
         size = tuple(rng.integers(40, 400, 2).tolist())
         rows = int(rng.integers(3, 120))
-        cases[f"random {seed} {at}"] = polygons(rng, rows, size, both=at % 4 == 1) if at % 2 else walk(rng, rows, size)
+        cases[f"random {seed} {at}"] = walk(rng, rows, size)
     return cases
 
 
@@ -151,12 +126,8 @@ def write(folder, case):
         return "".join(",".join(map(repr, np.asarray(row).ravel().tolist())) + "\n" for row in rows)
 
     folder.joinpath("size.txt").write_text(lines([case.size]), encoding="utf-8")
-    for name, boxes, corners in (("ours", case.ours, case.our_corners), ("truth", case.truth, case.true_corners)):
-        regions = list(boxes)
-        if corners is not None:
-            regions = [b if np.isnan(c).any() else c for b, c in zip(boxes, corners, strict=True)]
+    for name, boxes in (("ours", case.ours), ("truth", case.truth)):
         folder.joinpath(f"{name}.txt").write_text(lines(boxes), encoding="utf-8")
-        folder.joinpath(f"vot_{name}.txt").write_text(lines(regions), encoding="utf-8")
 
 
 def run(python, cases):
@@ -172,8 +143,7 @@ def run(python, cases):
 
 
 def from_json(held):
-    arrays = [np.array(held[name], dtype=float) if held[name] is not None else None for name in Case._fields[:4]]
-    return Case(*arrays, tuple(held["size"]))
+    return Case(*(np.array(held[name], dtype=float) for name in ("ours", "truth")), tuple(held["size"]))
 
 
 def expected():

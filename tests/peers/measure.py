@@ -1,12 +1,11 @@
-"""What got10k and vot-toolkit compute for folders of boxes, as JSON: `PYTHON measure.py FOLDER...`
+"""What got10k computes for folders of boxes, as JSON: `PYTHON measure.py FOLDER...`
 
-Run by the Python that has those packages (requirements.txt); imports nothing of ours. A folder holds, a line a frame:
+Run by the Python that has that package (requirements.txt); imports nothing of ours. A folder holds, a line a frame:
 
     truth.txt, ours.txt          left,top,w,h; nan,nan,nan,nan where there is none
-    vot_truth.txt, vot_ours.txt  the same for VOT, where a line may be a polygon x1,y1,..,x4,y4
     size.txt                     width,height of the image
 
-Everything runs through the toolkits' own code, but for the normalised precision, which got10k 0.1.3 on PyPI is without:
+Everything runs through the toolkit's own code, but for the normalised precision, which got10k 0.1.3 on PyPI is without:
 there its later definition is written down. NaN is null in the JSON, since it has no other word for it.
 """
 
@@ -16,29 +15,14 @@ import math
 import os
 import sys
 import tempfile
-import typing
 from importlib.metadata import version
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-# attributee 0.1.10, which vot-toolkit needs, uses typing.dataclass_transform without calling it, and so cannot be
-# imported from Python 3.11 on; without the name it falls back to a decorator of its own
-_transform = typing.__dict__.pop("dataclass_transform", None)
-import attributee  # noqa: E402, F401
-
-if _transform is not None:
-    typing.dataclass_transform = _transform
-
-import numpy as np  # noqa: E402
-from got10k.experiments import ExperimentGOT10k, ExperimentOTB  # noqa: E402
-from got10k.utils.metrics import center_error, rect_iou  # noqa: E402
-from vot.analysis.accuracy import SequenceAccuracy  # noqa: E402
-from vot.dataset import BasedSequence, SequenceData  # noqa: E402
-from vot.experiment.multirun import UnsupervisedExperiment  # noqa: E402
-from vot.region import Special, calculate_overlaps  # noqa: E402
-from vot.region.io import read_trajectory  # noqa: E402
-from vot.tracker import Trajectory  # noqa: E402
+import numpy as np
+from got10k.experiments import ExperimentGOT10k, ExperimentOTB
+from got10k.utils.metrics import center_error, rect_iou
 
 
 class Dataset(tuple):
@@ -99,41 +83,12 @@ def normalised_precision(ours, truth):
     return {"curve": curve.tolist(), "score": float(np.mean(curve))}
 
 
-class Experiment(UnsupervisedExperiment):
-    """A run that was read from a file."""
-
-    trajectories = ()
-
-    def gather(self, *_, **__):
-        return self.trajectories
-
-
-def vot(ours, truth, size):
-    """Accuracy by burn-in and ignore_unknown, where the tracker was given the ground truth in the first frame."""
-    length = len(truth)
-    data = SequenceData({}, {"object": truth}, {}, {}, length)
-    sequence = BasedSequence("boxes", lambda _: data, {"width": size[0], "height": size[1]})
-    run = Experiment("unsupervised", None)
-    started = Trajectory(length)
-    for at, region in enumerate(ours):
-        started.set(at, region)
-    started.set(0, Special(Trajectory.INITIALIZATION))
-    run.trajectories = [started]
-    accuracy = {}
-    for burn_in in (1, 10):
-        for ignore in (False, True):
-            analysis = SequenceAccuracy(burnin=burn_in, ignore_unknown=ignore)
-            accuracy[f"{burn_in} {ignore}"] = float(analysis.subcompute(run, None, sequence, [])[0])
-    return accuracy
-
-
 def measure(folder):
     size = tuple(np.loadtxt(folder / "size.txt", delimiter=",", dtype=int).tolist())
     ours, truth = (np.loadtxt(folder / f"{name}.txt", delimiter=",", ndmin=2) for name in ("ours", "truth"))
     known = ~np.isnan(truth).any(axis=1)
     given = np.concatenate([truth[:1], ours[1:]])
     empty = np.where(np.isnan(ours), 0.0, ours)
-    regions, true_regions = (read_trajectory(str(folder / f"vot_{name}.txt")) for name in ("ours", "truth"))
     return {
         "iou": rect_iou(ours, truth).tolist(),
         "iou_clipped": rect_iou(ours.copy(), truth.copy(), bound=size).tolist(),
@@ -145,8 +100,6 @@ def measure(folder):
         "got10k": got10k_val(empty, truth, size),
         # AO is nan as soon as one box is, so that above they are 0,0,0,0
         "got10k_ao_with_nan": got10k_val(ours, truth, size)["ao"],
-        "vot_overlap": [float(value) for value in calculate_overlaps(regions, true_regions, size)],
-        "vot_accuracy": vot(regions, true_regions, size),
     }
 
 
@@ -161,7 +114,7 @@ def plain(value):
 
 def main():
     found = {Path(name).name: measure(Path(name)) for name in sys.argv[1:]}
-    packages = {name: version(name) for name in ("got10k", "vot-toolkit")}
+    packages = {name: version(name) for name in ("got10k",)}
     json.dump(plain({"packages": packages, "measures": found}), sys.stdout)
 
 

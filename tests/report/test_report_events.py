@@ -12,7 +12,7 @@ from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Start
 from facetrack_cli.recipe.load import _shipped, calibrated, load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.report.make import command, recipe_yaml
+from facetrack_cli.report.make import command, init_yaml, recipe_yaml
 from facetrack_cli.report.story import _trust, doubts, history_of, key_frames, number, reasons, to_look_at
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
@@ -127,32 +127,28 @@ def test_the_command_repeats_the_run(options, tmp_path, monkeypatch):
     Path("mine.yaml").write_text(recipe_yaml(own))
     assert main(["run", str(SAMPLE), *options, "--seed", "7", "--stop", "12", "-o", "run", "--no-video", "-q"]) == 0
     table = read_trajectory(Path("run"))
-    words = shlex.split(command(read_header(table), int(table.frames[-1])))
+    header = read_header(table)
+    words = shlex.split(command(header, int(table.frames[-1])))
     assert words[:3] == ["facetrack", "run", str(SAMPLE)]
-    Path("mine.yaml").write_text(recipe_yaml(table.header["recipe"]))  # as the page has it
+    name = header.recipe_name  # as the page has them
+    Path(f"{name}.yaml").write_text(recipe_yaml(table.header["recipe"]))
+    Path(f"{name}.init.yaml").write_text(init_yaml(header))
     assert main([*words[1:], "--no-video", "-q"]) == 0
     assert Path("again/trajectory.csv").read_bytes() == Path("run/trajectory.csv").read_bytes()
 
 
-@pytest.mark.parametrize("exists", [True, False])
-def test_folders_are_repeated_at_their_rate_and_init_files_from_their_frame(exists, tmp_path):
-    clip = tmp_path / "pictures"
-    if exists:
-        clip.mkdir()
+def test_folders_are_repeated_at_their_rate(tmp_path):
+    (clip := tmp_path / "pictures").mkdir()
     header = {
         "source": {"path": str(clip), "size": [64, 48], "fps": 29.97003},
         "recipe": {"name": "my own", "description": "x"},
         "seed": 1,
-        "init": {"from": str(tmp_path / "x.init.yaml"), "frame": 4, "targets": {}},
+        "init": {"from": "x.init.yaml", "frame": 4, "targets": {}},
     }
-    (tmp_path / "x.init.yaml").write_text("frame: 2\nbox: [1, 2, 3, 4]\n")
     table = joined([], path=tmp_path / "trajectory.json", header=header)
     words = shlex.split(command(read_header(table), 30))
     assert words[words.index("--fps") + 1] == "30000/1001"
-    assert words[words.index("--init-frame") + 1] == "4"
     assert words[words.index("--config") + 1] == "my own.yaml"
-    (tmp_path / "x.init.yaml").write_text("frame: 4\nbox: [1, 2, 3, 4]\n")
-    assert "--init-frame" not in shlex.split(command(read_header(table), 30))
 
 
 def test_a_confidence_is_called_a_probability_only_where_it_is_one():

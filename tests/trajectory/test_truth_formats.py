@@ -1,7 +1,6 @@
 """Ground truth and results of benchmarks: what each format means, how it is known, and one line for what is broken."""
 
 import os
-import struct
 
 import numpy as np
 import pytest
@@ -106,26 +105,23 @@ def test_shift_is_added_to_every_frame(tmp_path, form):
     ("form", "text", "message"),
     [
         ("auto", "\ufeff\r\n \r\n", "is empty; name another file"),
-        ("auto", b"\x00\x00\x01\xba mpeg", "is binary"),
+        ("auto", b"1,\x00\n", "is binary"),
         ("auto", b"1,2,3,4\n\xff\xfe", ":2: is not UTF-8 text; save it as UTF-8"),
-        ("auto", "1,2,3,4\n".encode("utf-16"), "is UTF-16 text; save it as UTF-8"),
-        ("auto", "frame;x;y;w;h\n", ":1: semicolons between the columns; write commas"),
-        ("auto", "frame\ttarget\tpart\tx\ty\n", ":1: tabs between the columns; write commas"),
-        ("auto", "1,2,3,4,5\n", ":1: five numbers a line; put the header frame,x,y,w,h on top"),
+        ("auto", "1,2,3,4\n".encode("utf-16"), "is not UTF-8 text; save it as UTF-8"),
+        ("auto", "frame;x;y;w;h\n", ":1: 'frame;x;y;w;h' begins no ground truth.*; commas stand between columns"),
         ("auto", "1,2,3\n", ":1: 3 values a line"),
-        ("auto", "hello world\n", ":1: 'hello world' begins no ground truth file"),
-        ("auto", "1,5 2,5 3,5 4,5\n", ":1: .* write decimals with a point"),
-        ("auto", "1,2,3,4\n5,6,7\n", ":2: 3 values instead of 4; a line holds left,top,width,height"),
-        ("auto", "1,2,3,4\n1 2 3 4\n", ":2: '1 2 3 4' is no number"),
-        ("auto", "1,2,3,4\n1,2,x,4\n", ":2: 'x' is no number"),
-        ("auto", "1,2,3,4\n1,2,3_0,4\n", ":2: '3_0' is no number"),
+        ("auto", "1,5 2,5 3,5 4,5\n", ":1: .* decimals have a point"),
+        ("auto", "1,2,3,4\n5,6,7\n", ":2: '5,6,7' is no line of left,top,width,height"),
+        ("auto", "1,2,3,4\n1 2 3 4\n", ":2: '1 2 3 4' is no line of"),
+        ("auto", "1,2,3,4\n1,2,x,4\n", ":2: '1,2,x,4' is no line of"),
+        ("auto", "1,2,3,4\n1,2,3_0,4\n", ":2: '1,2,3_0,4' is no line of"),
+        ("auto", "1,2,3,4\n1,2,inf,4\n", ":2: '1,2,inf,4' is no line of"),
         ("auto", "1,2,3,4\n\n1,2,3,4\n", ":2: is blank"),
-        ("auto", "1,2,3,4\n1,nan,3,4\n", ":2: nan in a box that is known by half"),
-        ("auto", "1,2,3,4\n1,2,-3,4\n", ":2: the box has a negative size"),
-        ("auto", "1,2,3,4\n1,2,0,4\n", ":2: the box has no area"),
-        ("auto", "1,2,3,4\n1,2,3e9,4\n", ":2: the box is farther out than any image"),
-        ("auto", "1,2,3,4\n1,2,inf,4\n", ":2: inf is no number"),
-        ("otb", "frame,x,y,w,h\n0,1,2,3,4\n", ":1: 5 values instead of 4.* that of boxes: leave --truth-format out"),
+        ("auto", "1,2,3,4\n1,nan,3,4\n", ":2: that is no box"),
+        ("auto", "1,2,3,4\n1,2,-3,4\n", ":2: that is no box"),
+        ("auto", "1,2,3,4\n1,2,0,4\n", ":2: that is no box"),
+        ("auto", "1,2,3,4\n1,2,3e9,4\n", ":2: that is no box"),
+        ("otb", "frame,x,y,w,h\n0,1,2,3,4\n", ":1: 'frame,x,y,w,h' is no line of left,top,width,height"),
         ("boxes", "frame,target,part,x,y,w,h\n0,a,box,1,2,3,4\n", ":1: .* and with them x, y are centres"),
         ("boxes", "1,2,3,4\n", ":1: the header has no column frame, x, y, w, h"),
         ("boxes", "frame,x,y,w,h\n", "has a header and no rows"),
@@ -137,16 +133,15 @@ def test_shift_is_added_to_every_frame(tmp_path, form):
         ("mot", MOT_GT + "2,3,1,1,9,9,1,1,1\n", ":3: the same frame and id as in line 2"),
         ("mot", "1,1,1,1,9,9,0,1,1\n", "every row has the flag 0"),
         ("mot", "1,2,20,9,8,8,1,2,1\n1,4,40,9,8,8,1,3,1\n", "has the classes 2, 3, and 1 alone counts"),
-        ("vot", "1,2,3,4\nm1,2,3,4,5\n", ":2: a mask; masks are not read"),
-        ("vot", "1,2,3,4,5,6\n", ":1: a polygon of 3 corners"),
-        ("vot", "1,2\n", ":1: 2 values; a line holds left"),
-        ("vot", "1,2,3,4\n7\n", ":2: 7 is no code of VOT"),
+        ("vot", "1,2,3,4\nm1,2,3,4,5\n", ":2: a line holds .*; masks and other polygons are not read"),
+        ("vot", "1,2,3,4,5,6\n", ":1: a line holds"),
+        ("vot", "1,2,3,4\n7\n", ":2: is none of left,top"),
         ("vot", "1,2,3,4\n2\n", ":2: the code 2, a failure, in a file without a 1"),
-        ("vot", "1,2,3,4,5,6,7,nan\n", ":1: nan in a polygon"),
+        ("vot", "1,2,3,4,5,6,7,nan\n", ":1: is none of left,top"),
         ("pts", "1 2\n3 4\n", ":1: a .pts file begins with"),
-        ("pts", PTS.replace("3 4.5", "3"), ":5: 1 value instead of 2; a line holds x y"),
-        ("pts", PTS.replace("3 4.5", "nan 5"), ":5: nan in half a point"),
-        ("pts", PTS.replace("3 4.5", "3 5e9"), ":5: the point is farther out"),
+        ("pts", PTS.replace("3 4.5", "3"), ":5: '3' is no line of x y"),
+        ("pts", PTS.replace("3 4.5", "nan 5"), ":5: that is no point"),
+        ("pts", PTS.replace("3 4.5", "3 5e9"), ":5: that is no point"),
         ("pts", PTS.replace("3 4.5\n", ""), "1 points between the braces, and n_points says 2; was the file cut"),
         ("pts", PTS + "1 2\n", "2 points between the braces, and n_points says 2"),
         ("pts", "version: 1\nn_points: 0\n{\n}\n", "0 points between the braces"),
@@ -293,7 +288,7 @@ def test_got10k_has_labels_beside_it(tmp_path):
     write(tmp_path, "0\n1\n", "absence.label")
     with pytest.raises(InputError, match=r"absence.label: has 2 lines, groundtruth.txt beside it 3"):
         read_truth(tmp_path)
-    refused(write(tmp_path, "-1,-1,-1,-1\n"), "otb", ":1: the box has a negative size")
+    refused(write(tmp_path, "-1,-1,-1,-1\n"), "otb", ":1: that is no box")
 
 
 def test_what_has_no_room_in_a_format():
@@ -360,40 +355,10 @@ def test_vot_polygons_have_corners_and_their_upright_box(tmp_path):
     assert back.boxes[1].tolist() == [0, 0, 6, 8]
 
 
-def binary(*regions):
-    return struct.pack("<hI", 1, len(regions)) + b"".join(regions)
-
-
-CODE, BOX = struct.pack("<BI", 0, 1), struct.pack("<B4f", 1, 10.5, 20, 30, 40.25)
-POLYGON = struct.pack("<BH8f", 2, 4, 2, 0, 6, 2, 4, 8, 0, 6.125)
-
-
-def test_binary_results_of_vot_are_read_as_its_text(tmp_path):
-    path = write(tmp_path, binary(CODE, BOX, POLYGON, struct.pack("<BI", 0, 2)), "clip_001.bin")
-    text = write(tmp_path, "1\n10.5,20,30,40.25\n2,0,6,2,4,8,0,6.125\n2\n")
+def test_binary_results_of_vot_are_to_be_written_as_text(tmp_path):
+    path = write(tmp_path, b"\1\0\2\0", "clip_001.bin")
     assert recognise(path) == (path, "vot")
-    found, same = read_results(path), read_vot(text)
-    assert found.status.tolist() == same.status.tolist() == ["init", "tracked", "tracked", "lost"]
-    np.testing.assert_array_equal(found.boxes, same.boxes)
-    np.testing.assert_array_equal(found.corners, same.corners)
-    assert found.header["read_as"] == "VOT result: pixels from 0"
-
-
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
-        (binary(CODE, BOX)[:-1], "is no binary result of vot-toolkit, or is cut short; let the toolkit write text"),
-        (binary(CODE, BOX) + b"x", "is cut short"),
-        (b"1,2,3,4\n", "is no binary result"),
-        (binary(CODE, b"\x09"), "is no binary result"),
-        (struct.pack("<hI", 1, 2**32 - 1), "is cut short"),
-        (binary(), "is cut short"),
-        (binary(CODE, struct.pack("<BhhHHH2H", 3, 0, 0, 2, 1, 2, 0, 2)), ":2: a mask; masks are not read"),
-        (binary(CODE, struct.pack("<B2f", 4, 1, 2)), ":2: 2 values"),
-    ],
-)
-def test_binary_results_that_cannot_be_read(tmp_path, data, message):
-    refused(write(tmp_path, data, "clip_001.bin"), "vot", message)
+    refused(path, "vot", "let vot-toolkit write text, with VOT_RESULTS_BINARY=false")
 
 
 def test_pts_are_counted_from_one(tmp_path):
@@ -421,7 +386,7 @@ def test_pts_of_other_sizes_and_nan(tmp_path):
     with pytest.raises(InputError, match=r"clip_13.pts: has 1 points, clip_12.pts 2"):
         read_truth(tmp_path)
     write(tmp_path, text, "other_12.pts")
-    with pytest.raises(InputError, match=r"other_12.pts: frame 12 is also in clip_12.pts"):
+    with pytest.raises(InputError, match="not numbered by their frames"):
         read_truth(tmp_path)
 
 

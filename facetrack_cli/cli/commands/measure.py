@@ -314,16 +314,14 @@ def _write(comparison: Comparison, folder: Path, shown: Progress, *, plots: bool
 @options.set_("Check with this key changed; repeatable.")
 @option("--gallery", type=options.FILE, help="People that recipes with recognition know; a golden remembers its own.")
 @flag("--update", help="Record goldens instead: of --config, else of all that have one.")
-@option("--seeds", type=options.Whole(min=5, max=500), help="Runs to record a golden from [default: 10].")
 @option("--stop", type=options.Whole(min=2), help="Record up to this frame only; for slow trackers.")
 @option("--junit", type=options.FILE, help="Write JUnit XML, for CI services.")
-@option("--json", type=options.FILE, help="Write the results as JSON.")
 @options.overwrite
 @options.jobs("Goldens at a time.")
 @flag("--quiet", "-q", help="No progress.")
 def regress_command(
     folder: Path, config: tuple[str, ...], overrides: tuple[str, ...], gallery: Path | None, update: bool,
-    seeds: int | None, stop: int | None, junit: Path | None, json: Path | None, overwrite: bool, jobs: int, quiet: bool,
+    stop: int | None, junit: Path | None, overwrite: bool, jobs: int, quiet: bool,
 ) -> int:  # fmt: skip
     """Check clips against their golden results.
 
@@ -331,14 +329,10 @@ def regress_command(
     was recorded with, a run must give the same rows. With others, also on another processor, four seeds are run: a
     check fails if all of them are off more than the seeds that were recorded are from each other.
 
-    A recipe that was edited is named, and checked all the same. One that this installation cannot run is skipped.
-
     \b
     Examples:
       facetrack regress sample_videos -j 2 --junit regress.xml
       facetrack regress clips --config factorized --update
-      facetrack regress clips --config mine.yaml --gallery people.npz --update
-      facetrack regress clips --update --seeds 40
       facetrack regress sample_videos --config sir --set motion.sigma=0.13
 
     \b
@@ -346,20 +340,18 @@ def regress_command(
     5 some could not be recorded, 6 a regression, 130 interrupted, 143 terminated.
     """
     from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.evaluation.goldens import SEEDS, as_json, as_junit, counts, regress, tasks
+    from facetrack_cli.evaluation.goldens import as_junit, regress, tasks
     from facetrack_cli.recipe.load import check_gallery_file, load_recipe
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trackers.appearance.gallery import load_gallery
 
-    checks, records = overrides or junit or json, seeds is not None or stop is not None
     refuse(
-        (update and checks, "--update records recipes as they are; leave --set, --junit and --json to a check"),
-        (not update and records, "--seeds and --stop go with --update; a check takes them from the golden"),
-        (junit and junit == json, "--junit and --json name the same file; give two names"),
+        (update and (overrides or junit), "--update records recipes as they are; leave --set and --junit to a check"),
+        (not update and stop, "--stop goes with --update; a check takes it from the golden"),
     )
-    for path in filter(None, (junit, json)):
-        check_new(path, overwrite=overwrite)
+    if junit is not None:
+        check_new(junit, overwrite=overwrite)
     if gallery is not None:  # a mistake in the option is no regression
         check_gallery_file(str(gallery))
         load_gallery(gallery)
@@ -369,25 +361,22 @@ def regress_command(
     with Stop().listening() as stopped, progress(quiet) as shown:
         shown.begin(str(folder))
         for result in regress(
-            folder, asked, update=update, overrides=overrides, seeds=seeds or SEEDS, stop=stop, gallery=gallery,
+            folder, asked, update=update, overrides=overrides, stop=stop, gallery=gallery,
             stopped=stopped, workers=jobs, report=shown.update,
         ):  # fmt: skip
             results.append(result)
-            why = result.message
-            ok = why if update else f"ok ({why}; {result.seconds:.1f} s)"
-            verdict = {"ok": ok, "fails": f"{fails}: {why}", "skipped": f"skipped: {why}"}[result.status]
-            for line in (f"{result.clip} {result.recipe}: {verdict}", *(f"    {detail}" for detail in result.details)):
-                click.echo(flat(line))
+            why = result.message if update else f"ok ({result.message}; {result.seconds:.1f} s)"
+            why = f"{fails}: {result.message}" if result.failed else why
+            name = f"{result.task.clip.name} {Path(result.task.recipe).stem}"
+            click.echo("\n    ".join(map(flat, (f"{name}: {why}", *result.details))))
         if stopped.code is not None:
             shown.say(f"{stopped.reason} after {len(results)} of {len(asked)} goldens")
             return stopped.code
-    many = counts(results)
+    failed = sum(result.failed for result in results)
     if update:
-        return ExitCode.BATCH if many["fails"] else ExitCode.DONE
-    for file, text in ((junit, as_junit), (json, as_json)):
-        if file is not None:
-            write_new(file, text(results).encode(), overwrite=overwrite)
-    took = f"{len(results)} golden{'s' * (len(results) != 1)} in {time.monotonic() - began:.0f} s"
-    skipped = f", {many['skipped']} skipped" if many["skipped"] else ""
-    click.echo(f"{took}: {many['ok']} ok, {many['fails']} FAIL{'S' * (many['fails'] == 1)}{skipped}")
-    return ExitCode.REGRESSION if many["fails"] else ExitCode.DONE
+        return ExitCode.BATCH if failed else ExitCode.DONE
+    if junit is not None:
+        write_new(junit, as_junit(results).encode(), overwrite=overwrite)
+    count, took = f"{len(results)} golden{'s' * (len(results) != 1)}", time.monotonic() - began
+    click.echo(f"{count} in {took:.0f} s: {len(results) - failed} ok, {failed} FAIL{'S' * (failed == 1)}")
+    return ExitCode.REGRESSION if failed else ExitCode.DONE

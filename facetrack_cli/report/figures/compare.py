@@ -82,12 +82,12 @@ def error_over_time_figure(
         pen.shade(axes, frames, hidden, "hidden", 0.2)
         drawn = [quantiles(e.astype(np.float64), (0.1, 0.5, 0.9)) for e in errors.values()]
         several = any(len(e) > 1 for e in errors.values())
-        style.limit(axes, [q for three in drawn for q in three], 0.0, 6)
         for number, (low, middle, high) in enumerate(drawn):
             look = style.line_style(number)
             if several:
                 pen.band(axes, frames, low, high, look["color"], 0.15)
             pen.line(axes, frames, middle, linewidth=1.3, **look)
+        style.limit(axes, 0.0, 6)
         notes = ["line: median over seeds, band: 10 to 90 %"] if several else []
         style.heading(axes, title, "; ".join([*notes, *(["shaded: hidden"] if hidden.any() else [])]))
         axes.set_ylabel("error (px)")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import PurePath
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.rows import NOT_SEEN, Pair
 from facetrack_cli.report.figures import style
-from facetrack_cli.report.figures.diagnostics import adaptation, is_known, panels
+from facetrack_cli.report.figures.diagnostics import is_known, panels
 from facetrack_cli.report.figures.style import Axes, Figure, Line, Panel, Pen
 from facetrack_cli.trajectory.face_events import KINDS
 from facetrack_cli.trajectory.measures import DEGREES, HAND_MEASURES, MEASURES, Measured
@@ -136,7 +136,7 @@ class _Page:
     def figure(self, title: str) -> Figure:
         from matplotlib.legend_handler import HandlerTuple
 
-        panels, foot = list(self._panels()), adaptation(self.table)
+        panels = list(self._panels())
         if not panels:
             raise InputError(f"{self.table.path}: has no number that could be drawn in any row")
         legend = self._legend()
@@ -149,10 +149,8 @@ class _Page:
         above = 0.31 + 0.16 * len(lines)
         top = above + 0.185 * rows
         body = sum(panel.height + 0.27 for panel in panels) + 0.55
-        below = [] if foot is None else [foot.height + 0.75]
-        figure = style.new_figure(self.width, top + body + sum(below))
-        pieces: Any = figure.subfigures(2 + len(below), 1, height_ratios=[top, body, *below])
-        head, rest = pieces[:2]
+        figure = style.new_figure(self.width, top + body)
+        head, rest = cast("Any", figure.subfigures(2, 1, height_ratios=[top, body]))
         head.text(0.012, 1 - 0.09 / top, style.clean(title, int(self.width * 8)), va="top", weight="bold", size=12)
         head.text(0.012, 1 - 0.31 / top, "\n".join(lines), va="top", size=8.5, color=style.FAINT)
         if legend:
@@ -161,10 +159,6 @@ class _Page:
             handlers = {tuple: HandlerTuple(ndivide=None, pad=0)}
             head.legend([*legend.values()], [*legend], ncols=columns, handler_map=handlers, **place, **spacing)
         self._stack(rest, panels)
-        if foot is not None:  # has an axis of its own
-            axes = pieces[2].subplots()
-            foot.draw(axes)
-            style.heading(axes, foot.title, self._fitting(foot))
         return figure
 
     def _stack(self, figure: Any, panels: Sequence[Panel]) -> None:
@@ -179,9 +173,9 @@ class _Page:
             column[-1].plot(self.corrected, 0.0 * self.corrected, transform=bottom, **style.CORRECTED)
         most = max(3, min(11, int(1.1 * self.width)))
         style.frame_axis(column[-1], self.frames, most)
-        timed = style.second_axis(column[0], self.table, most)
+        style.second_axis(column[0], self.table, most)
         for axes, panel in zip(column, panels, strict=True):
-            style.heading(axes, panel.title, self._fitting(panel), 13 if timed and axes is column[0] else 0)
+            style.heading(axes, panel.title, self._fitting(panel))
 
     def _fitting(self, panel: Panel) -> str:
         """The first of a panel's notes, as far as they fit."""
@@ -230,8 +224,6 @@ class _Page:
             words.append(f"median error {np.nanmedian(every):.2f} px")
         if self.table.header.get("complete") is False:
             words.append("the run was cut short")
-        if count > 2 * self.pen.bins:
-            words.append(f"pale: range over {round(self.pen.least * BINS / self.pen.bins)} frames, line: their mean")
         return words
 
     def _panels(self) -> Iterator[Panel]:
@@ -288,11 +280,11 @@ class _Page:
         """A line for each part and its ground truth; `down`: values increase downwards."""
         ours = [of(line.ours) for line in self.lines]
         true = [] if self.many else [of(pair.truth) for _, pair, _ in self.paired]  # of many, it would hide the lines
-        style.limit(axes, ours + true, floor, 2 if floor is not None else 4)
         for line, value in zip(self.lines, ours, strict=True):
             self.pen.line(axes, line.ours.frame, value, **line.look)
         for (_, pair, _), value in zip(self.paired, true, strict=False):
             self.pen.line(axes, pair.truth.frame, value, dot="o", **style.TRUTH)
+        style.limit(axes, floor, 4 if floor is None else 2)
         if down:
             axes.invert_yaxis()
 
@@ -324,10 +316,8 @@ class _Page:
             low = max(0.8, min(0.7 * float(np.nanmin(every)), high / 15))
             axes.set(yscale="log", ylim=(low, high))
             axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 120 * low else (1,)))
-            axes.yaxis.set_major_formatter(lambda value, _: style.numbers([value])[0])
+            axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.3g}")
             axes.yaxis.minorticks_off()
-        else:
-            style.limit(axes, counts, 0.0, 2)
         distinct = {value.tobytes(): line for line, value in zip(self.lines, counts, strict=True)}
         for line in distinct.values():
             colour = style.STATUS["hidden"] if len(distinct) == 1 or self.many else line.colour
@@ -335,16 +325,18 @@ class _Page:
             self.pen.line(axes, line.ours.frame, _particles(line.ours), **look)
         if sampled:
             self._positive(axes, _ess, axes.get_ylim())
+        else:
+            style.limit(axes, 0.0, 2)
 
     def _error(self, axes: Axes) -> None:
         self.pen.shade_parts(axes, [pair.truth for _, pair, _ in self.paired], "hidden")
-        style.limit(axes, [wrong for _, _, wrong in self.paired], 0.0)
         if self.alone:
             (line,) = self.lines
             sigma = spread(line.ours) / math.sqrt(2)  # along one axis
             for reach, alpha in ((2.146, 0.16), (1.177, 0.2)):  # radii of a circular normal distribution's 90 and 50 %
                 self.pen.band(axes, line.ours.frame, 0 * sigma, reach * sigma, line.colour, alpha)
         self._strokes(axes, [(line, pair.ours.frame, wrong) for line, pair, wrong in self.paired])
+        style.limit(axes, 0.0)
 
     def _overlap(self, axes: Axes) -> None:
         axes.set(ylim=_UNIT, yticks=[0, 0.5, 1])
@@ -353,12 +345,11 @@ class _Page:
         self._strokes(axes, [(line, ours.frame, v) for (line, ours, _), v in zip(boxes, shares, strict=True)])
 
     def _positive(self, axes: Axes, of: Of, ends: tuple[float, float] | None = None) -> None:
-        shown = [(line, line.ours.frame, of(line.ours)) for line in self.lines]
+        self._strokes(axes, [(line, line.ours.frame, of(line.ours)) for line in self.lines])
         if ends is None:
-            style.limit(axes, [value for _, _, value in shown], 0.0)
+            style.limit(axes, 0.0)
         else:
             axes.set_ylim(ends)
-        self._strokes(axes, shown)
 
     def _strokes(self, axes: Axes, shown: Sequence[tuple[Line, Whole, Array]]) -> None:
         """A line each; of many parts the median of each target within bands."""

@@ -5,22 +5,21 @@ Lines show gaps, and long series are thinned. matplotlib is loaded with the firs
 
 from __future__ import annotations
 
-import contextlib
 import io
 import logging
 import math
-import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from facetrack_cli.core.errors import needed
+from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.core.numbers import spans, union
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.rows import Pair
@@ -53,9 +52,6 @@ CORRECTED: Final[Any] = {
 }  # fmt: skip
 
 _STEPS = (1, 2, 2.5, 5, 10)
-_SECONDS = (
-    0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000,
-)  # fmt: skip
 _STYLE: Final = Path(__file__).with_name("facetrack.mplstyle")
 
 
@@ -65,18 +61,11 @@ def need_matplotlib() -> None:
     log = logging.getLogger("matplotlib")
     before = log.level
     log.setLevel(logging.ERROR)
-    backend = os.environ.pop("MPLBACKEND", None)  # none is needed, and a wrong one stops the import
     try:
         with needed("figures", "matplotlib"):
-            import matplotlib.font_manager  # builds the cache
-
-        if backend is not None:
-            with contextlib.suppress(ValueError):
-                matplotlib.rcParams["backend"] = backend
+            import matplotlib.font_manager  # noqa: F401 -- builds the cache
     finally:
         log.setLevel(before)
-        if backend is not None:
-            os.environ["MPLBACKEND"] = backend
 
 
 @contextmanager
@@ -132,26 +121,10 @@ def line_style(index: int) -> dict[str, Any]:
     return {"color": COLOURS[place], "linestyle": DASHES[turn % len(DASHES)]}
 
 
-def heading(axes: Axes, title: str, note: str = "", above: float = 0.0) -> None:
-    """A title at the top left, `above` points higher, and after it a note in grey."""
-    from matplotlib.offsetbox import AnchoredOffsetbox, HPacker, TextArea
-    from matplotlib.transforms import ScaledTranslation
-
-    words: list[Any] = [TextArea(title, textprops={"weight": "bold", "color": INK, "size": 9})]
-    if note:
-        words.append(TextArea(note, textprops={"color": FAINT, "size": 8}))
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    box = AnchoredOffsetbox(
-        loc="lower left",
-        child=HPacker(children=words, align="baseline", pad=0, sep=6),
-        pad=0,
-        borderpad=0.25,
-        frameon=False,
-        bbox_to_anchor=(0, 1),
-        bbox_transform=axes.transAxes + ScaledTranslation(0, above / 72, figure.dpi_scale_trans),
-    )
-    axes.add_artist(box)
+def heading(axes: Axes, title: str, note: str = "") -> None:
+    """A title at the top left, and a note in grey at the top right."""
+    axes.set_title(title, loc="left")
+    axes.set_title(note, loc="right", color=FAINT, size=8, weight="normal")
 
 
 def clean(text: str, most: int) -> str:
@@ -161,88 +134,42 @@ def clean(text: str, most: int) -> str:
     return f" {text}" if text.startswith("_") else text
 
 
-def limit(axes: Axes, values: Iterable[Array], floor: float | None = None, ticks: int = 4) -> None:
-    """The `limits` of the vertical axis, with few ticks."""
+def limit(axes: Axes, floor: float | None = None, ticks: int = 4) -> None:
+    """The vertical axis of what is drawn, from `floor` on, with few ticks."""
     from matplotlib.ticker import MaxNLocator
 
-    bounds = limits(values, floor)
-    if bounds is None:
-        return
-    axes.set_ylim(bounds)
-    places = MaxNLocator(ticks, steps=_STEPS).tick_values(*bounds)
-    inside = [float(place) for place in places if bounds[0] <= place <= bounds[1]]
-    axes.set_yticks(inside, numbers(inside))
-
-
-def limits(values: Iterable[Array], floor: float | None = None) -> tuple[float, float] | None:
-    """Limits a little wider than `values`, at least 1 apart, None where nothing is known. Where the whole range is over
-    eight times that of the middle 98 %, they follow the middle: a few rows far outside do not compress the others.
-    """
-    every = np.concatenate([v[np.isfinite(v)] for v in values] or [np.empty(0)])
-    if not every.size:
-        return None
-    low, high = float(every.min()), float(every.max())
-    middle = np.quantile(every[:: max(1, len(every) // 500_000)], (0.01, 0.99))
-    tall = max(float(middle[1] - middle[0]), 1.0)
-    if high - low > 8 * tall:
-        low, high = max(low, float(middle[0]) - tall), min(high, float(middle[1]) + tall)
-    if floor is not None:
-        high += max(1.0 - (high - floor), 0)
-        return floor, high + 0.06 * (high - floor)
-    short = max(1.0 - (high - low), 0) / 2
-    low, high = low - short, high + short
-    margin = 0.06 * (high - low)
-    return low - margin, high + margin
-
-
-def numbers(ticks: Sequence[float]) -> list[str]:
-    """Labels of ticks, with as many decimals as one of them needs."""
-    if any(abs(tick) >= 1e7 for tick in ticks):
-        return [f"{tick:.3g}" for tick in ticks]
-    decimals = next((d for d in range(4) if all(abs(t - round(t, d)) < 1e-9 for t in ticks)), 4)
-    return [f"{tick + 0.0:,.{decimals}f}".replace("-", "\N{MINUS SIGN}") for tick in ticks]
+    axes.yaxis.set_major_locator(MaxNLocator(ticks, steps=_STEPS))
+    axes.set_ylim(bottom=floor)
 
 
 def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:
     """An axis of frames, which increase, with at most `most` ticks."""
     from matplotlib.ticker import MaxNLocator
 
-    first, last = float(frame[0]), float(frame[-1])
-    margin = max(0.5, 0.004 * (last - first), 1e-9 * last)
-    axes.set_xlim(first - margin, last + margin)
+    axes.set_xlim(float(frame[0]) - 0.5, float(frame[-1]) + 0.5)
     axes.set_xlabel("frame")
     axes.xaxis.set_major_locator(MaxNLocator(max(2, most - 1), integer=True, min_n_ticks=1, steps=_STEPS))
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
     axes.tick_params(bottom=True)
 
 
-def second_axis(axes: Axes, table: Trajectory, most: int) -> bool:
-    """An axis of seconds above that of frames; False where seconds are not known or do not increase."""
-    time_s = table.times
-    timed = np.isfinite(time_s)
-    if timed.sum() < 2 or (np.diff(time_s[timed]) <= 0).any():
-        return False
-    above = axes.secondary_xaxis("top")
-    above.set_ticks(*ticks(table.frames[timed], time_s[timed], most))
+def second_axis(axes: Axes, table: Trajectory, most: int) -> None:
+    """An axis of times above that of frames, where they are known and increase."""
+    from matplotlib.ticker import MaxNLocator
+
+    timed = np.isfinite(table.times)
+    frame, time_s = table.frames[timed].astype(np.float64), table.times[timed]
+    if len(frame) < 2 or (np.diff(time_s) <= 0).any():
+        return
+    step = (time_s[-1] - time_s[0]) / (frame[-1] - frame[0])
+    frame = np.array([frame[0] - 1, *frame, frame[-1] + 1])
+    time_s = np.array([time_s[0] - step, *time_s, time_s[-1] + step])
+    ways = partial(np.interp, xp=frame, fp=time_s), partial(np.interp, xp=time_s, fp=frame)
+    above = axes.secondary_xaxis("top", functions=ways)
+    above.xaxis.set_major_locator(MaxNLocator(most, steps=(1, 2, 3, 6, 10)))
+    above.xaxis.set_major_formatter(lambda value, _: at_clock(value))
     above.tick_params(length=2, pad=2)
     above.spines["top"].set_visible(False)
-    return True
-
-
-def ticks(frame: Whole, time_s: Array, most: int = 11) -> tuple[list[float], list[str]]:
-    """About `most` frames at round times, and their labels: 1.5 s, 2:30 (minutes), 1:02:30 (hours)."""
-    first, last = float(time_s[0]), float(time_s[-1])
-    length = last - first
-    step = next((s for s in _SECONDS if length / s <= most), 36000.0 * np.ceil(length / 36000 / most))
-    seconds = np.arange(np.ceil(first / step - 1e-9), np.floor(last / step + 1e-9) + 1) * step + 0.0  # no minus zero
-    places = np.interp(seconds, time_s, frame).tolist()
-    if last < 120 or step < 1:
-        decimals = 0 if step >= 1 else 1 if step >= 0.1 else 2
-        return places, [f"{t:,.{decimals}f} s" for t in seconds.tolist()]
-    whole = [round(t) for t in seconds.tolist()]
-    if last < 3600:
-        return places, [f"{t // 60}:{t % 60:02}" for t in whole]
-    return places, [f"{t // 3600}:{t // 60 % 60:02}:{t % 60:02}" for t in whole]
 
 
 @dataclass(frozen=True)
@@ -314,29 +241,17 @@ class Pen:
     least: float
 
     def line(self, axes: Axes, frame: Whole, value: Array, dot: str = ".", **look: Any) -> None:
-        """A line, with gaps where a value is unknown, a dot for one alone, a wedge for one beyond the axis. Of a long
-        series the range is pale and the mean strong, so that lines do not hide each other.
-        """
-        x, y, means = envelope(frame, value, self.bins)
-        if means is None:
-            axes.plot(x, y, **look)
-        else:
-            axes.plot(x, y, **{**look, "linewidth": 0.7, "alpha": 0.4, "linestyle": "-"})
-            axes.plot(*means, **{**look, "linewidth": min(look["linewidth"], 1.0)})
-        lonely, colour = alone(y), look["color"]
-        if lonely.any():
+        """A line, with gaps where a value is unknown, and a dot for one alone. Of a long series the range is drawn."""
+        x, y = envelope(frame, value, self.bins)
+        axes.plot(x, y, **look)
+        if (lonely := alone(y)).any():
             fill: dict[str, Any] = {} if dot == "." else {"markerfacecolor": "none", "markeredgewidth": 0.8}
-            axes.plot(x[lonely], y[lonely], dot, color=colour, markersize=6, zorder=look.get("zorder", 2), **fill)
-        low, high = sorted(axes.get_ylim())
-        for outside, place, wedge in ((y < low, low, "v"), (y > high, high, "^")):
-            if outside.any():
-                at = np.full(int(outside.sum()), place)
-                axes.plot(x[outside], at, wedge, color=colour, markersize=4, clip_on=False, zorder=4)
+            axes.plot(x[lonely], y[lonely], dot, color=look["color"], markersize=6, **fill)
 
     def band(self, axes: Axes, frame: Whole, low: Array, high: Array, colour: str, alpha: float) -> None:
         """The area between two lines that are known in the same rows."""
-        x, y, _ = envelope(frame, low, self.bins)
-        top = envelope(frame, high, self.bins).y
+        x, y = envelope(frame, low, self.bins)
+        _, top = envelope(frame, high, self.bins)
         if len(frame) > 2 * self.bins:  # each bin has its least and its greatest value: the band holds both
             pairs = ((y, np.fmin), (top, np.fmax))
             y, top = (np.where(np.isnan(v), np.nan, pick(v, np.append(v[1:], np.nan))) for v, pick in pairs)
@@ -409,36 +324,24 @@ def stacked(series: Sequence[tuple[Whole, Array | Mask]]) -> tuple[Whole, Array]
     return frame, values
 
 
-class Drawn(NamedTuple):
-    """A line to draw: (x, y) with nan wherever it is broken; if it is thinned, the (x, y) of its means too."""
-
-    x: Array
-    y: Array
-    means: tuple[Array, Array] | None = None
-
-
-def envelope(frame: Whole, value: Array, bins: int) -> Drawn:
-    """A line through (T,) values, broken where values or frames are missing. More than two rows a bin are thinned to
-    the least and the greatest value in each of `bins` equal spans of frames, so that no peak is lost, and their means.
+def envelope(frame: Whole, value: Array, bins: int) -> tuple[Array, Array]:
+    """A line (x, y) through (T,) values, with nan where values or frames are missing. More than two rows a bin are
+    thinned to the least and the greatest value in each of `bins` equal spans of frames, so that no peak is lost.
     """
     finite = np.flatnonzero(np.isfinite(value))
     if not finite.size:
-        return Drawn(np.full(1, np.nan), np.full(1, np.nan))
+        return np.full(1, np.nan), np.full(1, np.nan)
     reach = 1.5 * _step(frame)
     f, v = frame[finite].astype(np.float64), value[finite].astype(np.float64)
     if len(frame) <= 2 * bins:
-        return Drawn(*_broken(f, v, np.flatnonzero(np.diff(f) > reach) + 1))
-    span = (frame[-1] - frame[0] + 1) / bins
-    place = ((f - frame[0]) / span).astype(np.int64)
+        return _broken(f, v, np.flatnonzero(np.diff(f) > reach) + 1)
+    place = ((f - frame[0]) * bins / (frame[-1] - frame[0] + 1)).astype(np.int64)
     first = np.flatnonzero(np.diff(place, prepend=-1))
     last = np.append(first[1:], len(f)) - 1
-    low, high = np.minimum.reduceat(v, first), np.maximum.reduceat(v, first)
-    rising = v[last] >= v[first]
-    y = np.stack([np.where(rising, low, high), np.where(rising, high, low)], axis=1).ravel()
-    x = np.stack([f[first], f[last]], axis=1).ravel()
+    ends = np.stack([np.minimum.reduceat(v, first), np.maximum.reduceat(v, first)], axis=1)
+    ends[v[last] < v[first]] = ends[v[last] < v[first], ::-1]
     gaps = np.flatnonzero(f[first[1:]] - f[last[:-1]] > reach) + 1
-    means = _broken((f[first] + f[last]) / 2, np.add.reduceat(v, first) / (last - first + 1), gaps)
-    return Drawn(*_broken(x, y, 2 * gaps), means)
+    return _broken(np.stack([f[first], f[last]], axis=1).ravel(), ends.ravel(), 2 * gaps)
 
 
 def _broken(x: Array, y: Array, before: Whole) -> tuple[Array, Array]:

@@ -22,8 +22,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
-import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -41,9 +41,8 @@ from facetrack_cli.trajectory.trajectory import MAX_ROWS, SEEN, Trajectory, buil
 FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # boxes (..., 4) that count pixels from 1, minus boxes that count from 0
 BOX_COLUMNS = ("frame", "x", "y", "w", "h")
 LTWH = "left,top,width,height"
-REGION = f"{LTWH} or x1,y1,...,x4,y4"
+REGION = f"{LTWH}, x1,y1,...,x4,y4 or a code 0, 1, 2"
 UNKNOWN, INIT, FAILURE = 0, 1, 2
-FORMS, POLYGON, MASK = {0: "I", 1: "4f", 4: "2f"}, 2, 3  # of binary results: codes, rectangles and points
 DISTRACTORS = (2, 7, 8, 12)  # of MOT16 and MOT17: on a vehicle, a static person, a distractor, a reflection
 _MOT = f"frame,id,{LTWH}"
 MOT_COLUMNS = {6: _MOT, 7: f"{_MOT},conf", 9: f"{_MOT},flag,class,visibility", 10: f"{_MOT},conf,x,y,z"}
@@ -52,26 +51,17 @@ NAMED = {"nose": 31, "mouth_left": 49, "mouth_right": 55, "lip_upper": 52, "lip_
 _HEAD = re.compile(r"\s*version:\s*\S+\s+n_points:\s*(\d{1,4})\s*\{", re.IGNORECASE)
 
 
-def read_bytes(path: Path) -> bytes:
-    """What is in a file. InputError if missing, a folder, a pipe, or larger than a table."""
-    with reading(path, "name another file"):
-        return read_bounded(path, MAX_TABLE_BYTES, "table of rows")
-
-
 def read_text(path: Path) -> str:
-    """The text of a file, with `\\n` after each line. InputError as of `read_bytes`, and if empty, or no text."""
-    raw = read_bytes(path)
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise InputError(f"{path}: is UTF-16 text; save it as UTF-8")
-    if b"\0" in raw[:8192]:
-        raise InputError(f"{path}: is binary; name a file of UTF-8 text")
+    """The text of a file, with `\\n` after each line. InputError if missing, a folder, a pipe, empty, or no text."""
+    with reading(path, "name another file"):
+        raw = read_bounded(path, MAX_TABLE_BYTES, "table of rows")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as e:
         line = raw.count(b"\n", 0, e.start) + 1
         raise InputError(f"{path}:{line}: is not UTF-8 text; save it as UTF-8, or name another file") from e
-    if not text.strip():
-        raise InputError(f"{path}: is empty; name another file")
+    if not text.strip() or "\0" in text:
+        raise InputError(f"{path}: is {'binary' if text.strip() else 'empty'}; name another file")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -124,11 +114,13 @@ class Lines:
     def numbers(self, columns: int, wanted: str, use: Sequence[int] | None = None) -> Array:
         """(T, columns or len(use)) numbers, nan for an empty cell. InputError with the line of what is not `wanted`."""
         use, between = use or range(columns), delimiter(self.texts[0]) if self.texts else None
-        rows = [[cell.strip() for cell in text.split(between)] for text in self.texts]
-        problems = [_problem(row, columns, wanted, use) for row in rows]
-        self.refuse([bool(problem) for problem in problems], lambda at: problems[at])
-        values = np.array([[float(row[i] or "nan") for i in use] for row in rows]).reshape(len(rows), len(use))
-        self.refuse(np.isinf(values).any(axis=1), "inf is no number to measure with; write nan if not known")
+        values = np.full((len(self), len(use)), np.inf)
+        for row, text in zip(values, self.texts, strict=True):
+            cells = [cell.strip() for cell in text.split(between)]
+            with contextlib.suppress(ValueError):  # float() would take 1_0 for 10
+                row[:] = [float(cells[i].replace("_", "?") or "nan") for i in use] if len(cells) == columns else np.inf
+        why = f"is no line of {wanted}; write numbers with a point, and one kind of comma, tab or blank between them"
+        self.refuse(np.isinf(values).any(axis=1), lambda at: f"{self.texts[at]!r:.60} {why}")
         return values
 
     def whole(self, values: Array, name: str, least: int) -> Whole:
@@ -149,40 +141,18 @@ class Lines:
         """The boxes (T, 4) of these lines, left, top, width, height from 0; `ids` (T,) name the targets.
 
         A row of nan, or without width and height, is absent. `status` (T,) may say hidden or absent already; rows that
-        it calls absent may hold any box, which is not kept. Raises InputError with the line for a box that is half nan,
-        of a negative size, without area, or beyond any image.
+        it calls absent may hold any box, which is not kept. Raises InputError with the line for what is no box.
         """
         state = np.broadcast_to(status, len(frame)).astype("<U8")
-        unknown, empty = np.isnan(ltwh), ltwh[:, 2:] == 0
-        absent = (state == "absent") | unknown.all(axis=1) | empty.all(axis=1)
-        with np.errstate(invalid="ignore"):
-            for wrong, why in (
-                (unknown, "nan in a box that is known by half; give all four numbers, or four times nan"),
-                (ltwh[:, 2:] < 0, "the box has a negative size; a box is left, top, width, height"),
-                (empty, "the box has no area; four zeros say that there is none"),
-                (np.abs(ltwh) > MAX_PIXELS, "the box is farther out than any image; correct it"),
-            ):
-                self.refuse(wrong.any(axis=1) & ~absent, why)
+        absent = (state == "absent") | np.isnan(ltwh).all(axis=1) | (ltwh[:, 2:] == 0).all(axis=1)
+        fine = (np.abs(ltwh) <= MAX_PIXELS).all(axis=1) & (ltwh[:, 2:] > 0).all(axis=1)
+        why = "that is no box: left, top, a width and a height above 0, none farther out than any image; four times nan"
+        self.refuse(~fine & ~absent, f"{why} or 0 say that there is none")
         left, top, w, h = np.where(absent[:, None], np.nan, ltwh).T
         place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h}
         targets, which = np.unique(np.broadcast_to(ids, len(frame)), return_inverse=True)
         pairs = [(str(target), "box") for target in targets.tolist()]
         return build(pairs, which, frame, **place, status=np.where(absent, "absent", state), path=self.path, **others)
-
-
-def _problem(cells: list[str], columns: int, wanted: str, use: Sequence[int]) -> str:
-    """Why the cells of a line are not what is `wanted`; "" where they are."""
-    if wrong := [cell for cell in cells if len(cell.split()) > 1 or ";" in cell]:
-        why = "write numbers with a point and one kind of comma, tab or blank between them"
-        return f"{wrong[0]!r} is no number; {why}, as in {wanted}"
-    if len(cells) != columns:
-        return f"{len(cells)} value{'s' if len(cells) > 1 else ''} instead of {columns}; a line holds {wanted}"
-    for cell in (cells[i] for i in use):
-        try:
-            float(cell.replace("_", "?") or "nan")  # float() would take 1_0 for 10
-        except ValueError:
-            return f"{cell!r} is no number; a line holds {wanted}"
-    return ""
 
 
 def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
@@ -232,38 +202,23 @@ def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
 
 
 def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
-    """VOT ground truth or results, also binary; line i, from 0, is frame i + `shift`.
-
-    Returns
-    -------
-    Trajectory : (T,) rows of one target with `corners` (T, 4, 2), in pixels from 0; `corners` is None without polygons.
-
-    Raises
-    ------
-    InputError : with the line, for masks, for polygons of other than four corners, and for what is no region.
-    """
-    lines = _binary(path) if path.suffix.lower() == ".bin" else Lines.by_frame(path)
+    """VOT ground truth or results; line i, from 0, is frame i + `shift`. Polygons are the rows' `corners`."""
+    if path.suffix.lower() == ".bin":
+        raise InputError(f"{path}: is binary; let vot-toolkit write text, with VOT_RESULTS_BINARY=false")
+    lines = Lines.by_frame(path)
     between = delimiter(next((text for text in lines.texts if "," in text), ""))
     shapes = np.array([len(text.split(between)) for text in lines.texts], dtype=np.int64)
-    masks = [text[0] in "mM" for text in lines.texts]
-    lines.refuse(masks, "a mask; masks are not read: give the regions as rectangles or polygons")
-    others = (shapes > 4) & (shapes % 2 == 0) & (shapes != 8)
-    of_corners = "a polygon of {} corners; polygons of four corners and rectangles are read"
-    lines.refuse(others, lambda row: of_corners.format(shapes[row] // 2))
-    lines.refuse(~np.isin(shapes, (1, 4, 8)), lambda row: f"{shapes[row]} values; a line holds {REGION}")
+    wrong = ~np.isin(shapes, (1, 4, 8)) | [text[0] in "mM" for text in lines.texts]
+    lines.refuse(wrong, f"a line holds {REGION}; masks and other polygons are not read")
     t = len(lines)
     codes, ltwh, polygons = np.full(t, np.nan), np.full((t, 4), np.nan), np.full((t, 8), np.nan)
     for values in (codes[:, None], ltwh, polygons):
         if (rows := np.flatnonzero(shapes == values.shape[1])).size:
             values[rows] = lines.take(rows).numbers(values.shape[1], REGION)
-    code = "{:.15g} is no code of VOT; 0 is unknown, 1 the start, 2 a failure"
-    lines.refuse(~np.isin(codes, (UNKNOWN, INIT, FAILURE)) & ~np.isnan(codes), lambda row: code.format(codes[row]))
     codes[(shapes == 1) & np.isnan(codes)] = UNKNOWN
-    half = np.isnan(polygons).any(axis=1) & ~np.isnan(polygons).all(axis=1)
-    lines.refuse(half, "nan in a polygon; give all eight numbers, or eight times nan")
-    with np.errstate(invalid="ignore"):
-        far = (np.abs(polygons) > MAX_PIXELS).any(axis=1)
-    lines.refuse(far, "the polygon is farther out than any image; correct it")
+    known = np.isnan(polygons).all(axis=1) | (np.abs(polygons) <= MAX_PIXELS).all(axis=1)
+    wrong = ~np.isin(codes, (UNKNOWN, INIT, FAILURE)) & ~np.isnan(codes) | ~known
+    lines.refuse(wrong, f"is none of {REGION}; no number is farther out than any image, or all of them are nan")
     corners = polygons.reshape(-1, 4, 2)
     low, high = corners.min(axis=1), corners.max(axis=1)
     ltwh = np.where((shapes == 8)[:, None], np.concatenate([low, high - low], axis=1), ltwh)
@@ -335,50 +290,15 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     return lines.take(kept).boxes(frame, ltwh, header=header, **own)
 
 
-def _binary(path: Path) -> Lines:
-    """The regions of vot-toolkit's binary results (`vot.region.io`, version 1) as lines of its text."""
-    data, at, texts = read_bytes(path), 0, list[str]()
-
-    def take(form: str) -> tuple[Any, ...]:
-        nonlocal at
-        values = struct.unpack_from("<" + form, data, at)
-        at += struct.calcsize("<" + form)
-        return values
-
-    try:
-        version, count = take("hI")
-        for _ in range(count if version == 1 else 0):
-            (kind,) = take("B")
-            if kind == MASK:
-                form = f"{take('hhHHH')[4]}H"
-            else:
-                form = f"{2 * take('H')[0]}f" if kind == POLYGON else FORMS[kind]
-            region = take(form)
-            texts.append("m" if kind == MASK else ",".join(f"{value:.9g}" for value in region))
-    except (struct.error, LookupError):
-        version = 0
-    if version != 1 or at != len(data) or not texts:
-        why = "is no binary result of vot-toolkit, or is cut short"
-        raise InputError(f"{path}: {why}; let the toolkit write text, with VOT_RESULTS_BINARY=false")
-    return Lines(path, texts, list(range(1, len(texts) + 1)))
-
-
 def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
     """A folder of .pts files, numbered by the last digits of their names, or one file. InputError with the line."""
     files = sorted(path.glob("*.pts")) or sorted(path.glob("annot/*.pts")) if path.is_dir() else [path]
     if not files:
         raise InputError(f"{path}: no .pts file in this folder, nor in annot/ below it; name the folder with them")
-    frames: dict[int, Path] = {}
-    for file in files:
-        digits = re.findall(r"\d+", file.stem)
-        if not digits and len(files) > 1:
-            raise InputError(f"{file}: no number in its name; name the files by their frames, the first 000001.pts")
-        number = int(digits[-1]) if digits else 1
-        if not 1 <= number <= MAX_FRAME:
-            raise InputError(f"{file}: no frame has the number {number}; .pts files are counted from 1")
-        if number in frames:
-            raise InputError(f"{file}: frame {number} is also in {frames[number].name}; keep one of them")
-        frames[number] = file
+    digits = [re.findall(r"\d+", file.stem) or ["1"] * (len(files) == 1) or ["0"] for file in files]
+    frames = np.array([int(those[-1]) for those in digits])
+    if len(np.unique(frames)) < len(files) or not (frames.min() >= 1 and frames.max() <= MAX_FRAME):
+        raise InputError(f"{path}: its .pts files are not numbered by their frames, the first 000001.pts; rename them")
     points = [_points(file) for file in files]
     for file, own in zip(files, points, strict=True):
         if len(own) != len(points[0]):
@@ -390,7 +310,7 @@ def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
     unnamed = "" if count == 68 else ", which have no names of ours"
     header = {"read_as": f".pts: {count} points{unnamed}, files and pixels from 1"}
     which = np.repeat(np.arange(len(numbers)), len(files))
-    frame = np.tile(np.array(list(frames), dtype=np.int64) - 1 + shift, len(numbers))
+    frame = np.tile(frames - 1 + shift, len(numbers))
     place = {"x": x, "y": y, "status": np.where(np.isnan(x), "absent", "visible")}
     return build([("face", name) for name in numbers], which, frame, **place, path=path, header=header)
 
@@ -405,9 +325,8 @@ def _points(path: Path) -> Array:
     first = text.count("\n", 0, head.end()) + 1
     lines = Lines.numbered(path, body.split("\n"), first)
     points = lines.numbers(2, "x y")
-    with np.errstate(invalid="ignore"):
-        lines.refuse(np.isnan(points).sum(axis=1) == 1, "nan in half a point; give both numbers, or nan nan")
-        lines.refuse((np.abs(points) > MAX_PIXELS).any(axis=1), "the point is farther out than any image; correct it")
+    fine = np.isnan(points).all(axis=1) | (np.abs(points) <= MAX_PIXELS).all(axis=1)
+    lines.refuse(~fine, "that is no point: two numbers, none farther out than any image, or nan nan")
     if not brace or rest.strip() or len(points) != int(head[1]) or not len(points):
         there = f"{len(points)} points between the braces, and n_points says {head[1]}"
         raise InputError(f"{path}: {there}; was the file cut short?")

@@ -45,13 +45,10 @@ def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0, beside: 
     if abs(shift) > MAX_FRAME:
         raise UsageError(f"--shift {shift}: no clip has so many frames; correct it")
     with reading(path, "make it readable, or name another"):
-        try:
-            file, shape = recognise(path) if form == "auto" else (path, form)
-            if form == "auto" and shape == "otb" and beside is not None:
-                shape = "vot" if str(beside.header.get("read_as")).startswith("VOT") else shape
-            table: Trajectory = load("read", shape)(file, shift=shift)
-        except InputError as e:
-            raise InputError(f"{e}{_rather(path, form)}") from None
+        file, shape = recognise(path) if form == "auto" else (path, form)
+        if form == "auto" and shape == "otb" and beside is not None:
+            shape = "vot" if str(beside.header.get("read_as")).startswith("VOT") else shape
+        table: Trajectory = load("read", shape)(file, shift=shift)
     return replace(table, header={**table.header, "shift": shift})
 
 
@@ -74,17 +71,6 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
     read_as = str(table.header["read_as"]).replace("--truth-format", "--format")
     status = np.where(np.isin(table.status, ("visible", "hidden", "absent")), "", table.status)
     return replace(table, status=status, header={**table.header, "read_as": read_as})
-
-
-def _rather(path: Path, form: str) -> str:
-    """What to do about a file that cannot be read as the user's own `form`, if its shape says another."""
-    if form == "auto":
-        return ""
-    try:
-        shape = recognise(path)[1]
-    except (InputError, OSError):
-        return ""
-    return f" (its shape is that of {shape}: leave --truth-format out)" if shape != form else ""
 
 
 def recognise(path: Path) -> tuple[Path, str]:
@@ -125,8 +111,6 @@ def _shape(lines: Lines) -> str:
             return "vot"
         labels = (lines.path.with_name(f"{name}.label") for name in ("absence", "cover"))
         return "got10k" if any(file.is_file() for file in labels) else "otb"
-    if count == 5:
-        raise InputError(f"{place}: five numbers a line; put the header {','.join(BOX_COLUMNS)} on top")
     if count in MOT_COLUMNS and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
         return "mot"
     remedy = f"name its kind by --truth-format: {', '.join(READERS)}"
@@ -135,20 +119,13 @@ def _shape(lines: Lines) -> str:
 
 def _shape_of_header(place: str, first: str) -> str:
     names = {name.strip().lower() for name in next(csv.reader([first]))}
-    for mark, word in ((";", "semicolons"), ("\t", "tabs")):
-        columns = [name.strip().lower() for name in first.split(mark)]
-        if "frame" in columns or (mark == ";" in first and first[0].isdigit()):
-            raise InputError(f"{place}: {word} between the columns; write commas there, and decimals with a point")
     if {"target", "part"} <= names:
         return "facetrack"
     if set(BOX_COLUMNS) <= names:
         return "boxes"
-    if first[0].isdigit():
-        why = "are no numbers between commas, tabs or blanks; write decimals with a point"
-        raise InputError(f"{place}: {first[:60]!r} {why}")
     headers = f"a header reads {','.join(REQUIRED)} for points or {','.join(BOX_COLUMNS)} for boxes"
     why = f"begins no ground truth file that is known here; {headers}, without a header a line is {LTWH}"
-    raise InputError(f"{place}: {first[:60]!r} {why}")
+    raise InputError(f"{place}: {first[:60]!r} {why}; commas stand between columns, and decimals have a point")
 
 
 def _is_number(cell: str) -> bool:
