@@ -116,7 +116,7 @@ MISTAKES = [
     ("frame: 0\nface:\n", 2, "a target holds box: and points:"),
     (HEAD + "box: [1, 2, .nan, 4]\n", 3, "not a finite number"),
     (HEAD + "points: {nose: [1, -1e7]}\n", 3, "face: points.nose[2] must be at least -1000000"),
-    (HEAD + "box: [1, 2, 3]\n", 3, "must have 4 items, not 3; write box: [left, top, width, height]"),
+    (HEAD + "box: [1, 2, 3]\n", 3, '"box" lacks item 4; add it'),
     (HEAD + "points: {nose: [1, x]}\n", 3, 'face: points.nose[2] must be a number, not the text "x"'),
     (HEAD + "box:\n  points: {nose: [1, 2]}\n", 3, "nothing is given here"),
     (HEAD + "points: [[1, 2]]\n", 3, "must be a mapping of keys, not a list; write points: {nose: [x, y]}"),
