@@ -16,7 +16,8 @@ _NAMES = "a name has small letters, digits and _, begins with a letter, and is n
 _PLAIN: Final = {
     "(Input|String|Number|List|Tuple|Dictionary) should": "must",
     "greater than or equal to": "at least", "less than or equal to": "at most", " after validation": "",
-    "a valid integer.*": "a whole number", "a valid string.*": "a text", "a valid tuple": "a list", "a valid boolean": "true or false", "a valid ": "a ",
+    "a valid integer.*": "a whole number", "a valid string.*": "a text", "a valid tuple": "a list",
+    "a valid boolean.*": "true or false", "a valid ": "a ",
 }  # fmt: skip
 
 

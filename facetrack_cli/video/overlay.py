@@ -26,22 +26,20 @@ from facetrack_cli.video.overlay_labels import (
     GREY,
     LOST,
     PALETTE,
-    WHITE,
     Colour,
     Font,
-    Insets,
-    Labels,
     Points,
     Shape,
-    Shown,
     StatusBar,
     dashes,
     fixed,
     ink,
+    lay_insets,
     mark,
     polylines,
     readable,
     stamp,
+    write_names,
 )
 
 _FADES = 4  # steps of opacity along a trail
@@ -92,11 +90,9 @@ class Overlay:
         scale = min(height, 0.75 * width)  # of portrait frames the width counts
         self._line = line = max(1, round(scale / 480))
         cap = 7 if scale < 160 else 8
-        font = Font(max(cap, round(0.017 * scale)))
+        self._font = Font(max(cap, round(0.017 * scale)))
         bar = StatusBar(width, max(cap, round(0.019 * scale)), line, title)
         self._bar = bar if height >= 48 and width >= 48 else None  # in tiny frames there is no room for it
-        top = bar.height if self._bar else 0
-        self._insets, self._labels = Insets(size, top, line, font), Labels(size, top, line, font)
         self._stride = max(1, math.ceil(fps * trail_s / _MAX_SAMPLES)) if math.isfinite(fps * trail_s) else 1
         self._past: dict[str, deque[_Past]] = {}
         self._reach = 4.0 * max(size)
@@ -105,11 +101,11 @@ class Overlay:
     @property
     def memory(self) -> Any:
         """What it keeps of the frames so far, so that another one goes on in its place."""
-        return self._count, self._past, self._insets.memory
+        return self._count, self._past
 
     @memory.setter
     def memory(self, memory: Any) -> None:
-        self._count, self._past, self._insets.memory = memory
+        self._count, self._past = memory
 
     def draw(self, result: FrameResult) -> Image:
         """An image of the frame with its result; parts without a finite place are left out.
@@ -134,9 +130,8 @@ class Overlay:
         places = [self._order.get(target.rows.target, i) for i, target in enumerate(result.targets)]
         pairs = zip(result.targets, places, strict=True)
         shapes = [self._shape(target, place, frame.aspect, alone=alone) for target, place in pairs]
-        shown = [Shown(s.target, s.insets, s.colour if len(shapes) > 1 else WHITE) for s in shapes if s.insets]
-        windows = [(b[0], b[1], b[2], b[3]) for s in shapes for b in s.bounds.tolist()]
-        taken = self._insets.draw(image, shown, windows) if shown else []  # below the lines, where they have to cross
+        style = self._bar.height if self._bar else 0, self._line, self._font
+        taken = lay_insets(image, shapes, *style)  # below the lines, where they have to cross
         for shape in shapes:
             trail = self._remember(shape, frame.time_s)
             if shape.parts:
@@ -144,7 +139,7 @@ class Overlay:
                 self._lines(image, shape, trail[-1:] if shape.is_face else trail)
         names = {shape.target for shape in shapes}
         self._past = {name: past for name, past in self._past.items() if name in names}
-        self._labels.draw(image, shapes, taken, named=bool(self._order))
+        write_names(image, shapes, taken, *style, named=bool(self._order))
         if self._bar:
             self._bar.draw(image, result)
         self._count += 1

@@ -8,7 +8,7 @@ Templates are shown as in Zhou et al. 2003, fig. 3.
 
 import math
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -159,87 +159,42 @@ def _grey(mask: Image | cv2.typing.MatLike) -> Image:
 Rect = tuple[float, float, float, float]  # x0, y0, x1, y1
 _MIN_HEIGHT = 12  # pixels of an image; in a smaller image nothing can be seen
 _MAX_TARGETS = 4  # targets with images: one in each corner
-_MAX_BOXES = 60  # boxes in the frame; with more there is no room for names of parts
 _DECIDED = 0.5  # an identity less probable than that is doubtful
 _QUIET: Colour = (190, 190, 190)  # of names in doubt, and what is written beside the status
 _PLATE = 0.65  # opacity of the dark ground below the name of a target
 LOST_TEXT: Colour = (110, 165, 255)  # vermilion itself is too dark to read on the strip
 
 
-class Shown(NamedTuple):
-    """The images of one target, each with its name, and the colour of their frame."""
-
-    target: str
-    pictures: tuple[tuple[str, Image], ...]
-    colour: Colour
-
-
-class Insets:
-    """Lays images into corners of frames of `size`; below `top` rows, which are the status bar's.
-
-    A target keeps its corner until a window comes to lie there and another corner is clear.
-    """
-
-    def __init__(self, size: tuple[int, int], top: int, line: int, font: Font) -> None:
-        self._size, self._top, self._line, self._font = size, top, line, font
-        self._height = round(0.2 * min(size[1], 0.75 * size[0]))
-        self.memory: dict[str, int] = {}  # the corner of each target
-
-    def draw(self, image: Image, shown: Sequence[Shown], windows: Sequence[Rect]) -> list[Rect]:
-        """Draw the images that have room on `image` (H, W, 3) in place, away from `windows`; the places taken."""
-        scaled = [(one, pictures) for one in shown[:_MAX_TARGETS] if (pictures := self._scaled(one.pictures))]
-        now = {one.target: self.memory[one.target] for one, _ in scaled if one.target in self.memory}
-        taken = []
-        for one, pictures in scaled:
-            width = sum(picture.shape[1] + self._line for _, picture in pictures) + self._line
-            size = width, pictures[0][1].shape[0] + 2 * self._line
-            mine = now.pop(one.target, None)
-            free = [corner for corner in range(4) if corner not in now.values()]
-            covered = {corner: _covered(self._box(corner, size), windows) for corner in free}
-            best = min(free, key=lambda corner: (covered[corner], corner))
-            keeps = mine is not None and (not covered[mine] or covered[best] > 0)
-            now[one.target] = corner = mine if mine is not None and keeps else best
-            taken.append(self._box(corner, size))
-            self._lay(image, pictures, one.colour, round(taken[-1][0]), round(taken[-1][1]))
-        self.memory = now
-        return taken
-
-    def _scaled(self, pictures: Sequence[tuple[str, Image]]) -> list[tuple[str, Image]]:
-        """The images with their names, all equally high, and together no wider than 0.4 of the frame."""
-        wide = sum(picture.shape[1] / picture.shape[0] for _, picture in pictures)
-        height = min(self._height, int(0.4 * self._size[0] / wide))
+def lay_insets(image: Image, shapes: Sequence["Shape"], top: int, line: int, font: Font) -> list[Rect]:
+    """Draw the images of targets into corners of `image` (H, W, 3), in place, below `top` rows; the places taken."""
+    (height, width), taken, gap = image.shape[:2], list[Rect](), 2 * line
+    for shape in [shape for shape in shapes if shape.insets][:_MAX_TARGETS]:
+        wide = sum(picture.shape[1] / picture.shape[0] for _, picture in shape.insets)
+        high = min(round(0.2 * min(height, 0.75 * width)), int(0.4 * width / wide))
+        if high < _MIN_HEIGHT:
+            continue
         scaled = []
-        for name, picture in pictures if height >= _MIN_HEIGHT else ():
-            size = max(1, round(height * picture.shape[1] / picture.shape[0])), height
-            how = cv2.INTER_CUBIC if height > picture.shape[0] else cv2.INTER_AREA
-            scaled.append((name, np.asarray(cv2.resize(picture, size, interpolation=how), np.uint8)))
-        return scaled
-
-    def _box(self, corner: int, size: tuple[int, int]) -> Rect:
-        """Corners are numbered from the lower left, right, then the upper right, left."""
-        (width, height), gap = size, 2 * self._line
-        left = gap if corner in (0, 3) else self._size[0] - width - gap
-        top = self._size[1] - height - gap if corner < 2 else self._top + gap
-        return left, top, left + width, top + height
-
-    def _lay(self, image: Image, scaled: Sequence[tuple[str, Image]], colour: Colour, left: int, top: int) -> None:
-        line, font = self._line, self._font
-        x = left + line
+        for name, picture in shape.insets:
+            size = max(1, round(high * picture.shape[1] / picture.shape[0])), high
+            how = cv2.INTER_CUBIC if high > picture.shape[0] else cv2.INTER_AREA
+            scaled.append((name, cv2.resize(picture, size, interpolation=how)))
+        whole = sum(picture.shape[1] + line for _, picture in scaled) + line, high + 2 * line
+        # from the lower left, right, then the upper right, left
+        x = gap if len(taken) in (0, 3) else width - whole[0] - gap
+        y = height - whole[1] - gap if len(taken) < 2 else top + gap
+        taken.append((x, y, x + whole[0], y + whole[1]))
+        cv2.rectangle(
+            image, (x, y), (x + whole[0] - 1, y + whole[1] - 1), WHITE if len(shapes) < 2 else shape.colour, -1
+        )
         for name, picture in scaled:
-            height, width = picture.shape
-            cv2.rectangle(image, (x - line, top), (x + width + line - 1, top + height + 2 * line - 1), colour, -1)
-            under = image[max(top + line, 0) : top + line + height, max(x, 0) : x + width]
+            x += line
+            under = image[max(y + line, 0) : y + line + high, max(x, 0) : x + picture.shape[1]]
             under[:] = cv2.cvtColor(picture[: under.shape[0], : under.shape[1]], cv2.COLOR_GRAY2BGR)
             sprite = font.sprite(name[:12], WHITE, line)
-            if name and sprite.size[0] <= width and sprite.size[1] <= 0.5 * height:
-                stamp(image, sprite, x + width - sprite.size[0], top + line)
-            x += width + line
-
-
-def _covered(box: Rect, windows: Iterable[Rect]) -> float:
-    """Pixels of the box that windows cover, each counted by itself."""
-    shared = ((min(box[2], w[2]) - max(box[0], w[0]), min(box[3], w[3]) - max(box[1], w[1])) for w in windows)
-    return sum(max(0.0, across) * max(0.0, down) for across, down in shared)
+            x += picture.shape[1]
+            if name and sprite.size[0] <= picture.shape[1] and sprite.size[1] <= 0.5 * high:
+                stamp(image, sprite, x - sprite.size[0], y + line)
+    return taken
 
 
 class Shape(NamedTuple):
@@ -274,68 +229,35 @@ class Shape(NamedTuple):
         return len(self.parts) > 1 and BOX in self.parts
 
 
-class Labels:
-    """Writes names on frames of `size`, below `top` rows, which are the status bar's."""
+def write_names(
+    image: Image, shapes: Sequence[Shape], taken: Sequence[Rect], top: int, line: int, font: Font, *, named: bool
+) -> None:
+    """Name targets above them, below `top` rows, or below them where names, what is `taken` or the border are there.
 
-    def __init__(self, size: tuple[int, int], top: int, line: int, font: Font) -> None:
-        self._size, self._top, self._line, self._font = size, top, line, font
-
-    def draw(self, image: Image, shapes: Sequence[Shape], taken: Sequence[Rect], *, named: bool = False) -> None:
-        """Names on `image` in place, each where it covers nothing of `taken`, or nowhere.
-
-        A single target has a name only if it is `named`.
-        """
-        tags = list(taken)
-        for shape in shapes:
-            tags += self._tag(image, shape, named or len(shapes) > 1, tags)
-        boxes = [(b[0], b[1], b[2], b[3]) for shape in shapes for b in shape.bounds.tolist()]
-        full = [(0, 0, self._size[0], self._top), *boxes, *tags]
-        for shape in shapes:
-            if shape.parts and not shape.is_face and len(full) <= _MAX_BOXES:
-                self._parts(image, shape, full)
-
-    def _parts(self, image: Image, shape: Shape, taken: list[Rect]) -> None:
-        """The names of parts whose windows are large enough, first at the side that faces away from the middle."""
-        middle = float(shape.centres[:, 0].mean())
-        columns = (shape.parts, shape.bounds.tolist(), shape.centres[:, 0].tolist(), shape.lost.tolist(), shape.colours)
-        for part, bound, x, lost, colour in zip(*columns, strict=True):
-            small = min(bound[2] - bound[0], bound[3] - bound[1]) < 2.4 * self._font.cap
-            if small or part in (shape.target, BOX):  # the latter say nothing more
-                continue
-            sprite = self._font.sprite(readable(part), LOST if lost else colour, self._line)
-            right, left, *others = _beside(bound, sprite.size, 2 * self._line)
-            for place in (right, left, *others) if x >= middle else (left, right, *others):
-                box = (*place, place[0] + sprite.size[0], place[1] + sprite.size[1])
-                if self._free(box, taken):
-                    stamp(image, sprite, *place)
-                    taken.append(box)
-                    break
-
-    def _free(self, box: Rect, taken: Sequence[Rect]) -> bool:
-        """Whether a box is in the frame, and away from what is taken."""
-        x0, y0, x1, y1 = box
-        within = x0 >= 0 and y0 >= 0 and x1 <= self._size[0] and y1 <= self._size[1]
-        return within and not any(x0 < t[2] and t[0] < x1 and y0 < t[3] and t[1] < y1 for t in taken)
-
-    def _tag(self, image: Image, shape: Shape, named: bool, tags: Sequence[Rect]) -> list[Rect]:
-        """Name a target above it, or below where `tags` or the border are in the way; the place taken, if any."""
-        text, colour = _name(shape, named) if shape.parts else ("", shape.colour)
+    A single target has a name only if it is `named`.
+    """
+    (bottom, right), tags = image.shape[:2], list(taken)
+    for shape in shapes:
+        text, colour = _name(shape, named or len(shapes) > 1) if shape.parts else ("", shape.colour)
         low, high = shape.bounds[:, :2].min(axis=0, initial=np.inf), shape.bounds[:, 2:].max(axis=0, initial=-np.inf)
-        if not text or (high < 0).any() or (low > self._size).any():
-            return []
-        sprite = self._font.sprite(text, colour, self._line)
+        if not text or (high < 0).any() or (low > (right, bottom)).any():
+            continue
+        sprite = font.sprite(text, colour, line)
         width, height = sprite.size
-        left = int(min(max((low[0] + high[0] - width) / 2, 0), max(self._size[0] - width, 0)))
-        gap = 2 * self._line
-        above, below = int(low[1]) - height - gap, min(int(high[1]) + gap, self._size[1] - height)
-        boxes = [(left, top, left + width, top + height) for top in (above, below) if top >= self._top or top == below]
-        chosen = next((box for box in boxes if self._free(box, tags)), boxes[0])
-        top = chosen[1]
-        plate = image[max(top, 0) : max(top + height, 0), max(left - self._line, 0) : max(left + width + self._line, 0)]
+        x = int(min(max((low[0] + high[0] - width) / 2, 0), max(right - width, 0)))
+        above, below = int(low[1]) - height - 2 * line, min(int(high[1]) + 2 * line, bottom - height)
+        places = [y for y in (above, below) if y >= top] or [below]
+        free = (y for y in places if not any(_meet((x, y, x + width, y + height), tag) for tag in tags))
+        y = next(free, places[0])
+        tags.append((x, y, x + width, y + height))
+        plate = image[max(y, 0) : max(y + height, 0), max(x - line, 0) : max(x + width + line, 0)]
         if plate.size:
             cv2.convertScaleAbs(plate, plate, 1 - _PLATE)
-        stamp(image, sprite, left, top)
-        return [chosen]
+        stamp(image, sprite, x, y)
+
+
+def _meet(a: Rect, b: Rect) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def _name(shape: Shape, named: bool) -> tuple[str, Colour]:
@@ -347,15 +269,6 @@ def _name(shape: Shape, named: bool) -> tuple[str, Colour]:
         return who, shape.colour
     percent = " >99%" if sure >= 0.995 else f" {sure:.0%}"  # no posterior is certain
     return (f"{who}?{percent}", _QUIET) if sure < _DECIDED else (f"{who}{percent}", shape.colour)
-
-
-def _beside(bound: Sequence[float], size: tuple[int, int], gap: int) -> list[tuple[int, int]]:
-    """Corners (left, top) for a label of `size` to the right of a window, to its left, below, and above."""
-    (x0, y0, x1, y1), (width, height) = bound, size
-    across, down = round((x0 + x1 - width) / 2), round((y0 + y1 - height) / 2)
-    right, below = math.ceil(x1) + 1 + gap, math.ceil(y1) + 1 + gap
-    left, above = math.floor(x0) - gap - width, math.floor(y0) - gap - height
-    return [(right, down), (left, down), (across, below), (across, above)]
 
 
 class StatusBar:

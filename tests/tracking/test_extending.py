@@ -166,9 +166,7 @@ def test_messages_know_of_it(plugged, tmp_path):
     assert problem.span.excerpt().splitlines()[1].endswith("^^^")
     path.write_text(text.replace("sigma: 300", "sigm: 3"), encoding="utf-8")
     assert 'unknown key "sigm" in "likelihood"; did you mean "sigma"?' in str(check_recipe(str(path))[0])
-    assert 'unknown key "robust" in "likelihood"' in refused(
-        "likelihood.type=grey_difference"
-    )  # `robust` is another one's
+    assert 'unknown key "robust" in "likelihood"' in refused("likelihood.type=grey_difference")
 
 
 def test_the_schema_and_the_tables_know_of_it(plugged):

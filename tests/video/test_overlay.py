@@ -18,11 +18,10 @@ from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.overlay_labels import (
     PALETTE,
     Font,
-    Insets,
     Rect,
-    Shown,
     Sprite,
     StatusBar,
+    lay_insets,
     plain,
     readable,
     stamp,
@@ -166,20 +165,6 @@ def test_the_ellipse_shows_the_covariance() -> None:
     assert not ellipse((0.0, 0.0, 0.0))[100, 120:].any()
     dots = ellipse((0.0, 0.0, 0.0), spread=20.0)
     assert dots[60:140, 60:90].sum() + dots[60:140, 110:140].sum() >= 10
-
-
-def test_labels_never_lie_on_one_another_or_on_a_window() -> None:
-    size = (640, 480)
-    close = [part(n, 300.0 + 45 * (i % 3), 200.0 + 45 * (i // 3), w=41, h=41, cov=(0, 0, 0)) for i, n in enumerate(AT)]
-    crowded = result(size, *close, spread=0.0)
-    # a part named like its target has no label of its own
-    (one,) = crowded.targets
-    nameless = one._replace(rows=results.with_(one.rows, names=(("", ""),) * len(close)))
-    with_labels, without = Overlay(size).draw(crowded), Overlay(size).draw(FrameResult(crowded.frame, (nameless,)))
-    changed = (with_labels != without).any(axis=2)
-    assert changed.sum() > 100
-    for x, y in ((int(p["x"]), int(p["y"])) for p in close):
-        assert not changed[y - 20 : y + 21, x - 20 : x + 21].any()
 
 
 def test_identity_and_names_stand_near_their_targets() -> None:
@@ -432,18 +417,16 @@ def test_a_name_that_is_in_doubt_is_pale_and_has_a_question_mark() -> None:
 # --- images in the corners ---
 
 
-def insets(size: tuple[int, int]) -> Insets:
-    return Insets(size, 20, 1, Font(8))
-
-
-def lay(them: Insets, size: tuple[int, int], windows: list[Rect], *names: str) -> tuple[Image, list[Rect]]:
+def lay(size: tuple[int, int], *names: str) -> tuple[Image, list[Rect]]:
     image = np.full((size[1], size[0], 3), 128, np.uint8)
-    return image, them.draw(image, [Shown(name, PICTURES, (255, 0, 0)) for name in names or ("face",)], windows)
+    shown = [target(name, [part("box", 9, 9)], insets=PICTURES) for name in names]
+    shapes = [Overlay(size)._shape(one, k, alone=len(shown) == 1) for k, one in enumerate(shown)]
+    return image, lay_insets(image, shapes, 20, 1, Font(8))
 
 
 @pytest.mark.parametrize("size", [(320, 240), (1280, 720), (240, 320)])
 def test_pictures_stand_in_a_corner_legibly_and_in_their_order(size: tuple[int, int]) -> None:
-    image, (box,) = lay(insets(size), size, [])
+    image, (box,) = lay(size, "face")
     x0, y0, x1, y1 = map(int, box)
     assert x0 >= 0 and y1 <= size[1] and not touched(image[: y0 - 1]).any() and not touched(image[:, x1 + 1 :]).any()
     assert y1 - y0 >= 36 and 0.1 * size[1] <= y1 - y0 <= 0.3 * size[1] and x1 - x0 <= 0.45 * size[0]
@@ -453,19 +436,8 @@ def test_pictures_stand_in_a_corner_legibly_and_in_their_order(size: tuple[int, 
     assert abs(row[6 * quarter] - 90) < 3, "W"
 
 
-def test_they_go_where_no_window_is_and_stay_there() -> None:
-    size = (320, 240)
-    them = insets(size)
-    _, (first,) = lay(them, size, [])
-    assert first[0] < 10 and first[3] > 230, "lower left, if all is free"
-    left, everywhere = (0.0, 150.0, 100.0, 240.0), (0.0, 0.0, 320.0, 240.0)
-    _, (second,) = lay(them, size, [left])
-    assert not (second[0] < left[2] and second[3] > left[1])
-    assert lay(them, size, [everywhere])[1] == lay(them, size, [])[1] == [second], "and not back for nothing"
-
-
 def test_targets_have_a_corner_each_and_of_many_the_first_ones() -> None:
-    image, places = lay(insets((640, 480)), (640, 480), [], "a", "b", "c", "d", "e")
+    image, places = lay((640, 480), "a", "b", "c", "d", "e")
     assert len(set(places)) == 4
     quarters = touched(image).reshape(2, 240, 2, 320)  # each has some
     assert quarters.any(axis=(1, 3)).all()
