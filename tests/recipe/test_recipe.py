@@ -176,15 +176,16 @@ def test_a_file_that_has_changed_is_read_again(write):
 
 
 def test_a_miss_names_the_nearest_and_all(tmp_path):
-    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*adaptive, .*contour, .*skin_ncc_robust$'):
+    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?$'):
         load_recipe("factorised.yaml")
     for name in ("zzzz", "recipes/mine.yaml"):
-        with pytest.raises(RecipeError, match="neither a file nor a shipped recipe; give a file or a name; shipped "):
+        with pytest.raises(
+            RecipeError, match="neither a file nor a shipped recipe; the shipped recipes are: adaptive, "
+        ):
             load_recipe(name)
-    with pytest.raises(RecipeError, match="is a folder, not a recipe"):
-        load_recipe(str(tmp_path))
-    with pytest.raises(RecipeError, match="neither a file"):
-        load_recipe("x" * 300)
+    for name in (str(tmp_path), "x" * 300):
+        with pytest.raises(RecipeError, match="neither a file"):
+            load_recipe(name)
 
 
 def test_files_are_sought_beside_the_recipe_then_among_the_shipped(write, tmp_path, monkeypatch):

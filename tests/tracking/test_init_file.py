@@ -138,7 +138,11 @@ MISTAKES = [
     (SIX + "face: {colour: red}\n", 6, 'face in frame 6: unknown key "colour"; the keys there are: box, points, kept'),
     (SIX + "face: [1, 2]\n", 6, "the correction of face is a mapping"),
     (TWO + "- {frame: 6, absent: true}\n", 5, "below its name: head, left_hand"),
-    (POINTS + f"- {{frame: 6, {NOSE}}}\n- frame: 6\n  face: {{absent: true}}\n", 7, "face is corrected in frame 6 already"),
+    (
+        POINTS + f"- {{frame: 6, {NOSE}}}\n- frame: 6\n  face: {{absent: true}}\n",
+        7,
+        "face is corrected in frame 6 already",
+    ),
     (SIX + f"{NOSE}\n  windows: {{nose: [5, 5]}}\n", 7, 'unknown key "windows"'),
     (SIX + "points: {nose: [1, 1e7]}\n", 6, "face in frame 6: points.nose[2] must be at most 1000000"),
     (SIX + "absent: [lip_uper]\n", 6, 'did you mean "lip_upper"?'),
