@@ -99,17 +99,8 @@ def check_opencv(version: str) -> None:
     """UsageError where `cv2` is neither OpenCV 4 nor 5, as where another package brought one, which took its place."""
     if version.startswith(("4.", "5.")):
         return
-    from importlib import metadata
-
-    versions = {str(package.metadata["Name"]).lower(): package.version for package in metadata.distributions()}
-    wheels = {name: v for name, v in sorted(versions.items()) if name.startswith("opencv-")}
-    installed = ", ".join(f"{name} {v}" for name, v in wheels.items()) or "no package of it"
-    wheel = "opencv-contrib-python-headless" if any("contrib" in name for name in wheels) else "opencv-python-headless"
-    remedy = f"pip uninstall -y {' '.join(wheels)}; " if wheels else ""
-    remedy += f"pip install --force-reinstall '{wheel}>=4.13,<5'"
-    raise UsageError(
-        f"OpenCV 4 or 5 is needed, and cv2 is {version} ({installed} installed, of which the last one wins): {remedy}"
-    )
+    remedy = "uninstall all packages opencv-*, then pip install 'opencv-python-headless>=4.13,<5'"
+    raise UsageError(f"OpenCV 4 or 5 is needed, and cv2 is {version}: {remedy}")
 
 
 @contextmanager

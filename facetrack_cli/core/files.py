@@ -201,6 +201,8 @@ class FileSink:
 class BytesSink:
     """Records encoded and handed to `write`, as that of an open file."""
 
+    path: Path | None = None
+
     def __init__(self, write: Callable[[bytes], object]) -> None:
         self._write, self._records = write, 0
 
@@ -212,31 +214,27 @@ class BytesSink:
         if end := tail(self._records):
             self._write(_bytes(end))
 
+    def discard(self) -> None:
+        pass
 
-class StreamSink:
+
+class StreamSink(BytesSink):
     """Records to an open binary stream, each passed on at once. BrokenPipeError when the reader has closed it."""
 
     def __init__(self, stream: BinaryIO) -> None:
-        self.path, self._records = None, 0
+        super().__init__(self._pass_on)
         # unbuffered: what a reader did not take must not be written again at exit
         self._stream = getattr(stream, "raw", stream)
 
-    def write(self, record: str) -> None:
-        self._records += 1
+    def _pass_on(self, data: bytes) -> None:
         try:
-            rest = memoryview(_bytes(record))
+            rest = memoryview(data)
             while rest:
                 rest = rest[self._stream.write(rest) :]
         except BrokenPipeError:
             raise
         except OSError as e:
             raise cannot_write(Path("standard output"), e) from e
-
-    def finish(self, tail: Callable[[int], str]) -> None:
-        self.write(tail(self._records))
-
-    def discard(self) -> None:
-        pass
 
 
 def check_new(path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = ()) -> None:

@@ -68,25 +68,17 @@ class Kind:
             with path.open("rb") as raw:
                 check_inflated(path, raw, self.what)
                 file = np.load(raw, allow_pickle=False)
-                if not isinstance(file, np.lib.npyio.NpzFile):
-                    raise InputError(f"{path}: is a bare array, not a {self.what}; {remedy}")
-                head = {name: file[name] for name in ("format", "version") if name in file.files}
+                head = {name: file[name] for name in ("format", "version")} if hasattr(file, "files") else {}
                 if str(head.get("format")) != self.format:
                     raise InputError(f"{path}: is not a {self.what}; {remedy}")
-                if head.get("version") is None or head["version"].ravel()[0] != self.version:
-                    version = f"{head.get('version')}, and this facetrack reads version {self.version}"
-                    again = f"make it again with `{self.command}`"
-                    raise InputError(f"{path}: is a {self.what} of format version {version}; {again}")
+                if head["version"].ravel()[0] != self.version:
+                    version = f"{head['version']}, and this facetrack reads version {self.version}"
+                    raise InputError(f"{path}: is a {self.what} of format version {version}; {remedy}")
                 return make(Stored(file))
-        except FileNotFoundError as e:
-            raise InputError(f"{path}: there is no such {self.what}; {remedy}") from e
         except OSError as e:
-            why = f"cannot be read: {e.strerror or e}"
-            raise InputError(f"{path}: {why}; name a {self.what}, as `{self.command}` writes it") from e
-        except KeyError as e:
-            raise InputError(f"{path}: the {self.what} lacks an array: {e.args[0]}; {remedy}") from e
-        except (*_HEADER, MemoryError, RuntimeError, BadZipFile, zlib.error) as e:
-            plain = isinstance(e, ValueError) and "pickle" not in str(e)
+            raise InputError(f"{path}: cannot be read: {e.strerror or e}; {remedy}") from e
+        except (*_HEADER, KeyError, MemoryError, RuntimeError, BadZipFile, zlib.error) as e:
+            plain = isinstance(e, ValueError | KeyError) and "pickle" not in str(e)
             why = " ".join(str(e).split()) if plain else "it is no .npz of plain arrays"
             raise InputError(f"{path}: is not a usable {self.what}: {why}; {remedy}") from e
 

@@ -16,15 +16,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from ruamel.yaml import YAML, events
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
 
 MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe has a page
 MAX_DEPTH = 20
+MAX_DIGITS = 30  # of a whole number
 EXCERPT_WIDTH = 100
 Scalar: TypeAlias = "str | int | float | bool | None"
 _WORDS = {**dict.fromkeys(("null", "Null", "NULL", "~", "")), **dict.fromkeys(("true", "True", "TRUE"), True)}
 _WORDS |= dict.fromkeys(("false", "False", "FALSE"), False)
+_KINDS = ("map", "seq", "str", "int", "float", "bool", "null", "timestamp", "merge", "value")  # without a tag, too
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
@@ -133,7 +136,20 @@ def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
 
 def parse(source: Source, *, start: int = 0) -> Node | None:
     """The tree of the one document from the character `start` on, None without any. YamlProblems: all refused."""
-    return _Reader(source, start).read()
+    reader = _Reader(source, start)
+    try:
+        root = YAML(typ="safe", pure=True).compose(source.text[start:])
+        tree = None if root is None else reader.node(root, 0)
+    except (YAMLError, ValueError, OverflowError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+        at = (0, 0) if mark is None else (mark.line, mark.column)
+        about = [getattr(error, "context", None), getattr(error, "problem", None)]
+        why = " ".join(" ".join(filter(None, about) if any(about) else [str(error)]).split())
+        message = f"not valid YAML: {why}; correct the text at or before this place"
+        raise YamlProblems([Problem(reader.span(*at, at[1] + 1), message)]) from None
+    if reader.problems:
+        raise YamlProblems(reader.problems)
+    return tree
 
 
 def assign(root: Node, option: str, assignment: str) -> None:
@@ -143,21 +159,18 @@ def assign(root: Node, option: str, assignment: str) -> None:
     """
     source = Source(f"{option} {printable(assignment)}", assignment, Path(), is_file=False)
     path, equals, _ = assignment.partition("=")
-    whole = Span(source, 0, 0, max(1, len(path)))
-    if not equals or any(c in path for c in "\n\r"):
-        raise YamlProblems([Problem(whole, f"no value is given; write {option} KEY=VALUE, as in filter.particles=200")])
+    names = path.split(".")
+    if not equals or "\n" in path or not all(map(str.strip, names)):
+        message = f"no value, or no name, is given; write {option} KEY=VALUE, as in filter.particles=200"
+        raise YamlProblems([Problem(Span(source, 0, 0, max(1, len(path))), message)])
     value = parse(source, start=len(path) + 1) or Node(Span(source, 0, len(path), len(path) + 1), None)
     node, column = root, 0
-    names = path.split(".")
     for depth, raw in enumerate(names):
         name = raw.strip()
-        begin = column + len(raw) - len(raw.lstrip())
-        key = Span(source, 0, begin, begin + max(1, len(name)))
-        column += len(raw) + 1
-        if not name:
-            raise YamlProblems([Problem(key, "a name is missing here; write keys with one dot between them")])
+        begin = column + raw.index(name)
+        key, column = Span(source, 0, begin, begin + len(name)), column + len(raw) + 1
         if not isinstance(node.value, dict):
-            above = ".".join(part.strip() for part in names[:depth])
+            above = ".".join(map(str.strip, names[:depth]))
             raise YamlProblems([Problem(key, f'"{above}" holds no keys; set it as a whole: {option} {above}=VALUE')])
         if depth == len(names) - 1:
             node.value[name] = Node(value.span, value.value, key)
@@ -173,120 +186,58 @@ class _Reader:
     source: Source
     start: int
     problems: list[Problem] = field(default_factory=list)
-    seen_alias: bool = False
+    seen: set[int] = field(default_factory=set)  # the nodes: an alias repeats one
 
-    def read(self) -> Node | None:
-        root: Node | None = None
-        try:
-            stream = iter(YAML(typ="safe", pure=True).parse(self.source.text[self.start :]))
-            for event in stream:
-                if not isinstance(event, events.DocumentStartEvent):
-                    continue
-                if root is not None:
-                    self.refuse(event, "a second document begins here; keep one in a file")
-                    break
-                if event.version not in (None, (1, 2), [1, 2]):
-                    self.refuse(event, "only YAML 1.2 is read; remove the %YAML line")
-                root = self.node(stream, next(stream), 0)
-        except (YAMLError, ValueError, OverflowError) as error:
-            self.problems = [self.syntax(error) if isinstance(error, MarkedYAMLError) else self.unreadable(error)]
-        if self.problems:
-            raise YamlProblems(self.problems)
-        return root
-
-    def node(self, stream: Iterator[Any], event: Any, depth: int) -> Node:
-        if depth > MAX_DEPTH:
-            self.refuse(event, f"nested more than {MAX_DEPTH} deep")
-            raise YamlProblems(self.problems)
-        span = self.span(event)
-        if isinstance(event, events.AliasEvent):
-            self.refuse(event, f'"*{event.anchor}" repeats another part of the file; write it out', of_anchors=True)
+    def node(self, given: Any, depth: int) -> Node:
+        begin, end = given.start_mark, given.end_mark
+        span = self.span(begin.line, begin.column, end.column if end.line == begin.line else begin.column + 1)
+        kind, tag = given.tag.rpartition(":")[2], given.tag
+        if id(given) in self.seen:
             return Node(span, None)
-        if event.anchor is not None:
-            why = f'"&{event.anchor}" is an anchor; remove it, and write out what refers to it'
-            self.refuse(event, why, of_anchors=True)
-        tag = event.ctag or event.tag
-        if tag is not None and str(tag) != "!":
-            self.refuse(event, f'the tag "{tag}" is not allowed; remove it')
-        if isinstance(event, events.MappingStartEvent):
-            return self.mapping(stream, event, depth)
-        if isinstance(event, events.SequenceStartEvent):
-            items: list[Node] = []
-            while not isinstance(child := next(stream), events.SequenceEndEvent):
-                items.append(self.node(stream, child, depth + 1))
-            return Node(self.span(event, child), items)
-        return Node(span, self.scalar(event))
+        self.seen.add(id(given))
+        if depth > MAX_DEPTH:
+            self.problems.append(Problem(span, f"nested more than {MAX_DEPTH} deep"))
+            raise YamlProblems(self.problems)
+        if given.anchor is not None:
+            why = f'"&{given.anchor}" is an anchor; remove it, and write out what refers to it'
+            self.problems.append(Problem(span, why))
+        if not tag.startswith("tag:yaml.org,2002:") or kind not in _KINDS:
+            self.problems.append(Problem(span, f'the tag "{tag}" is not allowed; remove it'))
+        if isinstance(given, MappingNode):
+            return Node(span, self.mapping(given, depth))
+        if isinstance(given, SequenceNode):
+            return Node(span, [self.node(item, depth + 1) for item in given.value])
+        return Node(span, given.value if given.style else self.plain(given.value, span))
 
-    def mapping(self, stream: Iterator[Any], start: Any, depth: int) -> Node:
+    def mapping(self, given: Any, depth: int) -> dict[str, Node]:
         children: dict[str, Node] = {}
-        while not isinstance(event := next(stream), events.MappingEndEvent):
-            key = self.node(stream, event, depth + 1)
-            value = self.node(stream, next(stream), depth + 1)
-            if not isinstance(event, events.ScalarEvent):
-                self.refuse(event, "a key must be a name")
-            elif (first := children.get(event.value)) is not None and first.key is not None:
+        for name, item in given.value:
+            key, value = self.node(name, depth + 1), self.node(item, depth + 1)
+            if not isinstance(name, ScalarNode):
+                self.problems.append(Problem(key.span, "a key must be a name"))
+            elif (first := children.get(name.value)) is not None and first.key is not None:
                 also = f" (first on line {first.key.line + 1})" if self.source.is_file else ""
-                self.refuse(event, f'the key "{event.value}" is repeated{also}; remove one of them')
+                why = f'the key "{name.value}" is repeated{also}; remove one of them'
+                self.problems.append(Problem(key.span, why))
             else:
-                children[event.value] = Node(value.span, value.value, key.span)
-        return Node(self.span(start, event), children)
+                children[name.value] = Node(value.span, value.value, key.span)
+        return children
 
-    def scalar(self, event: Any) -> Scalar:
-        text: str = event.value
-        if any("\ud800" <= char <= "\udfff" for char in text):
-            self.refuse(event, "half of a surrogate pair is no character; write the character itself")
-            return None
-        if event.style is not None or not event.implicit[0]:
-            return text
+    def plain(self, text: str, span: Span) -> Scalar:
+        """The value of a text without quotes."""
         if text in _WORDS:
             return _WORDS[text]
-        if _INT.fullmatch(text):
-            if len(text) > 30:
-                self.refuse(event, f"a number of {len(text)} digits; is it meant as a text? Put it in quotes")
-                return None
+        if _INT.fullmatch(text) and len(text) < MAX_DIGITS:
             return int(text, {"0x": 16, "0o": 8}.get(text[:2], 10))
         if _NOT_FINITE.fullmatch(text) or (_FLOAT.fullmatch(text) and math.isinf(float(text))):
-            self.refuse(event, f"{text} is not a finite number; write one")
+            self.problems.append(Problem(span, f"{text} is not a finite number; write one"))
             return None
         return float(text) if _FLOAT.fullmatch(text) else text
 
-    def span(self, event: Any, closing: Any = None) -> Span:
-        begin, end = event.start_mark, event.end_mark
-        if closing is not None and event.flow_style:
-            end = closing.end_mark
-        last = end.column if end.line == begin.line else begin.column + 1
-        return self.at(begin.line, begin.column, last)
-
-    def at(self, line: int, column: int, end: int) -> Span:
+    def span(self, line: int, column: int, end: int) -> Span:
         head = _lines(self.source.text[: self.start])
         shift = len(head[-1]) if line == 0 else 0
         return Span(self.source, line + len(head) - 1, column + shift, end + shift)
-
-    def refuse(self, event: Any, message: str, of_anchors: bool = False) -> None:
-        if not (of_anchors and self.seen_alias):  # one message is enough for hundreds of them
-            self.problems.append(Problem(self.span(event), message))
-        self.seen_alias |= of_anchors
-
-    def syntax(self, error: MarkedYAMLError) -> Problem:
-        mark = error.problem_mark or error.context_mark
-        line, column = (mark.line, mark.column) if mark is not None else (0, 0)
-        span = self.at(line, column, column + 1)
-        lines = _lines(self.source.text)
-        here = lines[span.line][: span.column + 1] if span.line < len(lines) else ""
-        if here.endswith("\t") or (here.strip() == "" and "\t" in here):
-            return Problem(span, "a tab; YAML is indented by spaces, replace it")
-        if error.problem == "mapping values are not allowed here":
-            return Problem(span, "a second colon; put the text in quotes if it belongs to it, or begin a new line")
-        about = " ".join(filter(None, (error.context, error.problem)))
-        return Problem(span, f"not valid YAML: {' '.join(about.split())}; correct the text at or before this place")
-
-    def unreadable(self, error: Exception) -> Problem:
-        position = getattr(error, "position", None)
-        if not isinstance(position, int):
-            return Problem(self.at(0, 0, 1), f"not valid YAML: {' '.join(str(error).split())}; correct the text")
-        lines = _lines(self.source.text[self.start :][:position])
-        span = self.at(len(lines) - 1, len(lines[-1]), len(lines[-1]) + 1)
-        return Problem(span, "a control character, which YAML does not allow; remove it")
 
 
 @lru_cache(4)  # every problem of a recipe asks for them

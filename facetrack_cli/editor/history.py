@@ -9,17 +9,16 @@ import contextlib
 import math
 import pickle
 import tempfile
-import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, zip_longest
+from itertools import chain, count
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.errors import InputError, OutputError, reason
 from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
 from facetrack_cli.engine.corrected import CorrectedTarget, all_or, completed, is_complete, with_confirmed
@@ -41,41 +40,28 @@ Read: TypeAlias = Callable[[int], Frame]
 
 
 class Store:
-    """The rows of tracks in a temporary file: undo over many corrections takes no memory. Thread-safe.
+    """The rows of tracks in a temporary folder: undo over many corrections takes no memory.
 
     `recorded` are the rows of the run.
     """
 
     def __init__(self, recorded: Trajectory) -> None:
-        self._recorded, self._lock = recorded, threading.Lock()
-        self._end = 0
-        try:
-            self._file: Any = tempfile.TemporaryFile(prefix="facetrack-fix-", buffering=0)  # noqa: SIM115
-        except OSError as e:
-            raise OutputError(f"no temporary file can be made: {e.strerror or e}; set TMPDIR to a folder") from e
+        self._recorded, self._numbers = recorded, count()
+        with _writing():
+            self._folder = tempfile.TemporaryDirectory(prefix="facetrack-fix-")
 
-    def add(self, rows: Trajectory) -> int:
-        """Store the rows; their place in the file."""
-        data = pickle.dumps(rows)
-        with self._lock:
-            place, written = self._end, 0
-            try:
-                self._file.seek(place)
-                while written < len(data):
-                    written += self._file.write(data[written:])
-            except OSError as e:
-                remedy = "free some space, or set TMPDIR"
-                raise OutputError(f"{tempfile.gettempdir()}: cannot be written: {e.strerror or e}; {remedy}") from e
-            self._end += len(data)
-        return place
+    def add(self, rows: Trajectory) -> Path:
+        """Store the rows; their file."""
+        path = Path(self._folder.name, str(next(self._numbers)))
+        with _writing():
+            path.write_bytes(pickle.dumps(rows))
+        return path
 
     def rows(self, track: Track) -> Trajectory:
         """The rows of its target, from its first frame on."""
         if track.place is None:
             return choose(self._recorded, track.target)
-        with self._lock:
-            self._file.seek(track.place)
-            rows: Trajectory = pickle.load(self._file)
+        rows: Trajectory = pickle.loads(track.place.read_bytes())
         return rows
 
     def spliced(self, tracks: Mapping[str, Sequence[Track]]) -> Trajectory:
@@ -90,7 +76,16 @@ class Store:
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
-            self._file.close()
+            self._folder.cleanup()
+
+
+@contextlib.contextmanager
+def _writing() -> Iterator[None]:
+    try:
+        yield
+    except OSError as e:
+        remedy = "free some space, or set TMPDIR to another folder"
+        raise OutputError(f"temporary files cannot be written: {reason(e)}; {remedy}") from e
 
 
 @dataclass(frozen=True)
@@ -105,9 +100,9 @@ class Task:
 
 @dataclass(frozen=True)
 class Track(Task):
-    """The rows of a task: their place in the store, or None if they are the recorded rows of the run."""
+    """The rows of a task: their file in the store, or None if they are the recorded rows of the run."""
 
-    place: int | None = None
+    place: Path | None = None
 
 
 class Step(NamedTuple):
@@ -215,10 +210,7 @@ class Fixer:
                     tracks[name].append(results)
                     last[name] = results
                     plan.pop(0)
-            # each round goes through the frames of its tasks once
-            now = {task.target for task in tasks}
-            later = zip_longest(*(plan[1:] if name in now else plan for name, plan in plans.items()))
-            total = max(total, done + length_of(tasks) + sum(length_of(filter(None, row)) for row in later))
+            total = max(total, done + length_of(task for plan in plans.values() for task in plan))
 
             def step(n: int, _: int | None, before: int = done, total: int = total) -> None:
                 report(before + n, max(total, before + n))

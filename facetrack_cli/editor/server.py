@@ -239,7 +239,7 @@ class _Handler(BaseHTTPRequestHandler):
         origins = [origin.strip().lower() for origin in self.headers.get_all("Origin", [])]
         # a browser that hides the origin sends null; no page can forge the other header
         hidden = origins == ["null"] and self.headers.get_all("Sec-Fetch-Site") == ["same-origin"]
-        return not origins or hidden or origins == [f"http://{host}"]
+        return hidden or origins in ([], [f"http://{host}"])
 
     def _body_length(self) -> int | None:
         """Bytes of the body that follows; None if that is unknown."""

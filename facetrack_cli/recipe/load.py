@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from fractions import Fraction
 from functools import lru_cache
@@ -58,21 +59,16 @@ def default_recipe(*, box: bool) -> str:
 
 def find_recipe(name_or_path: str) -> Path:
     """The file of a recipe: a path that exists, else a shipped one by its name, with or without `.yaml`."""
-    path, folder = Path(name_or_path), False
-    try:
-        folder = bool(name_or_path) and path.is_dir()
-        if name_or_path and path.exists() and not folder:
+    path = Path(name_or_path)
+    with suppress(OSError, ValueError):  # a name that the file system does not take
+        if name_or_path and path.exists() and not path.is_dir():
             return path
-    except (OSError, ValueError):  # a name that the file system does not take
-        pass
     shipped = {file.stem: file for file in shipped_recipes()}
     wanted = name_or_path.removesuffix(".yaml")
     if wanted in shipped:
         return shipped[wanted]
-    near = suggest(wanted, list(shipped), "")
-    hint = f"{near} " if near.startswith("did") else "give a file or a name; "
-    what = "a folder, not a recipe" if folder else "neither a file nor a shipped recipe"
-    raise RecipeError(f'"{name_or_path}" is {what}; {hint}shipped are {", ".join(shipped)}')
+    hint = suggest(wanted, list(shipped), "the shipped recipes are")
+    raise RecipeError(f'"{name_or_path}" is neither a file nor a shipped recipe; {hint}')
 
 
 @one_error()
@@ -256,11 +252,8 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
     check_gallery_file(file)
     recognising = any(map(_recognising, recipes))
     if not recognising and not any(map(_affine, recipes)):
-        types = sorted({settings.target.type for settings in recipes[0].filters.values()})
-        follows = " and ".join(kind if kind == "points" else f"a {kind}" for kind in types)
-        what = f"{recipes[0].name} follows {follows}" if types else f"{recipes[0].name} is one of OpenCV's own trackers"
-        remedy = "take adaptive_recognition, or leave --gallery out"
-        raise UsageError(f"--gallery: {what}, and people are recognised by affine targets alone; {remedy}")
+        what = f"{recipes[0].name} follows no affine target, by which alone people are recognised"
+        raise UsageError(f"--gallery: {what}; take adaptive_recognition, or leave --gallery out")
     takes = _recognising if recognising else _affine
     return [put_gallery(recipe, file) if takes(recipe) else recipe for recipe in recipes]
 
@@ -279,19 +272,11 @@ def wants_gallery(recipe: Recipe) -> bool:
 
 
 def check_gallery_file(file: str) -> None:
-    """Raises UsageError or InputError for what is no file."""
-    if not file:
-        raise UsageError(f"--gallery is empty; name a gallery, {_MADE_BY}")
-    path, shown = Path(file), f"--gallery {printable(file)}"
-    try:
-        there, folder = path.is_file(), path.is_dir()
-    except (OSError, ValueError):  # a name that the file system does not take
-        there = folder = False
-    if folder:
-        remedy = f"name a file in it, {_MADE_BY}; facetrack gallery fit {printable(file)} makes one of people's folders"
-        raise InputError(f"{shown}: is a folder; {remedy}")
-    if not there:
-        raise InputError(f"{shown}: no such file; correct the name, or make one with facetrack gallery fit")
+    """Raises InputError for what is no file."""
+    with suppress(OSError, ValueError):  # a name that the file system does not take
+        if Path(file).is_file():
+            return
+    raise InputError(f"--gallery {printable(file)}: no such file; name one {_MADE_BY}")
 
 
 def put_gallery(recipe: Recipe, file: str) -> Recipe:

@@ -1,8 +1,9 @@
 """The errors that pydantic finds in a recipe, as problems with a place in the text and a remedy."""
 
+import re
 import types
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, Final, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -10,42 +11,20 @@ from pydantic_core import ErrorDetails
 from facetrack_cli.core.yaml_tree import Node, Problem, Span
 from facetrack_cli.recipe.sections import Steps, suggest, type_of, variants
 
-_WANTED = {
-    **dict.fromkeys(("int_type", "int_from_float"), "a whole number"),
-    **dict.fromkeys(("model_type", "model_attributes_type", "dict_type"), "a mapping of keys"),
-    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
-    "float_type": "a number",
-    "string_type": "a text",
-    "bool_type": "true or false",
-}
-_BOUNDS = {
-    "greater_than": ("gt", "greater than {}"),
-    "greater_than_equal": ("ge", "at least {}"),
-    "less_than": ("lt", "less than {}"),
-    "less_than_equal": ("le", "at most {}"),
-    "string_too_short": ("min_length", "at least {} characters long"),
-    "string_too_long": ("max_length", "at most {} characters long"),
-}
-_NAMES = "a name has small letters, digits and _, and begins with a letter"
+_NAMES = "a name has small letters, digits and _, begins with a letter, and is not long"
+# of what pydantic says, the words that people who write recipes would use
+_PLAIN: Final = {
+    "(Input|String|Number|List|Tuple|Dictionary) should": "must",
+    "greater than or equal to": "at least", "less than or equal to": "at most", " after validation": "",
+    "a valid integer.*": "a whole number", "a valid string.*": "a text", "a valid tuple": "a list",
+    "a valid boolean.*": "true or false", "a valid ": "a ",
+}  # fmt: skip
 
 
 def problems(error: ValidationError, model: type[BaseModel], root: Node) -> list[Problem]:
     """Everything that the error lists, in the order of the text."""
-    errors = error.errors(include_url=False)
-    listed = [problem for details in errors for problem in _problems(details, model, root)]
-    listed += _short_lists([details["loc"] for details in errors if details["type"] == "missing"], root)
+    listed = [problem for details in error.errors(include_url=False) for problem in _problems(details, model, root)]
     return sorted(listed, key=lambda p: (not p.span.source.is_file, p.span.line, p.span.column))
-
-
-def _short_lists(missing: Sequence[Steps], root: Node) -> Iterator[Problem]:
-    """pydantic reports each missing item of a list of fixed length: this reports each list once."""
-    wanted: dict[Steps, int] = {}
-    for *path, last in missing:
-        if isinstance(last, int):
-            wanted[tuple(path)] = max(last + 1, wanted.get(tuple(path), 0))
-    for steps, length in wanted.items():
-        node, keys, _ = locate(root, steps)
-        yield Problem(_value_span(node), f"{_dotted(keys)} must have {length} items, not {_length(node)}")
 
 
 def locate(root: Node, path: Steps) -> tuple[Node, list[str], bool]:
@@ -75,77 +54,51 @@ def locate(root: Node, path: Steps) -> tuple[Node, list[str], bool]:
 
 
 def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iterator[Problem]:
-    kind, path, context = details["type"], details["loc"], details.get("ctx", {})
+    kind, path = details["type"], details["loc"]
     if kind == "refused":
-        for refusal in context["refusals"]:
+        for refusal in details["ctx"]["refusals"]:
             node, _, _ = locate(root, (*path, *refusal.path))
             yield Problem(node.key if refusal.at_key and node.key else _value_span(node), refusal.message)
         return
     node, keys, _ = locate(root, path)
     where, at = _dotted(keys), node.key or node.span
-    types = [type_of(member) for member in _models_at(model, tuple(keys))] if kind.startswith("union") else []
-    if kind == "too_short" and _length(node) >= context["min_length"]:
-        return  # pydantic does not count items that are wrong themselves
-    if kind == "missing" and isinstance(path[-1], int):
-        return  # the list as a whole has a message
     if kind == "missing":
+        what = f"item {path[-1] + 1}" if isinstance(path[-1], int) else f'the key "{path[-1]}"'
         section = f'"{where}"' if where else "the recipe"
-        yield Problem(at, f'{section} lacks the key "{path[-1]}"; add it')
+        yield Problem(at, f"{section} lacks {what}; add it")
     elif kind == "extra_forbidden":
-        yield Problem(at, _unknown_key(str(path[-1]), path, model, root))
-    elif kind == "union_tag_not_found":
-        yield Problem(at, f'"{where}" lacks the key "type"; it is one of: {", ".join(types)}')
-    elif kind == "union_tag_invalid":
-        chosen = node.value["type"] if isinstance(node.value, dict) else Node(node.span, None)
-        message = f"{where}.type cannot be {_shown(chosen.value)}; it is one of: {', '.join(types)}"
-        if isinstance(chosen.value, str):
-            message = f'unknown {where} type "{chosen.value}"; {suggest(chosen.value, types, "it is one of")}'
-        yield Problem(chosen.span, message)
-    elif path[-1] == "[key]":  # how pydantic calls the name itself in a mapping from any name
-        rule = _NAMES if kind == "string_pattern_mismatch" else f"give {context['max_length']} characters at most"
-        yield Problem(at, f'"{keys[-1]}" cannot be one of {_dotted(keys[:-1])}; {rule}')
-    else:
-        yield Problem(_value_span(node), f"{where or 'the recipe'} {_must(details, node)}")
-
-
-def _must(details: ErrorDetails, node: Node) -> str:
-    kind, context = details["type"], details.get("ctx", {})
-    shown = _shown(node.value)
-    if kind in _WANTED:
-        quoted = isinstance(node.value, str) and kind in ("int_type", "float_type") and _is_number(node.value)
-        return f"must be {_WANTED[kind]}, not {shown}{'; remove the quotes' if quoted else ''}"
-    if kind in _BOUNDS:
-        name, phrase = _BOUNDS[kind]
-        bound = context[name]  # written as people do: 1000000, not 1e+06
-        number = bound if isinstance(bound, int) else format(bound, ".0f" if bound.is_integer() else "g")
-        if isinstance(node.value, str):  # a time
-            shown = f"{details['input']:g}, which is {node.value} at the clip's frame rate"
-        return f"must be {phrase.format(number)}, not {shown}"
-    if kind in ("too_short", "too_long"):
-        bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
-        return f"must have {bound} items, not {_length(node)}"
-    if kind == "literal_error":
-        choices = [word.strip(" '") for word in str(context["expected"]).replace(" or ", ",").split(",")]
-        return f"cannot be {shown}; {suggest(str(node.value), choices, 'it is one of')}"
-    if kind == "string_pattern_mismatch":
-        return f"cannot be {shown}; {_NAMES}"
-    return f"{details['msg']}, not {shown}"
-
-
-def _unknown_key(key: str, path: Steps, model: type[BaseModel], root: Node) -> str:
-    node, keys, _ = locate(root, path[:-1])
-    section = _dotted(keys)
-    owners = _models_at(model, path[:-1])
-    names = [name for owner in owners[:1] for name in owner.model_fields]
-    homes = [type_of(kind) for kind in _models_at(model, tuple(keys)) if key in kind.model_fields]
-    if homes and section:
-        mine = type_of(owners[0])
+        above, owners = _dotted(locate(root, path[:-1])[1]), _models_at(model, path[:-1])
+        names = suggest(
+            str(path[-1]), [name for owner in owners[:1] for name in owner.model_fields], "the keys there are"
+        )
+        inside = f' in "{above}"' if above else ""
+        yield Problem(at, f'unknown key "{path[-1]}"{inside}; {names}')
+    elif kind.startswith("union_tag"):
+        types = [type_of(member) for member in _models_at(model, tuple(keys))]
         chosen = node.value.get("type") if isinstance(node.value, dict) else None
-        typed = chosen is not None and not chosen.span.source.is_file
-        remedy = f"give all of it at once: --set '{section}={{type: {mine}, ...}}'" if typed else "remove it"
-        return f'"{key}" does not belong to {section} type "{mine}" but to {" and ".join(homes)}; {remedy}'
-    inside = f' in "{section}"' if section else ""
-    return f'unknown key "{key}"{inside}; {suggest(key, names, "the keys there are")}'
+        if chosen is None:
+            yield Problem(at, f'"{where}" lacks the key "type"; it is one of: {", ".join(types)}')
+        else:
+            named = suggest(str(chosen.value), types, "it is one of")
+            yield Problem(chosen.span, f"{where}.type cannot be {_shown(chosen.value)}; {named}")
+    elif path[-1] == "[key]":  # how pydantic calls the name itself in a mapping from any name
+        yield Problem(at, f'"{keys[-1]}" cannot be one of {_dotted(keys[:-1])}; {_NAMES}')
+    elif kind != "too_short" or _length(node) < details["ctx"]["min_length"]:  # items that are wrong do not count there
+        yield Problem(_value_span(node), f"{where or 'the recipe'} {_said(details, node)}")
+
+
+def _said(details: ErrorDetails, node: Node) -> str:
+    """What pydantic says, with what stands in the text."""
+    said, shown = details["msg"], _shown(node.value)
+    for theirs, plain in _PLAIN.items():
+        said = re.sub(theirs, plain, said)
+    if details["type"] in ("model_type", "model_attributes_type", "dict_type"):
+        said = "must be a mapping of keys"
+    elif details["type"] == "string_pattern_mismatch":
+        said = f"does not fit: {_NAMES}"
+    elif isinstance(node.value, str) and isinstance(details["input"], int | float):  # a time
+        shown = f"{details['input']:g}, which is {node.value} at the clip's frame rate"
+    return said if ", not " in said else f"{said}, not {shown}"
 
 
 def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
@@ -188,14 +141,6 @@ def _value_span(node: Node) -> Span:
 
 def _dotted(keys: Sequence[str]) -> str:
     return ".".join(keys).replace(".[", "[")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _shown(value: Any) -> str:

@@ -35,7 +35,7 @@ from facetrack_cli.runs.workers import cores, share_threads, side_by_side
 from facetrack_cli.start.precompile import precompiling
 from facetrack_cli.trajectory.reader import is_there
 from facetrack_cli.video import images
-from facetrack_cli.video.source import chapters, check_local, is_clip, is_image
+from facetrack_cli.video.source import check_local, is_clip, is_image
 
 TRIES: Final = 2  # of a clip whose process a signal ends
 LOOK_S: Final = 0.5  # between two looks whether a clip of somebody else is free
@@ -220,10 +220,6 @@ def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: No
     if len(single) > 1:
         folder = f"{single[0].parent}{os.sep}"
         raise UsageError(f"{single[0]} and {len(single) - 1} more are single images; give their folder, {folder}")
-    if parts := chapters(clips):
-        names = f"{parts[0].name} to {parts[-1].name}"
-        how = "list them as lines file 'NAME' and join them first: ffmpeg -f concat -safe 0 -i LIST -c copy joined.mp4"
-        note(f"facetrack: {names}: each is a clip of its own; if they are chapters of one recording, {how}")
     plain = len(inputs) == len(listed) and groups == [[path] for path in inputs]
     return ClipList(clips, len(clips) > 1 or not plain)
 

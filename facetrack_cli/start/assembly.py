@@ -155,12 +155,9 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
         absent = {*correction.hidden(target.parts), *still}
         if absent >= set(correctable_parts(target.parts)):
             continue
-        if correction.learn and points and absent:
-            raise InputError(f"{origin}: {', '.join(sorted(absent))} cannot be learned while absent; leave learn out")
-        if correction.learn is False and kind is None and not hand:
-            raise InputError(f"{origin}: OpenCV's trackers begin again in any case; leave learn out")
-        if correction.learn and not learns and not points:
-            raise InputError(f"{origin}: colours are learned in the first frame alone; leave learn out")
+        asked = correction.learn
+        if (asked and (absent if points else not learns)) or (asked is False and kind is None and not hand):
+            raise InputError(f"{origin}: what it looks like cannot be learned, or kept, there; leave learn out")
 
     def place(frame: Frame, correction: Correction) -> TargetStart:
         assert correction.given.box is not None
@@ -183,8 +180,7 @@ def _check(correction: Correction, target: Target, start: Start, origin: str, *,
     named = [*correction.given.points, *correction.kept, *chain(*lists)]
     parts = {*correctable_parts(target.parts), *start.targets.get(correction.target, TargetStart()).points}
     if unknown := ", ".join(part for part in named if part not in parts):
-        these = f"these are {', '.join(correctable_parts(target.parts))}: correct the name"
-        raise InputError(f"{origin}: has {unknown}, which is no part that is followed; {these}")
+        raise InputError(f"{origin}: has {unknown}; what is followed is {', '.join(correctable_parts(target.parts))}")
     hidden = correction.hidden(target.parts)
     if correction.confirmed:
         return

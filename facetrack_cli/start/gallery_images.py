@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, reason
+from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.types import Array, Box, Frame, Start
 from facetrack_cli.core.yaml_tree import printable
 from facetrack_cli.engine.spaces import check_size
@@ -69,27 +69,21 @@ class Reading(NamedTuple):
 def find_people(folder: Path, warn: Warn) -> list[Person]:
     """Everyone who has a folder in `folder`, in natural order. Raises InputError where it is no gallery."""
     entries = _entries(folder)
-    folders = [entry for entry in entries if entry.is_dir()]
     beside = [entry for entry in entries if not entry.is_dir() and entry.suffix.lower() not in PASSED_OVER]
-    if not folders and beside:
-        example = folder / "anna" / beside[0].name
-        raise InputError(f"{folder}: has images but no folders; make one for each person, as in {example}")
-    if not folders:
-        raise InputError(f"{folder}: is empty; put a folder of images in it for each person")
     if beside:
         more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
         warn(f"{beside[0]}{more}: in no person's folder; passed over")
-    people = [_person(entry, warn) for entry in folders]
+    people = [_person(entry, warn) for entry in entries if entry.is_dir()]
     if len(people) < 2:
-        raise InputError(f"{folder}: {people[0].name} is the only person in it; add another folder, to be told apart")
+        example = folder / "anna"
+        raise InputError(
+            f"{folder}: has {len(people)} folders of people; make one for each of two or more, as {example}"
+        )
     by_name: dict[str, Person] = {}
     for person in people:
-        other = by_name.setdefault(person.name.casefold(), person)
-        both = f"{person.folder} and {other.folder}"
-        if other is not person and other.name == person.name:
-            raise InputError(f"{both}: are both called {person.name}; rename one, or put their images into one folder")
-        if other is not person:
-            warn(f"{both}: are two persons; if they are one, put their images into one folder")
+        if (other := by_name.setdefault(person.name.casefold(), person)) is not person:
+            remedy = "rename one, or put their images into one folder"
+            raise InputError(f"{person.folder} and {other.folder}: are both called {person.name}; {remedy}")
     return people
 
 
@@ -101,13 +95,8 @@ def count(people: Sequence[Person], reading: Reading) -> int:
 
 def _entries(folder: Path) -> list[Path]:
     """What is in a folder and not hidden, in natural order."""
-    try:
-        if not folder.is_dir():
-            what = "is no folder" if folder.exists() else "no such folder"
-            raise InputError(f"{folder}: {what}; name one that has a folder for each person")
+    with reading(folder, "name one that has a folder for each person"):
         entries = [entry for entry in folder.iterdir() if not entry.name.startswith(".")]
-    except OSError as e:
-        raise InputError(f"{folder}: {reason(e)}; check the name and the permissions") from e
     return sorted(entries, key=lambda entry: images.natural_key(entry.name))
 
 
@@ -141,13 +130,9 @@ def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
     elif start is None:
         yield from _in_clip(item, reading, warn)
     else:
-        try:
-            with open_source(item.path, start=start.frame, stop=start.frame + 1) as source:
-                for frame in source:
-                    yield frame, _box_in(start, frame)
-        except InputError as e:
-            fits = str(e).startswith(start.origin)
-            raise InputError(str(e) if fits else f"{start.origin}: does not fit: {e}") from None
+        with open_source(item.path, start=start.frame, stop=start.frame + 1) as source:
+            for frame in source:
+                yield frame, _box_in(start, frame)
 
 
 def _in_image(item: Item, frame: Frame, warn: Warn) -> Box | None:
@@ -195,20 +180,14 @@ def _spread(path: Path, reading: Reading) -> list[int]:
 def _read_start(item: Item, path: Path, reading: Reading) -> Start:
     """The single face of an init file, with the checks that need no image."""
     start = read_init(path)
-    if len(start.targets) > 1:
-        has = f"has {len(start.targets)} targets, {', '.join(start.targets)}"
-        raise InputError(f"{path}: {has}; leave the face of {item.path.parent.name} alone")
-    [(name, target)] = start.targets.items()
-    if target.box is None:
-        raise InputError(f"{path}: has no box of {name}; add box: [left, top, width, height]")
+    [(name, target), *others] = start.targets.items()
+    if others or target.box is None:
+        raise InputError(f"{path}: is not of one box; leave the face of {item.path.parent.name} alone, with its box")
     check_size(str(path), name, target.box)
-    if item.is_image and start.frame:
-        raise InputError(f"{path}: starts at frame {start.frame}, but {item.path.name} is an image; write frame: 0")
-    end = math.inf if reading.stop is None else reading.stop
-    if not item.is_image and not reading.start <= start.frame < end:
-        used = f"{reading.start} to {'the end' if reading.stop is None else reading.stop - 1}"
-        remedy = "choose one of these, or change --start and --stop"
-        raise InputError(f"{path}: starts at frame {start.frame}, and only frames {used} are to be used; {remedy}")
+    end = 1 if item.is_image else math.inf if reading.stop is None else reading.stop
+    if not (0 if item.is_image else reading.start) <= start.frame < end:
+        remedy = "choose one that is used, which is 0 of an image, or change --start and --stop"
+        raise InputError(f"{path}: starts at frame {start.frame}, which is not used; {remedy}")
     return replace(start, origin=str(path))
 
 

@@ -29,7 +29,7 @@ from typing import Any, Final, NoReturn, TextIO, TypeAlias, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.face_points import DETECTORS, HANDS
 from facetrack_cli.core.files import write_new
 from facetrack_cli.core.geometry import centre, inside
@@ -47,15 +47,6 @@ OF_CORRECTIONS: Final = tuple(key for key in CorrectedTarget.model_fields if key
 MAX_TARGETS: Final = 100
 NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 MAX_BYTES: Final = 10**6  # some thousand corrections, which take seconds to read
-_FORMS: Final = {
-    "box": "[left, top, width, height] in pixels",
-    "points": "{nose: [x, y]} in pixels",
-    "windows": "{nose: [width, height]} in pixels",
-    "kept": "{nose: [x, y]} in pixels",
-    "absent": "[nose], or absent: true",
-    "learn": "true or learn: false",
-    "confirmed": "[nose], or confirmed: true",
-}
 _HOW: Final = {
     "haar": "found by Haar cascades",
     "yunet": "found by YuNet",
@@ -183,36 +174,29 @@ def read_init(path: Path) -> Start:
     """
     name = str(path)
     try:
-        source = read_source(path, name, MAX_BYTES)
+        with reading(path, "correct the name, or make one with facetrack init"):
+            source = read_source(path, name, MAX_BYTES)
         if path.suffix.lower() == ".json":  # JSON may be indented by tabs, YAML may not
             source = replace(source, text=source.text.replace("\t", " "))
         root = parse(source)
         if root is None:
             raise InputError(f"{name}:1: the init file is empty; make one with facetrack init")
         keys = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
-        frame, by, corrections = _frame(keys, root), _placed_by(keys), keys.pop("corrections", None)
+        frame, by, corrections = _frame(keys, root), keys.pop("placed_by", None), keys.pop("corrections", None)
+        if by is not None and by.value not in DETECTORS:
+            _refuse(by, f"placed_by names a detector, {' or '.join(DETECTORS)}; remove the line if none did")
         targets = _targets(keys, root)
         corrected = _corrections(corrections, frame, targets) if corrections else ()
-        return Start(frame, targets, name, corrected, detector=by, placed=by != "")
-    except FileNotFoundError:
-        raise InputError(f"{name}: no such init file; correct the name, or make one with facetrack init") from None
-    except IsADirectoryError:
-        raise InputError(f"{name}: is a folder; name the init file, as in clip.init.yaml") from None
-    except OSError as e:
-        raise InputError(f"{name}: cannot be read: {e.strerror or e}; make it readable, or name another") from None
+        detector = "" if by is None else str(by.value)
+        return Start(frame, targets, name, corrected, detector=detector, placed=by is not None)
     except YamlProblems as refused:
         more = f" (and {len(refused.problems) - 1} more)" if len(refused.problems) > 1 else ""
         raise InputError(f"{refused.problems[0]}{more}") from None
 
 
 def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
-    add = "add box: [left, top, width, height] or points:"
-    if not keys:
-        _refuse(root, f"neither a box nor points are given; {add}")
     alone = any(key in KEYS for key in keys)
     for key, node in keys.items():
-        if key in OF_CORRECTIONS:
-            _refuse(node, f'"{key}" is a key of corrections; move it below corrections:', at_key=True)
         near = get_close_matches(key, (*OF_FILES, *KEYS), n=1, cutoff=0.7)
         if key not in KEYS if alone else near or not isinstance(node.value, dict) or not NAME.fullmatch(key):
             form = f"keys are {', '.join(KEYS)}" if alone else "a target holds box: and points:, below its name"
@@ -221,10 +205,10 @@ def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
     if len(keys) > MAX_TARGETS:
         _refuse(root, f"{len(keys)} targets, and at most {MAX_TARGETS} are followed at a time; split the file")
     targets = {}
-    for name, node in ({TARGET: Node(root.span, keys)} if alone else keys).items():
+    for name, node in ({TARGET: Node(root.span, keys)} if alone or not keys else keys).items():
         target = _read(TargetRecord, node, name)
         if target.box is None and not target.points:
-            _refuse(node, f"neither a box nor points of {name} are given; {add}")
+            _refuse(node, f"no box or points of {name}; add box: [left, top, width, height] or points:")
         for part in target.windows:
             _check_part(locate(node, ("windows", part))[0], "windows", part, tuple(target.points))
         targets[name] = target.target()
@@ -234,51 +218,38 @@ def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
 def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> tuple[Correction, ...]:
     if not isinstance(node.value, list):
         _refuse(node, "corrections is a list; write - frame: 31 and, below it, what is corrected, or remove the key")
-    corrections: dict[tuple[int, str], tuple[Correction, int]] = {}
+    corrections: dict[tuple[int, str], Correction] = {}
     for entry in node.value:
         keys = _mapping(entry, "a correction", "- frame: 31 and, below it, what is corrected")
         at, frame = keys.get("frame", entry), _frame(keys, entry)
         if frame <= first:
             _refuse(at, f"corrects frame {frame}, but the track begins in frame {first}; corrections come after it")
-        for name, below in _corrected(keys, entry, targets).items():
+        if any(key in (*KEYS, *OF_CORRECTIONS) for key in keys):
+            if len(targets) > 1:
+                _refuse(entry, f"which target is corrected? Indent the keys below its name: {', '.join(targets)}")
+            keys = {name: Node(entry.span, keys) for name in targets}
+        if not keys:
+            _refuse(entry, "nothing is corrected here; add points: or box: by hand, or absent: true")
+        for name, below in keys.items():
+            if name not in (*targets, *HANDS):  # these may appear after the start
+                known = (*targets, *CorrectedTarget.model_fields)
+                remedy = suggest(name, known, "there are the start's targets, and keys")
+                _refuse(below, f'unknown key "{name}"; {remedy}', at_key=True)
             if (frame, name) in corrections:
-                twice = f"{name} has a correction of frame {frame} in line {corrections[frame, name][1]} already"
-                _refuse(below, f"{twice}; join them", at_key=True)
-            line = (below.key or below.span).line + 1
-            corrections[frame, name] = _correction(frame, name, below, targets.get(name, TargetStart())), line
-    return tuple(correction for correction, _ in sorted(corrections.values(), key=lambda pair: pair[0].frame))
-
-
-def _corrected(keys: _KEYS, entry: Node, targets: Mapping[str, TargetStart]) -> _KEYS:
-    """The keys of each target of an entry."""
-    if any(key in (*KEYS, *OF_CORRECTIONS) for key in keys):
-        if len(targets) > 1:
-            _refuse(entry, f"which target is corrected? Indent the keys below its name: {', '.join(targets)}")
-        return {name: Node(entry.span, keys) for name in targets}
-    if not keys:
-        _refuse(entry, "nothing is corrected here; add points: or box: by hand, or absent: true")
-    for key, node in keys.items():
-        if key not in (*targets, *HANDS):  # these may appear after the start
-            remedy = suggest(key, (*targets, *CorrectedTarget.model_fields), "there are the start's targets, and keys")
-            _refuse(node, f'unknown key "{key}"; {remedy}', at_key=True)
-    return keys
+                _refuse(below, f"{name} is corrected in frame {frame} already; join them", at_key=True)
+            corrections[frame, name] = _correction(frame, name, below, targets.get(name, TargetStart()))
+    return tuple(sorted(corrections.values(), key=lambda correction: correction.frame))
 
 
 def _correction(frame: int, name: str, node: Node, start: TargetStart) -> Correction:
     keys = _mapping(node, f"the correction of {name}", "points: or absent: below the name")
-    if "windows" in keys:
-        _refuse(keys["windows"], "windows stay as the start has them; remove them from the correction", at_key=True)
     record = _read(CorrectedTarget, node, f"{name} in frame {frame}")
     if not keys.keys() & {"box", "points", "absent", "confirmed"}:
         _refuse(node, f"nothing of {name} is corrected; add points: or box: by hand, or absent: true, or remove it")
-    if record.absent is True and len(keys) > 1:
-        other = next(key for key in keys if key != "absent")
-        _refuse(keys[other], f"all of {name} is absent; remove {other}, or list the absent parts", at_key=True)
-    if record.confirmed and len(keys) > 1:
-        other = next(key for key in keys if key != "confirmed")
-        _refuse(keys[other], f"{name} is confirmed where the tracker has it; remove {other}, or confirmed", at_key=True)
-    if record.box is not None and record.kept:
-        _refuse(keys["kept"], f"kept beside the box of {name}: a box has no other parts; remove kept", at_key=True)
+    whole = record.absent is True or bool(record.confirmed)
+    if (whole and len(keys) > 1) or (record.box is not None and record.kept):
+        alone = "absent: true and confirmed stand alone, and nothing is kept beside a box"
+        _refuse(node, f"{alone}; remove the other keys of {name}", at_key=True)
     # a start of a box alone leaves the parts to the recipe
     parts = (*start.points, *((BOX,) if start.box is not None else ())) if start.points else ()
     placed = {BOX: "box"} if record.box is not None else {}
@@ -301,19 +272,15 @@ def _check_part(node: Node, key: str, part: str, parts: Sequence[str]) -> None:
 
 def _read(model: type[_Record], node: Node, whose: str) -> _Record:
     for path, child in node.walk():
-        if path and child.value in (None, [], {}):
-            _refuse(child, "nothing is given here; write a value, or remove the key", at_key=True)
         if len(path) == 2 and isinstance(path[1], str) and not NAME.fullmatch(path[1]):
             _refuse(child, f'"{path[1]}" cannot name a part; use letters, digits, _ and -', at_key=True)
+        if path and child.value in (None, [], {}):
+            _refuse(child, "nothing is given here; write a value, or remove the key", at_key=True)
     try:
         return model.model_validate(node.plain())
     except ValidationError as error:
-        refused = []
-        for problem in problems(error, model, node):
-            key = next((key for key in _FORMS if re.match(rf"{key}\b", problem.message)), "")
-            form = f"; write {key}: {_FORMS[key]}" if key else ""
-            refused.append(Problem(problem.span, f"{whose}: {problem.message}{form}"))
-        raise YamlProblems(refused) from None
+        refused = problems(error, model, node)
+        raise YamlProblems([Problem(one.span, f"{whose}: {one.message}") for one in refused]) from None
 
 
 def _mapping(node: Node, what: str, example: str) -> _KEYS:
@@ -333,14 +300,6 @@ def _frame(keys: _KEYS, node: Node) -> int:
     return at.value
 
 
-def _placed_by(keys: _KEYS) -> str:
-    """The detector that has placed the points, "" if none has; the key is removed."""
-    node = keys.pop("placed_by", None)
-    if node is not None and node.value not in DETECTORS:
-        _refuse(node, f"placed_by names a detector, {' or '.join(DETECTORS)}; remove the line if none did")
-    return "" if node is None else str(node.value)
-
-
 def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
     """Refuse the value of a node. An empty value has no place, so the error points at its key."""
     span = node.key if (at_key or node.value is None) and node.key is not None else node.span
@@ -352,7 +311,7 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
 
     `frames` is the clip's number of frames if it is known for certain.
     """
-    origin, larger = start.origin, f"is larger than the frame of {size[0]}x{size[1]} pixels; make it smaller"
+    origin, of_frame = start.origin, f"the frame of {size[0]}x{size[1]} pixels"
     if frames is not None and start.frame >= frames:
         more = f"the clip ends with frame {frames - 1}; choose one that it has"
         raise InputError(f"{origin}: starts at frame {start.frame}, but {more}")
@@ -361,27 +320,26 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
             boxes = ", or follow its box by a recipe of regions, as contour_histogram" if target.box is not None else ""
             remedy = f"add it, or have all points placed with --box X,Y,W,H{boxes}"
             raise InputError(f"{origin}: no point for {missing} of {name}, which the recipe follows; {remedy}")
-        _check_places(origin, name, target, size)
-        for part, (w, h) in target.windows.items():
-            if w > size[0] or h > size[1]:
-                raise InputError(f"{origin}: the window of {part} of {name}, {w:g}x{h:g}, {larger}")
+    placed = list(start.targets.items())
     for correction in start.corrections:
+        name = f"{correction.target} at frame {correction.frame}"
         if correction.frame <= start.frame:
             begins = f"but the track begins at frame {start.frame}; remove that correction, or begin earlier"
-            raise InputError(f"{origin}: corrects {correction.target} at frame {correction.frame}, {begins}")
+            raise InputError(f"{origin}: corrects {name}, {begins}")
         # kept points are where the tracker saw them, which may be beyond the border
-        name, box = f"{correction.target} at frame {correction.frame}", correction.given.box
-        _check_places(origin, name, correction.given, size)
-        if box is not None and (box[2] > size[0] or box[3] > size[1]):
-            raise InputError(f"{origin}: the box of {name}, {box[2]:g}x{box[3]:g} pixels, {larger}")
-
-
-def _check_places(origin: str, name: str, target: TargetStart, size: tuple[int, int]) -> None:
-    """InputError if the box's centre, or a point, is outside of a frame of that (width, height)."""
-    outside = f"is outside the frame of {size[0]}x{size[1]} pixels; correct it"
-    if target.box is not None and not inside(centre(target.box), size):
-        numbers = ", ".join(f"{value:g}" for value in target.box)
-        raise InputError(f"{origin}: the centre of the box [{numbers}] of {name} {outside}")
-    for part, (x, y) in target.points.items():
-        if not inside((x, y), size):
-            raise InputError(f"{origin}: {part} of {name} at [{x:g}, {y:g}] {outside}")
+        placed.append((name, correction.given))
+        if (box := correction.given.box) is not None and (box[2] > size[0] or box[3] > size[1]):
+            larger = f"{box[2]:g}x{box[3]:g} pixels, is larger than {of_frame}; make it smaller"
+            raise InputError(f"{origin}: the box of {name}, {larger}")
+    for name, target in placed:
+        points = {f"{part} of {name} at [{x:g}, {y:g}]": (x, y) for part, (x, y) in target.points.items()}
+        if target.box is not None:
+            numbers = ", ".join(f"{value:g}" for value in target.box)
+            points[f"the centre of the box [{numbers}] of {name}"] = centre(target.box)
+        for what, point in points.items():
+            if not inside(point, size):
+                raise InputError(f"{origin}: {what} is outside {of_frame}; correct it")
+        for part, (w, h) in target.windows.items():
+            if w > size[0] or h > size[1]:
+                larger = f"{w:g}x{h:g}, is larger than {of_frame}; make it smaller"
+                raise InputError(f"{origin}: the window of {part} of {name}, {larger}")

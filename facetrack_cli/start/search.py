@@ -321,7 +321,6 @@ class _Search:
         note = f"begins in frame {at} with a face {best.said()} by {self.detector.name}"
         note += f", turned by {round(degrees(best.face.roll)) % 360} degrees clockwise" if best.face.turn else ""
         note += "" if best.certain else ", which shows neither nose nor mouth clearly: see whether it is upright"
-        passed = [candidate for candidate in self.candidates if candidate not in rivals]
         left = [candidate for candidate in rivals if candidate not in chosen]
         if others:
             note += f", and {len(others)} more"
@@ -329,9 +328,6 @@ class _Search:
             note += f"; {len(left)} more face{'s were' * (len(left) > 1) or ' was'} found, --faces all follows each"
         if left and not best.lives:
             note += "; none of them moves: if another one is meant, name it by --box X,Y,W,H"
-        if passed:
-            shown = "; ".join(face.said() for face in sorted(passed, key=lambda face: -face.worth)[:3])
-            note += f"; passed over: {shown}"
         return replace(start, targets=targets, note=note)
 
     def _settled(self, candidate: _Candidate, at: int) -> TargetStart:

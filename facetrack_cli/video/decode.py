@@ -23,7 +23,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Array, Frame, Image, Whole, planes_of
-from facetrack_cli.video.images import MOST_PIXELS, Levels, check_pixels, levels
+from facetrack_cli.video.images import MOST_PIXELS, check_pixels
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -40,7 +40,6 @@ _MAX_TRIES: Final = 3  # a seek that arrives too late is repeated from an earlie
 _MAX_THREADS: Final = 8  # of the decoder, each of which holds frames
 # larger frames are decoded several at a time; FFmpeg does not always tell which of them are damaged then
 _MAX_ALONE_PIXELS: Final = 1_000_000
-_LEVEL_FRAMES: Final = 50  # by which the range of 16-bit grey is measured
 _PRIMING_S: Final = 0.05  # of AAC and MP3
 _OBLONG: Final = 8  # a ratio of the sides of a pixel beyond this is a mistake in the file
 _SHAPE: Final = 1.03  # ratio of two scales up to which an image is stretched: sides are rounded
@@ -127,7 +126,6 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
         if _orientation(first)[0]:
             self.size, shape = self.size[::-1], 1 / shape
         self.aspect = shape if 1 / _OBLONG < shape < _OBLONG else Fraction(1)
-        self._levels = _levels(path, stream) if first.format.name.startswith("gray16") else None
         self.begins_s, _ = _shown_at(first, self._container)
 
     def read(self) -> VideoFrame | None:
@@ -151,7 +149,7 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
 
     def picture(self, raw: VideoFrame) -> Frame:
         """The frame that was read last, as players show it."""
-        frame = Frame(self.next - 1, self.time_s, pixels(raw, self._levels), aspect=float(self.aspect))
+        frame = Frame(self.next - 1, self.time_s, pixels(raw), aspect=float(self.aspect))
         if frame.size == self.size:
             return frame
         self.resized = self.resized or (frame.index, frame.size)
@@ -313,12 +311,9 @@ def _shown_at(first: VideoFrame, container: InputContainer) -> tuple[float, floa
     return (at_s, 0.0) if late else (0.0, at_s)
 
 
-def pixels(raw: VideoFrame, range_: Levels | None = None) -> Image:
-    """A decoded frame as `Frame.pixels`, turned and mirrored as players show it; `range_` is that of 16-bit grey."""
+def pixels(raw: VideoFrame) -> Image:
+    """A decoded frame as `Frame.pixels`, turned and mirrored as players show it."""
     way, sides = _orientation(raw), (raw.width, raw.height)
-    if range_ is not None:
-        grey = range_.grey(raw.to_ndarray(format="gray16le"))
-        return np.ascontiguousarray(_oriented(np.repeat(grey[..., None], 3, axis=2), way))
     matrix = int(raw.colorspace) if int(raw.colorspace) in _LUMA else _BT601
     if raw.format.name != "yuv420p" or raw.color_range == _FULL_RANGE or sides[0] % 2 or sides[1] % 2:
         image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace=matrix, dst_colorspace=_BT601), np.uint8)
@@ -350,14 +345,6 @@ def _to_bt601(matrix: int) -> Array:
     """(3, 3) Y, Cb and Cr by those of another matrix."""
     ours, theirs = (weights(*_LUMA[number])[:, :3] for number in (_BT601, matrix))
     return np.asarray(ours @ np.linalg.inv(theirs))
-
-
-def _levels(path: Path, stream: int | None) -> Levels:
-    """The range that the first frames of a video of 16-bit grey use."""
-    with open_container(path) as container:
-        video = video_stream(container, stream)
-        frames = container.decode(video) if video else ()
-        return levels(raw.to_ndarray(format="gray16le") for raw in islice(frames, _LEVEL_FRAMES))
 
 
 def _orientation(raw: VideoFrame) -> tuple[bool, bool, bool]:

@@ -5,8 +5,7 @@ import io
 import re
 import warnings
 import zlib
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, NamedTuple, TypeVar
@@ -76,15 +75,12 @@ def ordered(files: Iterable[_Name], name: Callable[[_Name], str]) -> list[_Name]
     """Files by the numbers in their names, as all of them are meant.
 
     A name is one number, also a negative one or a fraction, as 0.04, if all are; or ends in a fraction of seconds, as
-    1-02-03.45, if all do, or if the zeros at the ends of fractions are left out; or is a hexadecimal number, if all are
-    of one length. Else each run of digits is a number.
+    1-02-03.45, if all do, or if the zeros at the ends of fractions are left out. Else each run of digits is a number.
     """
     stems = {file: re.sub(r"\.[^.]*$", "", name(file)) for file in files}
     texts = stems.values()
     if all(map(_NUMBER.fullmatch, texts)):
         return sorted(stems, key=lambda file: (Fraction(stems[file]), name(file)))
-    if all(re.fullmatch("[0-9a-fA-F]{2,}", stem) for stem in texts) and len({*map(len, texts)}) == 1:
-        return sorted(stems, key=lambda file: (int(stems[file], 16), name(file)))
     fractions = [stem.rpartition(".")[2] for stem in texts if re.search(r"[0-9]\.[0-9]+$", stem)]
     padded = max((len(digits) for digits in fractions if digits[0] == "0" and len(digits) > 1), default=0)
     # a counter that is padded with zeros is never shorter than those that have them
@@ -97,20 +93,6 @@ def ordered(files: Iterable[_Name], name: Callable[[_Name], str]) -> list[_Name]
 def _fraction_key(stem: str, name: str) -> tuple[Any, ...]:
     whole, _, fraction = stem.partition(".") if stem.count(".") < 2 else stem.rpartition(".")
     return natural_key(whole)[0], Fraction(f"0.{fraction or 0}"), name
-
-
-def sequences(files: Sequence[Path]) -> list[str]:
-    """Several sequences that count alike, as of two cameras in one folder, each as a glob of their names."""
-    counted = defaultdict[str, set[str]](set)
-    for file in files:
-        if parts := re.fullmatch(r"(.*?)([0-9]+)([^0-9]*)", file.name):
-            counted[f"{parts[1]}*{parts[3]}"].add(parts[2])
-    several = {pattern: numbers for pattern, numbers in counted.items() if len(numbers) > 1}
-    # minutes and hours are no names of cameras: those have a letter before the number
-    named, words = ({re.sub(digits, "", p) for p in several} for digits in (r"(?<=[a-zA-Z])[0-9]+", "[0-9]+"))
-    first = next(iter(several.values()), set())
-    alike = all(len(numbers & first) * 2 > len(numbers) for numbers in several.values())
-    return list(several) if len(several) > 1 and alike and (len(named) == 1 or len(words) > 1) else []
 
 
 def natural_key(name: str) -> tuple[list[tuple[int, int | str]], str]:
@@ -218,26 +200,17 @@ def levels(samples: Iterable[Any]) -> Levels:
 
 
 def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) -> int:
-    """How many pictures a TIFF or WebP file holds; 1 of any other, and of a small one beside a large.
-
-    Raises UnreadableError for a stack whose pages are channels.
-    """
+    """How many pictures a TIFF or WebP file holds; 1 of any other, and of a small one beside a large."""
     if path.suffix.lower() not in _STACKS:
         return 1
     try:
         with _opened(path, data(path)) as image:
             count, size = int(getattr(image, "n_frames", 1)), image.size
-            description = str(getattr(image, "tag_v2", {}).get(270, ""))  # of a microscope's stack
             if count > 1:
                 image.seek(1)
-            count = count if image.size == size else 1
+            return count if image.size == size else 1
     except Exception:  # what is wrong with the file is said when it is read
         return 1
-    axes = {int(n) for n in re.findall(r"(?:\bSize[CZ]=\"|^(?:channels|slices)=)([0-9]+)", description, re.M)}
-    if count > 1 and max(axes, default=1) > 1:
-        why = f"is a stack of {count} pages, of which {max(axes)} are channels or slices of one time"
-        raise UnreadableError(path, why, "save one of them as a stack of its own")
-    return count
 
 
 def durations(path: Path) -> list[float]:

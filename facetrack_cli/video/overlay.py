@@ -4,13 +4,12 @@ A target has a colour of its own, of a single one each part (as in the plots); w
 dashed. Absent parts are not drawn. Of a face, points in a box, there are a frame, thin lines and small dots alone, so
 that the mouth stays visible; what is lost of it is grey.
 
-A start has a preview (`draw_start`): the frame around its targets, their boxes and parts, and rulers in pixels.
+A start has a preview (`draw_start`): the frame around its targets, their boxes, and the places of their parts.
 """
 
 import math
-from bisect import bisect_left
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections import defaultdict, deque
+from collections.abc import Sequence
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -27,20 +26,20 @@ from facetrack_cli.video.overlay_labels import (
     GREY,
     LOST,
     PALETTE,
-    WHITE,
     Colour,
     Font,
-    Insets,
-    Labels,
     Points,
     Shape,
-    Shown,
     StatusBar,
     dashes,
     fixed,
     ink,
+    lay_insets,
     mark,
     polylines,
+    readable,
+    stamp,
+    write_names,
 )
 
 _FADES = 4  # steps of opacity along a trail
@@ -91,25 +90,22 @@ class Overlay:
         scale = min(height, 0.75 * width)  # of portrait frames the width counts
         self._line = line = max(1, round(scale / 480))
         cap = 7 if scale < 160 else 8
-        font = Font(max(cap, round(0.017 * scale)))
+        self._font = Font(max(cap, round(0.017 * scale)))
         bar = StatusBar(width, max(cap, round(0.019 * scale)), line, title)
         self._bar = bar if height >= 48 and width >= 48 else None  # in tiny frames there is no room for it
-        top = bar.height if self._bar else 0
-        self._insets, self._labels = Insets(size, top, line, font), Labels(size, top, line, font)
         self._stride = max(1, math.ceil(fps * trail_s / _MAX_SAMPLES)) if math.isfinite(fps * trail_s) else 1
         self._past: dict[str, deque[_Past]] = {}
-        self._weights: dict[tuple[str, str], int] = {}
         self._reach = 4.0 * max(size)
         self._count = 0
 
     @property
     def memory(self) -> Any:
         """What it keeps of the frames so far, so that another one goes on in its place."""
-        return self._count, self._past, self._weights, self._insets.memory, self._labels.memory
+        return self._count, self._past
 
     @memory.setter
     def memory(self, memory: Any) -> None:
-        self._count, self._past, self._weights, self._insets.memory, self._labels.memory = memory
+        self._count, self._past = memory
 
     def draw(self, result: FrameResult) -> Image:
         """An image of the frame with its result; parts without a finite place are left out.
@@ -134,9 +130,8 @@ class Overlay:
         places = [self._order.get(target.rows.target, i) for i, target in enumerate(result.targets)]
         pairs = zip(result.targets, places, strict=True)
         shapes = [self._shape(target, place, frame.aspect, alone=alone) for target, place in pairs]
-        shown = [Shown(s.target, s.insets, s.colour if len(shapes) > 1 else WHITE) for s in shapes if s.insets]
-        windows = [(b[0], b[1], b[2], b[3]) for s in shapes for b in s.bounds.tolist()]
-        taken = self._insets.draw(image, shown, windows) if shown else []  # below the lines, where they have to cross
+        style = self._bar.height if self._bar else 0, self._line, self._font
+        taken = lay_insets(image, shapes, *style)  # below the lines, where they have to cross
         for shape in shapes:
             trail = self._remember(shape, frame.time_s)
             if shape.parts:
@@ -144,8 +139,7 @@ class Overlay:
                 self._lines(image, shape, trail[-1:] if shape.is_face else trail)
         names = {shape.target for shape in shapes}
         self._past = {name: past for name, past in self._past.items() if name in names}
-        self._weights = {key: weight for key, weight in self._weights.items() if key[0] in names}
-        self._labels.draw(image, shapes, taken, named=bool(self._order))
+        write_names(image, shapes, taken, *style, named=bool(self._order))
         if self._bar:
             self._bar.draw(image, result)
         self._count += 1
@@ -181,7 +175,6 @@ class Overlay:
         """The places of the target along its trail, oldest first, the present place last."""
         past = self._past.setdefault(shape.target, deque(maxlen=_MAX_SAMPLES + 1))
         if past and not past[-1].time_s < now:
-            self._weights = {key: line for key, line in self._weights.items() if key[0] != shape.target}
             past.clear()
         # a trail ends at a correction and at an absence
         if past and (past[-1].parts != shape.parts or shape.rows.by_hand.any()):
@@ -245,7 +238,7 @@ class Overlay:
             return
         layer = np.zeros((y1 - y0, x1 - x0, 4), np.uint8)  # colours times opacity, and opacity
         origin = np.array((x0, y0), np.float64)
-        for strokes, colour, opacity in self._strokes(trail, fixed(np.array(places) - origin), shape.colours):
+        for (opacity, colour), strokes in self._strokes(trail, fixed(np.array(places) - origin), shape.colours).items():
             polylines(layer, strokes, ink(colour, opacity), fine)
         gone = GREY if shape.is_face else LOST
         tints = [gone if lost else own for lost, own in zip(shape.lost.tolist(), shape.colours, strict=False)]
@@ -258,9 +251,7 @@ class Overlay:
             tint, part = tints[k], shape.parts[k]
             if shape.is_face and part != BOX:
                 continue
-            strong = shape.sizes[k].min() >= (24 if part == BOX else 60) * line
-            # as the size is when it is first seen, or it would flicker
-            weight = self._weights.setdefault((shape.target, part), line + bool(strong))
+            weight = line + (part == BOX)
             if shape.lost[k]:
                 polylines(layer, list(fixed(dashes(local[k], 10 * line))), ink(tint, 1), weight)
             else:
@@ -281,28 +272,17 @@ class Overlay:
 
     def _strokes(
         self, trail: list[_Past], at: Points, colours: Sequence[Colour]
-    ) -> Iterator[tuple[list[Points], Colour, float]]:
-        """The trail's lines of equal opacity, faint to strong; where a part was lost, dashes in vermilion."""
+    ) -> dict[tuple[float, Colour], list[Points]]:
+        """The trail's lines by opacity and colour, faint to strong; where a part was lost, dashes in vermilion."""
+        strokes: dict[tuple[float, Colour], list[Points]] = defaultdict(list)
         paths = np.ascontiguousarray(at.reshape(len(trail), -1, 2).transpose(1, 0, 2))  # (K, T, 2)
-        lost = np.array([p.lost for p in trail]).T  # (K, T)
-        fresh = [1 - (trail[-1].time_s - p.time_s) / max(self.trail_s, 1e-9) for p in trail]
-        ends = [bisect_left(fresh, (b + 1) / _FADES) for b in range(_FADES - 1)] + [len(trail) - 1]
-        start = 0
-        for b, end in enumerate(ends):
-            if end <= start:
-                continue
-            opacity = 0.3 + 0.65 * b / (_FADES - 1)
-            broken = list[Points]()
-            for path, gone, colour in zip(paths, lost[:, start + 1 : end + 1].tolist(), colours, strict=False):
-                whole = [] if any(gone) else [path[start : end + 1]]
-                for i, is_lost in enumerate(gone, start + 1) if any(gone) else ():
-                    if not is_lost:
-                        whole.append(path[i - 1 : i + 1])
-                    elif trail[i].number % 2:
-                        broken.append(path[i - 1 : i + 1])
-                yield whole, colour, opacity
-            yield broken, LOST, opacity
-            start = end
+        for i, (past, now) in enumerate(pairwise(trail)):
+            age = (trail[-1].time_s - past.time_s) / max(self.trail_s, 1e-9)
+            opacity = 0.3 + 0.65 * math.floor((1 - min(max(age, 0.0), 1.0)) * _FADES) / _FADES
+            for k, (lost, colour) in enumerate(zip(now.lost.tolist(), colours, strict=False)):
+                if not lost or now.number % 2:
+                    strokes[opacity, LOST if lost else colour].append(paths[k, i : i + 2])
+        return strokes
 
     def _signs(self, shape: Shape) -> list[float]:
         """The size of each part's mark in pixels; 0 is none, in windows of a few pixels."""
@@ -342,7 +322,7 @@ class Overlay:
 
 
 _PREVIEW_PX: Final = 900  # pixels, about: what is shown is enlarged by a whole factor to come near it
-_BOX, _PART, _RULER = (255, 200, 0), (0, 255, 255), (255, 255, 255)
+_BOX, _PART = (255, 200, 0), (0, 255, 255)
 
 
 def write_preview(path: Path, frame: Frame, start: Start, *, overwrite: bool = False) -> None:
@@ -351,78 +331,47 @@ def write_preview(path: Path, frame: Frame, start: Start, *, overwrite: bool = F
 
 
 def draw_start(frame: Frame, start: Start) -> Image:
-    """The frame around the start's targets with the start drawn on it, enlarged by a whole factor; BGR."""
-    view = _View(frame, start)
-    image, unit = view.image, view.unit
-    view.draw_rulers()
+    """The start, with the places of its parts, on what is around its targets, enlarged by a whole factor; BGR."""
+    places: list[Point] = []
+    for target in start.targets.values():
+        places += target.points.values()
+        if target.box is not None:
+            x, y, w, h = target.box
+            places += [(x, y), (x + w, y + h)]
+    low, high = np.min(places, axis=0), np.max(places, axis=0)
+    around = max(20.0, 0.7 * float((high - low).max()))
+    x0, y0 = np.clip((low - around).astype(int), 0, np.array(frame.size) - 1).tolist()
+    x1, y1 = np.clip((high + around).astype(int) + 1, (x0 + 1, y0 + 1), frame.size).tolist()
+    shown = frame.bgr[y0:y1, x0:x1]
+    zoom = max(1, round(_PREVIEW_PX / max(shown.shape[:2])))
+    # a pixel covers zoom x zoom pixels
+    image: Image = np.repeat(np.repeat(shown, zoom, axis=0), zoom, axis=1)
+    unit = max(1, round(max(image.shape[:2]) / _PREVIEW_PX))
+    font = Font(9 * unit)
+
+    def at(x: float, y: float) -> tuple[int, int]:
+        return round((x - x0 + 0.5) * zoom - 0.5), round((y - y0 + 0.5) * zoom - 0.5)
+
+    def label(text: str, left: int, top: int, colour: Colour) -> None:
+        sprite = font.sprite(text, colour, 2 * unit)
+        most = [max(whole - side, 0) for whole, side in zip(image.shape[1::-1], sprite.size, strict=True)]
+        stamp(image, sprite, min(max(left, 0), most[0]), min(max(top, 0), most[1]))
+
     for name, target in start.targets.items():
         if target.box is not None:
             x, y, w, h = target.box
-            corner = view.at((x - 0.5, y - 0.5))
-            cv2.rectangle(image, corner, view.at((x + w - 0.5, y + h - 0.5)), _BOX, round(unit), cv2.LINE_AA)
-            view.label(f"{name}, frame {start.frame}", (corner[0], corner[1] - round(4 * unit)), _BOX)
-        centre = np.mean(list(target.points.values()), axis=0) if target.points else np.zeros(2)
+            corner = at(x - 0.5, y - 0.5)
+            cv2.rectangle(image, corner, at(x + w - 0.5, y + h - 0.5), _BOX, unit, cv2.LINE_AA)
+            label(f"{name}, frame {start.frame}", corner[0], corner[1] - font.height - 4 * unit, _BOX)
+        middle = np.mean([*target.points.values()] or [(0, 0)], axis=0)
         for part, point in target.points.items():
-            at, text = view.at(point), f"{part} {point[0]:g}, {point[1]:g}"
+            (column, row), text = at(*point), f"{readable(part)} {point[0]:g}, {point[1]:g}"
             for colour, size, line in (((0, 0, 0), 15, 3), (_PART, 13, 1)):
-                cv2.drawMarker(image, at, colour, cv2.MARKER_CROSS, round(size * unit), round(line * unit), cv2.LINE_AA)
-            view.label(text, view.beside(at, np.asarray(point) - centre, text), _PART)
+                cv2.drawMarker(image, (column, row), colour, cv2.MARKER_CROSS, size * unit, line * unit, cv2.LINE_AA)
+            right, down = point - middle
+            if abs(right) > abs(down):  # away from the other points
+                left = column + 10 * unit if right > 0 else column - 14 * unit - font.width(text)
+                label(text, left, row - font.height // 2, _PART)
+            else:
+                label(text, column - font.width(text) // 2, row + (9 if down > 0 else -22) * unit, _PART)
     return image
-
-
-class _View:
-    """What is shown of the frame, all targets and 0.7 of their size around; `unit` is the size of letters and lines."""
-
-    def __init__(self, frame: Frame, start: Start) -> None:
-        places: list[Point] = []
-        for target in start.targets.values():
-            places += target.points.values()
-            if target.box is not None:
-                x, y, w, h = target.box
-                places += [(x, y), (x + w, y + h)]
-        low, high = np.min(places, axis=0), np.max(places, axis=0)
-        around = max(20.0, 0.7 * float((high - low).max()))
-        self.x0, self.y0 = np.clip((low - around).astype(int), 0, np.array(frame.size) - 1).tolist()
-        self.x1, self.y1 = np.clip((high + around).astype(int) + 1, (self.x0 + 1, self.y0 + 1), frame.size).tolist()
-        shown = frame.bgr[self.y0 : self.y1, self.x0 : self.x1]
-        self.zoom = max(1, round(_PREVIEW_PX / max(shown.shape[:2])))
-        self.unit = max(1.0, max(shown.shape[:2]) * self.zoom / _PREVIEW_PX)
-        # a pixel covers zoom x zoom pixels
-        self.image: Image = np.repeat(np.repeat(shown, self.zoom, axis=0), self.zoom, axis=1)
-
-    def at(self, point: Point) -> tuple[int, int]:
-        """A point of the frame in the preview."""
-        x, y = ((value - first + 0.5) * self.zoom - 0.5 for value, first in zip(point, (self.x0, self.y0), strict=True))
-        return round(x), round(y)
-
-    def beside(self, at: tuple[int, int], away: Array, text: str) -> tuple[int, int]:
-        """Where the label of a point begins: on the side that is away from the other points."""
-        unit, width = self.unit, self.width(text)
-        if abs(away[0]) > abs(away[1]):
-            x = at[0] + 10 * unit if away[0] > 0 else at[0] - 10 * unit - width
-            return round(x), round(at[1] + 4 * unit)
-        return round(at[0] - width / 2), round(at[1] + (20 if away[1] > 0 else -11) * unit)
-
-    def draw_rulers(self) -> None:
-        """Ticks with numbers along the top and the left edge."""
-        unit, line, tick = self.unit, round(self.unit), round(8 * self.unit)
-        step = next(step for step in (5, 10, 20, 50, 100, 200, 500, 1000, 10**9) if step * self.zoom >= 70 * unit)
-        for x in range(-(-self.x0 // step) * step, self.x1, step):
-            column, _ = self.at((x, self.y0))
-            cv2.line(self.image, (column, 0), (column, tick), _RULER, line)
-            self.label(str(x), (column + round(3 * unit), round(14 * unit)), _RULER)
-        for y in range(-(-self.y0 // step) * step, self.y1, step):
-            _, row = self.at((self.x0, y))
-            cv2.line(self.image, (0, row), (tick, row), _RULER, line)
-            self.label(str(y), (round(10 * unit), row + round(4 * unit)), _RULER)
-
-    def width(self, text: str) -> int:
-        return cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45 * self.unit, 1)[0][0]
-
-    def label(self, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
-        """Text with a dark rim, moved inside the image where it would be cut off."""
-        (height, width), size = self.image.shape[:2], 0.45 * self.unit
-        x = min(max(at[0], 2), max(width - self.width(text) - 2, 2))
-        y = min(max(at[1], round(14 * self.unit)), height - 3)
-        for fill, line in (((0, 0, 0), round(3 * self.unit)), (colour, round(self.unit))):
-            cv2.putText(self.image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, fill, line, cv2.LINE_AA)

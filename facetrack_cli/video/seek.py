@@ -5,11 +5,9 @@ tell which frame is which (`decode.read_index`), frames are counted from the sta
 """
 
 import contextlib
-import itertools
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -25,78 +23,8 @@ CACHE_BYTES = 256 << 20  # of decoded frames, the neighbours of those that were 
 BEHIND = 8, 250  # so many frames before a wanted one are kept, after a jump and when going backwards
 
 
-class Cache:
-    """Frames by their numbers, the least recently used forgotten where all take over `most_bytes`. Thread-safe."""
-
-    def __init__(self, most_bytes: int):
-        self.most_bytes, self.bytes = most_bytes, 0
-        self._kept: OrderedDict[int, tuple[float, Image]] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def __len__(self) -> int:
-        return len(self._kept)
-
-    def get(self, number: int) -> tuple[float, Image] | None:
-        """The time and the pixels of a frame."""
-        with self._lock:
-            if number in self._kept:
-                self._kept.move_to_end(number)
-            return self._kept.get(number)
-
-    def put(self, number: int, time_s: float, pixels: Image) -> None:
-        """Keep a frame; the last one is kept however large it is."""
-        with self._lock:
-            if number not in self._kept:
-                self.bytes += pixels.nbytes
-                self._kept[number] = time_s, pixels
-            self._kept.move_to_end(number)
-            while self.bytes > self.most_bytes and len(self._kept) > 1:
-                self.bytes -= self._kept.popitem(last=False)[1][1].nbytes
-
-    def clear(self) -> None:
-        with self._lock:
-            self._kept.clear()
-            self.bytes = 0
-
-
-class Turns:
-    """A lock that the latest of those waiting gets first, since what was asked before is likely not wanted any more."""
-
-    def __init__(self) -> None:
-        self._condition = threading.Condition()
-        self._tickets = itertools.count(1)
-        self._waiting: list[int] = []
-        self._taken = False
-
-    def ticket(self) -> int:
-        """A place in the queue, with which one may take several turns."""
-        return next(self._tickets)
-
-    @contextlib.contextmanager
-    def turn(self, ticket: int) -> Iterator[None]:
-        with self._condition:
-            self._waiting.append(ticket)
-            try:
-                self._condition.wait_for(lambda: not self._taken and max(self._waiting) == ticket)
-            finally:
-                self._waiting.remove(ticket)
-                self._condition.notify_all()
-            self._taken = True
-        try:
-            yield
-        finally:
-            with self._condition:
-                self._taken = False
-                self._condition.notify_all()
-
-    def overtaken(self, ticket: int) -> bool:
-        """Whether a later ticket is waiting."""
-        with self._condition:
-            return max(self._waiting, default=0) > ticket
-
-
 class Frames(contextlib.AbstractContextManager["Frames"]):
-    """Any frame of a video or an image folder; a context manager. Thread-safe: the latest request is served first.
+    """Any frame of a video or an image folder; a context manager. Thread-safe.
 
     `size` is (width, height), upright; `decoded` and `jumps` count frames and seeks. Raises what `open_source` raises.
     """
@@ -105,21 +33,21 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         self.path, self._stream = path, stream
         self.decoded = self.jumps = self._last = self._reached = self._claimed = 0
         self._end: int | None = None  # the number of frames, once it is certain
-        self._recent = Cache(CACHE_BYTES)
-        self._turns = Turns()
+        self._recent = OrderedDict[int, tuple[float, Image]]()  # times and pixels, the least recently used first
+        self._lock = threading.Lock()
         self._closed = threading.Event()
         self._index: Index | None = None  # once the thread has read it
         self._thread = threading.Thread(target=self._read_index, name="index", daemon=True)
         with open_source(path, fps=fps, stream=stream) as source:
             self.size, self.fps, self.aspect = source.size, source.fps, float(source.aspect)
-        self._back = max(CACHE_BYTES * 3 // 4 // math.prod((*self.size, 3)), 1)
+        self._most = max(CACHE_BYTES // math.prod((*self.size, 3)), 1)
         self._folder = source if isinstance(source, FolderSource) else None
         if self._folder is not None:
             self._end = len(self._folder.files)
         else:
             self._decoder = Decoder(path, stream)
             self._claimed = self._decoder.claimed or 0
-            self._approach(0, self._turns.ticket())
+            self._approach(0)
             self._thread.start()
 
     @property
@@ -140,25 +68,23 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
 
         Raises InputError past the end, after which `count` is exact, and RuntimeError when closed, also meanwhile.
         """
-        ticket = self._turns.ticket()
-        while True:
+        with self._lock:
+            there = index >= 0 and (self._end is None or index < self._end)
+            if there and index not in self._recent and not self._closed.is_set():
+                self._approach(index)
             if self._closed.is_set():
                 raise RuntimeError("these frames are closed; open them again")
-            if index < 0 or (self._end is not None and index >= self._end):
+            if index not in self._recent:
                 there = f"the clip has {self.count} frames (0 to {self.count - 1}); choose one of them"
                 raise InputError(f"{self.path}: there is no frame {index}, {there}")
-            if (kept := self._recent.get(index)) is not None:
-                self._last = index
-                return Frame(index, *kept, aspect=self.aspect)
-            with self._turns.turn(ticket):
-                # while waiting, another call may have decoded it
-                if not self._closed.is_set() and self._recent.get(index) is None:
-                    self._approach(index, ticket)
+            self._recent.move_to_end(index)
+            self._last = index
+            return Frame(index, *self._recent[index], aspect=self.aspect)
 
     def close(self) -> None:
         """End what is being read, also in other threads, and free the file; closing again does nothing."""
         self._closed.set()
-        with self._turns.turn(self._turns.ticket()):
+        with self._lock:
             if self._folder is not None:
                 self._folder.close()
             else:
@@ -173,10 +99,10 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         with contextlib.suppress(OSError, ValueError):
             self._index = read_index(self.path, self._closed.is_set, self._stream)
 
-    # what follows is called with the turn
+    # what follows is called with the lock
 
-    def _approach(self, index: int, ticket: int) -> None:
-        """Come nearer to a frame, which is put into `_recent` once it is there."""
+    def _approach(self, index: int) -> None:
+        """Put a frame into `_recent`, if the clip has it."""
         if self._folder is not None:
             try:
                 frame = self._folder.frame(index)
@@ -184,15 +110,13 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
                 self._end = index  # a source ends before an image that cannot be read
                 raise
             self.decoded += 1
-            self._recent.put(index, frame.time_s, frame.pixels)
+            self._keep(frame)
             return
         backwards = 0 < self._last - index <= BEHIND[1]
-        before = min(BEHIND[1], self._back) if backwards else min(BEHIND[0], self._back // 8)
+        before = min(BEHIND[backwards], self._most * 3 // 4)
         if not 0 <= index - self._decoder.next <= MIN_JUMP_FRAMES:
             self._jump(index)
         while self._decoder.next <= index and not self._closed.is_set():
-            if self._decoder.next < index and self._turns.overtaken(ticket):
-                return
             try:
                 if not self._decode(index - before):
                     return
@@ -229,9 +153,13 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
                 raise LostError(f"{self.path}: ends at frame {at}")
             self._end = at
         elif at >= wanted:
-            frame = self._decoder.picture(raw)
-            self._recent.put(at, frame.time_s, frame.pixels)
+            self._keep(self._decoder.picture(raw))
         return raw is not None
+
+    def _keep(self, frame: Frame) -> None:
+        self._recent[frame.index] = frame.time_s, frame.pixels
+        if len(self._recent) > self._most:
+            self._recent.popitem(last=False)
 
     def _restart(self) -> None:
         self._decoder.close()

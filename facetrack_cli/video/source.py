@@ -12,10 +12,8 @@ packets is not noticed.
 """
 
 import re
-import shlex
 import threading
 from abc import ABC, abstractmethod
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
@@ -44,8 +42,6 @@ _KINDS: Final = (
 )
 _VIDEOS: Final = frozenset(f".{kind}" for kind in _KINDS.split())
 _ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(?=[^/])")  # a drive of Windows has one letter
-_CONCAT: Final = re.compile(rb"(\xef\xbb\xbf)?(\s*#[^\n]*\n)*\s*(ffconcat version|file\s+['\"\w./\\])")
-_GOPRO: Final = re.compile(r"(G[A-Z])([0-9]{2})([0-9]{4})|GOPR([0-9]{4})", re.IGNORECASE)
 _TS_PACKET: Final = 188  # bytes
 _MP4_BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 
@@ -55,24 +51,6 @@ def is_clip(path: Path) -> bool:
     suffix = path.suffix.lower()
     named = suffix in _VIDEOS or (suffix == ".zip" and holds_images(path)) or images.is_animated(path)
     return named and path.is_file()
-
-
-def chapters(clips: Sequence[Path]) -> list[Path]:
-    """Those of some clips that may be chapters of one recording: numbered on, or as cameras name them; else none."""
-    recordings = defaultdict[tuple[str, str], list[Path]](list)
-    for clip in clips:
-        if clip.suffix.lower() not in _VIDEOS:
-            continue
-        if camera := _GOPRO.fullmatch(clip.stem):
-            recordings[str(clip.parent), camera[3] or camera[4]].append(clip)
-        elif numbered := re.fullmatch(r"(.*?)([0-9]{4,})", clip.stem):  # as cameras number
-            recordings[str(clip.parent / f"{numbered[1]}_"), clip.suffix].append(clip)
-    for parts in recordings.values():
-        numbers = [int((re.findall("[0-9]+", part.stem) or ["0"])[-1]) for part in parts]
-        on = numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-        if len(parts) > 1 and (_GOPRO.fullmatch(parts[0].stem) or on):
-            return parts
-    return []
 
 
 def is_image(path: Path) -> bool:
@@ -110,7 +88,7 @@ def check_local(path: Path) -> None:
 
 
 def check_file(path: Path) -> None:
-    """Raise InputError for a path that is no file that can be read, an empty one, or a list of files to be joined."""
+    """Raise InputError for a path that is no file that can be read, or an empty one."""
     try:
         str(path).encode()
         if not path.exists():
@@ -119,12 +97,8 @@ def check_file(path: Path) -> None:
         if not path.is_file():
             raise InputError(f"{path}: neither a file nor a folder; save the clip to a file")
         with path.open("rb") as file:
-            begins = file.read(4096)
-            if not begins:
+            if not file.read(1):
                 raise InputError(f"{path}: the file is empty; {AGAIN}")
-            if path.suffix.lower() not in _VIDEOS and _CONCAT.match(begins):
-                how = f"ffmpeg -f concat -safe 0 -i {shlex.quote(str(path))} -c copy joined.mp4"
-                raise InputError(f"{path}: is a list of files that are one clip; join them, and give that: {how}")
     except UnicodeEncodeError:
         raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
     except OSError as error:
@@ -385,9 +359,6 @@ class FolderSource(Source):
             if self._levels != images.Levels():
                 what = f"{path}: 16-bit images that use the numbers {self._levels.black} to {self._levels.white}"
                 self.warnings.append(f"{what}; these are black and white, so that all of it is seen")
-        if several := images.sequences(files):
-            what = f"holds {len(several)} sequences, as {' and '.join(several[:2])}, tracked one after the other"
-            self.warnings.append(f"{path}: {what}; give one alone, as '{files[0].parent / several[0]}'")
 
     def close(self) -> None:
         super().close()

@@ -26,19 +26,19 @@ WRONG = [
     (REGION, "target.scale=[1, 2]", "with 1, the size at the start, between them"),
     (REGION, "target.scale=[0.5, 1]", "with 1, the size at the start, between them"),
     (REGION, "target.scale=[0, 2]", "target.scale[1] must be greater than 0"),
-    (REGION, "target.scale=[0.5]", "target.scale must have 2 items, not 1"),
+    (REGION, "target.scale=[0.5]", '"target.scale" lacks item 2'),
     (REGION, "target.type=null", "target.type cannot be empty (null); it is one of: points, region"),
     (REGION, "target={type: points, parts: [nose], windows: 9px}",
      'motion type "first_order" does not go with target type "points"'),
     (REGION, "motion={type: random_walk, sigma: {nose: 0.1, default: 0.2}}", '"nose" in motion.sigma is no part'),
     (REGION, "motion.position.A=[[1, 1e300], [0, 1]]", "motion.position.A[1][2] must be at most 1000000, not 1e+300"),
-    (REGION, "motion.position.A=[[1], [0, 1]]", "motion.position.A[1] must have 2 items, not 1"),
+    (REGION, "motion.position.A=[[1], [0, 1]]", '"motion.position.A[1]" lacks item 2'),
     (REGION, "motion.position.A=[[1, 1], [0, 1], [0, 0]]", "motion.position.A must have at most 2 items, not 3"),
     (REGION, "motion.position.A=[[1, 1], [0, 1.1]]", "makes the state grow 1.1-fold each frame"),
     (REGION, "motion.scale.A=[[0, -2], [2, 0]]", "makes the state grow 2-fold each frame"),
     (REGION, "motion.position.B=[[0.1, 0], [0.1]]", "need the same number of sources of noise"),
     (REGION, "motion.position.B=[[-1], [0]]", "must be 0 or a length"),
-    (REGION, "motion.position.B=[[], []]", "at least 1 items"),
+    (REGION, "motion.position.B=[[], []]", "at least 1 item, not 0"),
     (REGION, "motion.scale.B=[[-1], [0]]", "must be at least 0"),
     (REGION, "filter={type: factorized, particles: 9}", "write sir or auxiliary"),
     (REGION, "prior={type: parzen, file: mouth_prior.npz, sigma: 0.1}", "write null"),
@@ -62,7 +62,7 @@ WRONG = [
     ("adaptive", "likelihood.template=[5,30]", "likelihood.template[1] must be at least 6, not 5"),
     ("adaptive", "filter.particles=500000", "particles of 26x30 points each"),
     ("adaptive", "filter.particles=5000 motion.velocity.samples=null", GREEDY),
-    ("adaptive", "target.parts=[nose]", '"parts" does not belong to target type "affine" but to points'),
+    ("adaptive", "target.parts=[nose]", 'unknown key "parts" in "target"; the keys there are: type, estimate, scale'),
     ("adaptive", "motion.sigma={nose: 1}", "motion.sigma must be a length above 0"),
     ("adaptive", "filter={type: factorized, particles: 9}", "write sir or auxiliary or adaptive"),
     ("adaptive", "recognition=people.npz", "recognition must be a mapping of keys"),
@@ -75,7 +75,7 @@ WRONG = [
     (HANDS, "exclusion.strength=2", "exclusion.strength must be at most 1, not 2"),
     (HANDS, "targets.left_hand.motion.scale=0.1", "a target of type cloud has none: remove it"),
     (HANDS, "targets.left_hand.particles=1", 'unknown key "particles" in "targets.left_hand"'),
-    (HANDS, "targets={}", "targets must have at least 1 items, not 0"),
+    (HANDS, "targets={}", "targets must have at least 1 item, not 0"),
 ]  # fmt: skip
 
 
@@ -108,14 +108,6 @@ def test_no_noise_is_a_length_of_dynamics():
     assert noise == ((none, LengthOrNone(3.0, px=True)), (none, none))
 
 
-def test_every_list_that_is_too_short_is_told_once():
-    said = [str(problem) for problem in check_recipe(REGION, ["motion.position.A=[[1], []]"])]
-    assert [line.rpartition("motion.position.")[2] for line in said] == [
-        "A[1] must have 2 items, not 1",
-        "A[2] must have 2 items, not 0",
-    ]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "marked", "said"),
     [
@@ -125,7 +117,7 @@ def test_every_list_that_is_too_short_is_told_once():
         ("inner: 1.0}", "iner: 1.0}", "iner", 'unknown key "iner" in "targets.head.likelihood.skin"; did you mean'),
         ("  right_hand:\n", "  left_hand:\n", "left_hand", 'the key "left_hand" is repeated'),
         ("  right_hand:\n", "  Right Hand:\n", "Right Hand", '"Right Hand" cannot be one of targets; a name has'),
-        ("  right_hand:\n", f"  {'a' * 70}:\n", "a" * 70, "cannot be one of targets; give 60 characters at most"),
+        ("  right_hand:\n", f"  {'a' * 70}:\n", "a" * 70, "cannot be one of targets; a name has small letters"),
     ],
 )
 def test_a_wrong_recipe_of_several_targets_is_told_where_it_is_wrong(tmp_path, old, new, marked, said):
@@ -151,4 +143,4 @@ def test_all_targets_together_have_room_in_memory(tmp_path):
     [problem] = problems(6, 1_000_000)
     assert "the targets have 5,001,500 particles; no more than 5,000,000 fit into memory" in problem
     [problem] = problems(30, 10)
-    assert "targets must have at most 20 items, not 30" in problem
+    assert "targets must have at most 20 items" in problem

@@ -178,7 +178,7 @@ def test_a_golden_holds_who_it_is_and_finds_its_gallery(tmp_path, capfd, monkeyp
     ("file", "code", "said"),
     [
         ("missing.npz", 3, ["no such file", "facetrack gallery fit"]),
-        ("folder", 3, ["is a folder", "facetrack gallery fit"]),
+        ("folder", 3, ["no such file", "facetrack gallery fit"]),
         ("half.npz", 3, ["no .npz of plain arrays"]),
         ("pickled.npz", 3, ["no .npz of plain arrays"]),
         ("newer.npz", 3, ["version 2", "reads version 1"]),
@@ -199,19 +199,15 @@ def test_who_is_to_be_recognised_must_be_said(facetrack, how):
     more = {"run": [], "compare": ["--truth", FOLDER / "zoom.truth.csv", "--config", "adaptive"]}[how]
     told = refused(facetrack(how, "IN/zoom", "--config", "adaptive_recognition", *more), 2)
     assert told.startswith("--gallery is missing: adaptive_recognition") and "facetrack gallery fit" in told
-    assert "--gallery is empty" in refused(
-        facetrack(how, "IN/zoom", "--config", "adaptive", *more[:2], "--gallery="), 2
+    assert "--gallery : no such file" in refused(
+        facetrack(how, "IN/zoom", "--config", "adaptive", *more[:2], "--gallery="), 3
     )
 
 
-@pytest.mark.parametrize(
-    ("config", "said"),
-    [("factorized", "follows points"), ("skin", "follows a region"), ("csrt", "one of OpenCV's own trackers"),
-     ("head_hands", "follows a cloud and a region")],
-)  # fmt: skip
-def test_a_recipe_that_cannot_recognise(facetrack, config, said):
+@pytest.mark.parametrize("config", ["factorized", "csrt", "head_hands"])
+def test_a_recipe_that_cannot_recognise(facetrack, config):
     told = refused(run(facetrack, "--gallery", "IN/people.npz", config=config), 2)
-    assert told.startswith(f"--gallery: {config}") and said in told and "take adaptive_recognition" in told
+    assert told.startswith(f"--gallery: {config} follows no affine target") and "take adaptive_recognition" in told
 
 
 @pytest.mark.parametrize("name", ["no", "1e3", "~x", "a: b", "[a]", "#x", 'q"q', "back\\slash", "é ü", "new\nline"])

@@ -389,28 +389,6 @@ def test_what_cannot_be_meant(here, given, error, words):
     assert str(raised.value).startswith(words) and "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize(
-    ("names", "told"),
-    [
-        (["GX010042.MP4", "GX020042.MP4", "GX030042.MP4"], "GX010042.MP4 to GX030042.MP4"),
-        (["GOPR0042.MP4", "GP010042.MP4"], "GOPR0042.MP4 to GP010042.MP4"),
-        ([f"00{n:03}.MTS" for n in range(10)], "00000.MTS to 00009.MTS"),
-        (["DJI_0001.MP4", "DJI_0002.MP4"], "DJI_0001.MP4 to DJI_0002.MP4"),
-        (["p1.mp4", "p7.mp4"], ""),
-        (["anna.mp4", "ben.mp4"], ""),
-        (["1.png", "2.png"], ""),
-    ],
-)
-def test_what_may_be_chapters_of_one_recording_is_told_how_to_join(here, names, told):
-    for name in names:
-        touch(f"card/{name}")
-    said = expanded("card")[2]
-    assert bool(said) == bool(told)
-    if told:
-        assert said[0].startswith(f"facetrack: {told}: each is a clip of its own") and "-f concat" in said[0]
-    shutil.rmtree("card")
-
-
 # --- programs that start jobs, as docs/pipelines.md has them ---
 
 

@@ -366,7 +366,7 @@ def test_people_of_another_film_have_their_names(named, tmp_path, capsys):
     assert set(pairs) == {("hopper", "Grace"), ("collins", "Eileen")}
     capsys.readouterr()
     assert main([*again, str(tmp_path / "none.npz"), "-o", str(tmp_path / "no")]) == ExitCode.INPUT
-    assert "none.npz: there is no such file of known people" in capsys.readouterr().err
+    assert "none.npz: cannot be read: No such file" in capsys.readouterr().err
 
 
 def test_a_gallery_of_affine_faces_is_for_recipes_that_recognise_by_it(tmp_path, capsys):

@@ -200,7 +200,7 @@ def test_a_box_is_enough(run):
         (["-o", ""], 2, "--out is empty"),
         (["-o", "o" * 300], 2, "cannot be written: File name too long"),
         (["--init", ""], 2, "--init is empty"),
-        (["--init", "none.yaml"], 3, "none.yaml: no such init file"),
+        (["--init", "none.yaml"], 3, "none.yaml: cannot be read: No such file"),
         (["--init", "haar", "--start", "99"], 3, "frame 99 is past the end"),
         (["--init", "haar", "--stop", "9"], 3, "no face found in frames 0 to 8"),
         (["--start", "3"], 3, "begins at frame 0, but frames from 3 on were asked for"),

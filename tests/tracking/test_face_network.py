@@ -157,7 +157,7 @@ def test_a_correction_puts_parts_and_points_of_the_network_right_and_all_may_be_
 
 def test_a_correction_of_a_point_of_the_network_is_refused(file):
     one = Correction(2, "face", TargetStart(points={"chin": (100.0, 90.0)}))
-    with pytest.raises(InputError, match=r"has chin, which is no part that is followed; these are nose, .*lower:"):
+    with pytest.raises(InputError, match=r"has chin; what is followed is nose, .*lower"):
         results_of(file, FakeMesh(POSES[:3]), POSES[:3], corrections=(one,))
 
 

@@ -188,9 +188,7 @@ def test_stacks_of_a_folder_and_of_an_archive_follow_each_other(tmp_path: Path) 
     assert expand([folder / "2.tif", folder / "10.tif"]).clips == [folder / "2.tif", folder / "10.tif"]
 
 
-def test_pages_that_are_channels_are_refused_and_a_thumbnail_is_no_frame(tmp_path: Path) -> None:
-    channels = stack(tmp_path / "two.ome.tif", range(6), description='<Image SizeC="2" SizeT="3" SizeZ="1">')
-    assert "6 pages, of which 2 are channels" in refusal(channels)
+def test_a_thumbnail_is_no_frame(tmp_path: Path) -> None:
     large, small = (Pictures.fromarray(media.numbered(3, size)[..., 0]) for size in ((64, 48), (32, 24)))
     large.save(tmp_path / "photo.tif", save_all=True, append_images=[small])
     assert numbers(read(tmp_path / "photo.tif")[1]) == [3]
@@ -239,7 +237,6 @@ def test_pictures_of_all_16_bits_are_as_they_were(tmp_path: Path) -> None:
         "shot1.08 shot1.09 shot1.100",
         "10-00-01.45 10-00-01.5 10-00-02.05 10-01-00.1",
         "1-2-3.45 1-2-3.5 1-2-10.1",
-        "0a 0f 10 1a 1b ff",
         "a2 a10 b1",
         "v1.2_2 v1.2_10 v1.10_1",
     ],
@@ -248,24 +245,6 @@ def test_names_are_in_the_order_of_what_they_say(names: str) -> None:
     right = [f"{name}.jpg" for name in names.split()]
     assert ordered(sorted(right, reverse=True), str) == right
     assert ordered(right, str) == right
-
-
-@pytest.mark.parametrize(
-    ("names", "told"),
-    [
-        (("cam0_{:04}", "cam1_{:04}"), "cam0_*.png and cam1_*.png"),
-        (("left{}", "right{}"), "left*.png and right*.png"),
-        (("{}", "{}_mask"), "*.png and *_mask.png"),
-        (("10-00-{:02}", "10-01-{:02}"), ""),
-        (("2024_{}", "2025_{}"), ""),
-        (("frame_{:03}",), ""),
-    ],
-)
-def test_two_cameras_in_one_folder_are_told(tmp_path: Path, names: tuple[str, ...], told: str) -> None:
-    put(tmp_path, {f"{name.format(i)}.png": media.numbered(i) for name in names for i in range(5)})
-    source, frames = read(tmp_path)
-    assert len(frames) == 5 * len(names)
-    assert [told in line and "one after the other" in line for line in source.warnings] == [True] * bool(told)
 
 
 # more pixels than are read

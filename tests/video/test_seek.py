@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import threading
-import time
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.video.decode import LostError, _is_hidden, read_index
-from facetrack_cli.video.seek import Cache, Frames
+from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import VideoSource, open_source
 from tests.support import media
 
@@ -148,7 +147,7 @@ def test_any_sequence_of_reads(folder: Path, data: st.DataObject) -> None:
     total = len(expected)
     step = st.one_of(st.integers(-6, 6), st.integers(-total, total))
     with Frames(path) as frames:
-        frames._recent.most_bytes = data.draw(st.sampled_from([0, 10, 1000])) * expected[0].pixels.nbytes
+        frames._most = data.draw(st.sampled_from([1, 10, 1000]))
         index = 0
         for by in data.draw(st.lists(step, min_size=1, max_size=25)):
             index += by
@@ -200,12 +199,12 @@ def test_stepping_through_neighbours_does_not_decode_them_again(long: Path) -> N
             for index in way:
                 assert media.number(frames.read(index).bgr) == index % 256
             assert frames.decoded - before <= 250 and frames.jumps - jumps <= 1
-        frames._recent.most_bytes, frames._back = 20 * frames.read(0).pixels.nbytes, 15  # a small cache
+        frames._most = 20  # a small cache
         frames.read(490)
         before = frames.decoded
         for index in range(489, 400, -1):
             assert media.number(frames.read(index).bgr) == index % 256
-        assert frames.decoded - before <= (90 / 15 + 2) * 240
+        assert frames.decoded - before <= (90 / 15 + 2) * 240 and len(frames._recent) <= 250
 
 
 def test_a_far_frame_is_not_decoded_from_the_start(long: Path) -> None:
@@ -295,28 +294,6 @@ def test_several_threads_at_once(folder: Path) -> None:
     assert wrong == []
 
 
-def test_a_long_way_gives_way_to_who_asks_later(folder: Path) -> None:
-    path, expected = made(folder, "damaged.mp4")
-    with indexed(path) as frames:
-        after: list[int] = []  # the frames that are decoded once the later request is there
-        decode = frames._decode
-        late = threading.Thread(target=lambda: check(frames.read(5), expected[5]))
-
-        def slow(wanted: int) -> bool:
-            if frames._decoder.next == 50 and not late.ident:
-                late.start()
-                while not frames._turns._waiting:  # nobody is told that somebody waits for a turn
-                    time.sleep(0.002)
-            if late.ident:
-                after.append(frames._decoder.next)
-            return decode(wanted)
-
-        frames._decode = slow  # type: ignore[method-assign]
-        check(frames.read(90), expected[90])
-        late.join()
-        assert after.index(5) < after.index(90)
-
-
 def test_closing_while_another_thread_reads(long: Path) -> None:
     frames, said = Frames(long), list[BaseException]()
     decode, begun = frames._decode, threading.Event()
@@ -368,21 +345,3 @@ def test_refusals_are_those_of_the_source(tmp_path: Path) -> None:
         Frames(tmp_path / "missing.mp4")
     with pytest.raises(UsageError, match="keeps its own frame rate"):
         Frames(media.write_video(tmp_path / "clip.mp4", frames=3), fps=Fraction(30))
-
-
-def test_a_cache_keeps_to_its_bytes() -> None:
-    def frame(size: int) -> tuple[float, np.ndarray]:
-        return 0.5, np.zeros(size, np.uint8)
-
-    recent = Cache(10)
-    for number in range(4):
-        recent.put(number, *frame(4))
-    assert [recent.get(number) is not None for number in range(4)] == [False, False, True, True] and recent.bytes == 8
-    recent.get(2)
-    recent.put(5, *frame(6))
-    recent.put(5, *frame(6))
-    assert [recent.get(number) is not None for number in (2, 3, 5)] == [True, False, True] and recent.bytes == 10
-    recent.put(6, *frame(50))
-    assert recent.get(6) is not None and recent.get(5) is None and recent.bytes == 50
-    recent.clear()
-    assert recent.get(6) is None and recent.bytes == 0

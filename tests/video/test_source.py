@@ -372,25 +372,20 @@ def test_a_name_that_is_no_text_is_refused_before_opencv_ends_the_process(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "text",
     [
-        ("#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:1,\n{}\n#EXT-X-ENDLIST\n", ""),
-        ("ffconcat version 1.0\nfile '{}'\n", "ffmpeg -f concat -safe 0 -i "),
-        ("# chapters\nfile '{}'\n", "ffmpeg -f concat -safe 0 -i "),
-        ('<MPD profiles="urn:mpeg:dash:profile:isoff-on-demand:2011"><BaseURL>{}</BaseURL></MPD>', ""),
-        ("v=0\no=- 0 0 IN IP4 127.0.0.1\nc=IN IP4 127.0.0.1\nm=video 5004 RTP/AVP 96\n", ""),
-        ("ID3\3\0\0\0\0\0\0ffconcat version 1.0\nfile '{}'\n", ""),
+        "#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:1,\n{}\n#EXT-X-ENDLIST\n",
+        "ffconcat version 1.0\nfile '{}'\n",
+        '<MPD profiles="urn:mpeg:dash:profile:isoff-on-demand:2011"><BaseURL>{}</BaseURL></MPD>',
+        "v=0\no=- 0 0 IN IP4 127.0.0.1\nc=IN IP4 127.0.0.1\nm=video 5004 RTP/AVP 96\n",
+        "ID3\3\0\0\0\0\0\0ffconcat version 1.0\nfile '{}'\n",
     ],
 )
-def test_playlists_are_refused_and_a_list_of_chapters_is_told_how_to_join(
-    tmp_path: Path, text: str, words: str
-) -> None:
+def test_playlists_are_refused(tmp_path: Path, text: str) -> None:
     other = media.write_video(tmp_path / "other.ts", frames=10)
     for name in ("clip.mp4", "list.txt"):
-        path = tmp_path / name
-        path.write_text(text.format(other.name))
-        expected = f"{words}{path} -c copy joined.mp4" if words and name == "list.txt" else "not a video; give a video"
-        assert expected in refusal(path)
+        (tmp_path / name).write_text(text.format(other.name))
+        assert "not a video; give a video" in refusal(tmp_path / name)
 
 
 @pytest.mark.parametrize("address", ["https://example.org/a.mp4?x=1", "rtsp://camera/1", "HTTP://example.org/a"])
