@@ -1,55 +1,92 @@
 """Annotated frames to an MP4 that plays everywhere: H.264, yuv420p, the source's times and the source's sound.
 
 Every frame keeps its own time, and none is repeated. Times within a millisecond of the nominal rate's grid are moved
-onto it, so that a clip of constant rate comes out with a strictly constant one. The sound is added in a second pass,
-as AAC: if that fails, there is still the video.
+onto it, so that a clip of constant rate comes out with a strictly constant one. The sound is copied in a second pass:
+if that fails, there is still the video.
 
 A video may be `cut` into pieces that are encoded by themselves and joined at the end. A piece that is finished stays
 where it is whatever ends the program, and the video goes on from there.
 """
 
 import contextlib
-import heapq
-from collections.abc import Callable, Iterator
+import re
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
-from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import IO, NamedTuple
 
 import cv2
+import imageio_ffmpeg
 import numpy as np
 
 from facetrack_cli.core.errors import OutputError, reason
 from facetrack_cli.core.files import discard, publish, sync, temporary_path
 from facetrack_cli.core.types import Image
-from facetrack_cli.video.decode import open_container, sound_of, weights
+from facetrack_cli.video.decode import FORMATS, sound_of, weights
 
-if TYPE_CHECKING:
-    from av.container import InputContainer, OutputContainer
-    from av.packet import Packet
-
+_TICK_S = 1e-6  # by which the pipe to the encoder counts time
 _LARGE = 3_000_000  # pixels: of larger frames x264 buffers few, because each needs 60 MB
 _STRIP = 1 << 18  # pixels that are converted at a time, which bounds memory
 
 
+_CAUSE = re.compile(
+    "No space left on device|Disk quota exceeded|File too large|Read-only file system|Input/output error|"
+    "Permission denied"
+)
+_PREFIX = re.compile(r"^(?:\[[^\]]*\] )+")
+
+
+def cause(text: str) -> str:
+    """The cause of a failure in ffmpeg's messages: the error of the system if there is one, else their last line."""
+    if system := _CAUSE.search(text):
+        return system.group()
+    lines = [_PREFIX.sub("", line).strip() for line in text.splitlines()]
+    lines = [line for line in lines if line and not line.startswith(("Last message repeated", "Conversion failed"))]
+    return "".join(lines[-1:])
+
+
+class Program(contextlib.AbstractContextManager["Program"]):
+    """A running ffmpeg, which Ctrl-C does not reach. OSError or RuntimeError if it cannot be started."""
+
+    def __init__(self, arguments: Sequence[str], *, stdin: int = subprocess.DEVNULL):
+        words = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", *arguments]
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - a file and not a pipe, which somebody would have to empty
+        try:
+            self.child = subprocess.Popen(
+                words, stdin=stdin, stdout=subprocess.DEVNULL, stderr=self._stderr, start_new_session=True
+            )
+        except BaseException:
+            self._stderr.close()
+            raise
+
+    def messages(self) -> str:
+        """What it has printed to stderr, once it has ended."""
+        self.child.wait()
+        self._stderr.seek(0)
+        return self._stderr.read().decode("utf-8", "replace")
+
+    def __exit__(self, *_: object) -> None:
+        self.child.kill()  # harmless where it has ended
+        with contextlib.suppress(OSError):  # what a pipe still held is lost
+            self.child.__exit__(None, None, None)  # closes the pipes and waits
+        self._stderr.close()
+
+
+def run_ffmpeg(arguments: Sequence[str]) -> tuple[int, str]:
+    """Run ffmpeg to its end: exit code and messages."""
+    with Program(arguments) as program:
+        return program.child.wait(), program.messages()
+
+
 @contextlib.contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """OutputError, in its one line, where the system or the encoder refuses to write the video."""
-    import av
-
+    """OutputError, in its one line, where the system refuses to write the video."""
     try:
         yield
-    except (OSError, RuntimeError, ValueError, av.FFmpegError) as error:
-        remedy = "free some space, choose another output folder, or use --no-video"
-        raise OutputError(f"{path}: the video cannot be written ({reason(error)}); {remedy}") from error
-
-
-def _mp4(path: Path, timescale: int) -> "OutputContainer":
-    """A new MP4 whose clock has so many ticks a second. An absolute path never reads as an option or a protocol."""
-    import av
-
-    options = {"movflags": "+faststart", "video_track_timescale": str(timescale)}
-    return av.open(str(path.absolute()), "w", format="mp4", options=options)
+    except (OSError, RuntimeError) as error:
+        raise OutputError(f"{path}: {reason(error)}; choose another output folder") from error
 
 
 class Encoder:
@@ -61,56 +98,93 @@ class Encoder:
     def __init__(
         self, path: Path, target: Path, size: tuple[int, int], fps: Fraction, timescale: int, aspect: Fraction
     ) -> None:
-        self.target, self._path, self._tick = target, path, Fraction(1, timescale)
-        self._planes, self._lasts, self._ended = Planes(size), round(timescale / fps), False
-        width, height = self._planes.size
-        large = width * height > _LARGE
-        # superfast with the macroblock tree that it leaves out takes 0.5 to 0.7 of the time of veryfast, and its files
-        # are a tenth larger; a lookahead in a thread of its own makes other bytes now and then of the same frames
-        few = "rc-lookahead=2:bframes=0:ref=1:sliced-threads=1" if large else "rc-lookahead=10"
-        options = {"preset": "superfast", "crf": "20", "x264-params": f"sync-lookahead=0:mbtree=1:{few}"}
+        self.target, self._path, self._fps, self._timescale = target, path, fps, timescale
+        self._aspect = aspect.limit_denominator(255)
+        self._planes, self._head = Planes(size), False
         with _writing(path):
             target.open("wb").close()
-            self._file = _mp4(target, timescale)
-            self._stream = self._file.add_stream("libx264", rate=fps, options=options)
-            context = self._stream.codec_context
-            context.width, context.height, context.pix_fmt = width, height, "yuv420p"
-            context.time_base, context.sample_aspect_ratio = self._tick, aspect.limit_denominator(255)
-            context.colorspace = context.color_primaries = context.color_trc = self._planes.matrix
-            context.color_range, context.thread_type = 1, "AUTO"  # 16 to 235
-            context.thread_count = 3 if large else 0
+        try:
+            self.program = Program(self._command(), stdin=subprocess.PIPE)
+        except (OSError, RuntimeError) as error:
+            target.unlink(missing_ok=True)
+            raise OutputError(f"{path}: ffmpeg cannot be started ({reason(error)})") from error
+        with contextlib.suppress(ImportError, AttributeError, OSError):  # a larger pipe: fewer context switches a frame
+            import fcntl
 
-    def write(self, image: Image, tick: int) -> None:
-        """Append one frame, shown from a tick on."""
-        import av
+            fcntl.fcntl(self.pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[attr-defined,unused-ignore]
 
-        with _writing(self._path):
-            frame = av.VideoFrame.from_ndarray(self._planes.of(image), format="yuv420p")
-            frame.pts, frame.time_base = tick, self._tick
-            self._put(self._stream.encode(frame))
+    def write(self, image: Image, elapsed_s: float) -> None:
+        """Append one frame, shown so long after the first one."""
+        try:
+            if not self._head:
+                self._head = True
+                self.pipe.write(_matroska_head(*self._planes.size, self._fps))
+            data = self._planes.of(image).data
+            self.pipe.write(_matroska_block(round(elapsed_s / _TICK_S), data.nbytes))
+            self.pipe.write(data)
+        except OSError as error:
+            raise self._failure(error) from error
 
     def end(self) -> None:
         """Finish the file."""
-        with _writing(self._path):
-            self._put(self._stream.encode(None))
-            self._file.close()
-        self._ended = True
+        try:
+            self.pipe.close()
+        except OSError as error:
+            raise self._failure(error) from error
+        if self.program.child.wait() != 0:
+            raise self._failure(None)
 
-    def drop(self) -> None:
-        """Remove the file, unless it is finished."""
-        if not self._ended:
-            with contextlib.suppress(Exception):
-                self._file.close()
+    def drop(self) -> bool:
+        """End the program; whether the file is finished, or else it is removed."""
+        whole = self.program.child.poll() == 0
+        self.program.__exit__()
+        if not whole and self.target.is_file():
             self.target.unlink(missing_ok=True)
+        return whole
 
-    def _put(self, packets: "list[Packet]") -> None:
-        for packet in packets:
-            packet.duration = self._lasts  # of the last one; the others last until the next
-            self._file.mux(packet)
+    @property
+    def pipe(self) -> IO[bytes]:
+        assert self.program.child.stdin is not None
+        return self.program.child.stdin
+
+    def _command(self) -> list[str]:
+        matrix, (width, height) = self._planes.matrix, self._planes.size
+        tags = f"setparams=colorspace={matrix}:color_primaries={matrix}:color_trc={matrix}:range=tv"
+        tags += f",setsar={self._aspect}" if self._aspect != 1 else ""
+        large = width * height > _LARGE
+        command = ["-nostats", "-v", "error", "-y", *("-thread_queue_size", "1") * large, "-f", "matroska", "-i", "-"]
+        # superfast with the macroblock tree that it leaves out takes 0.5 to 0.7 of the time of veryfast, and its files
+        # are a tenth larger; a lookahead in a thread of its own makes other bytes now and then of the same frames
+        command += ["-vf", tags, "-c:v", "libx264", "-preset", "superfast", "-crf", "20"]
+        few = "rc-lookahead=2:bframes=0:ref=1:sliced-threads=1" if large else "rc-lookahead=10"
+        command += [*("-threads", "3") * large, "-x264-params", f"sync-lookahead=0:mbtree=1:{few}"]
+        command += ["-fps_mode", "passthrough", "-enc_time_base", f"1/{self._timescale}"]
+        return [*command, *as_mp4(self.target, self._timescale)]
+
+    def _failure(self, error: OSError | None) -> OutputError:
+        """What to raise once the encoder has failed: its own words, where it left any."""
+        with contextlib.suppress(OSError):
+            self.pipe.close()
+        code, why, remedy = self.program.child.wait(), cause(self.program.messages()), "free some space"
+        self.drop()
+        if not why and code:
+            why = f"ffmpeg was killed by signal {-code}" if code < 0 else f"ffmpeg ended with code {code}"
+            remedy = "run it again"
+        why = why or (reason(error) if error else "ffmpeg ended early")
+        return OutputError(f"{self._path}: the video cannot be written ({why}); {remedy} or use --no-video")
+
+
+def as_mp4(path: Path, timescale: int) -> list[str]:
+    """ffmpeg's arguments for an MP4 at `path` whose clock has so many ticks a second.
+
+    Paths are absolute, so that no name reads as an option or a protocol.
+    """
+    options = ["-video_track_timescale", str(timescale), "-movflags", "+faststart", "-f", "mp4"]
+    return [*options, str(path.absolute())]
 
 
 class Planes:
-    """Turns BGR images of `size` (width, height) into YUV 4:2:0 of limited range, by the `matrix` of H.273's number.
+    """Turns BGR images of `size` (width, height) into YUV 4:2:0 of limited range, as `matrix` (ffmpeg's name) says.
 
     `size` becomes that of what comes out: odd sides get one more line, which is black.
     """
@@ -119,15 +193,15 @@ class Planes:
         (width, height), (right, bottom) = size, (size[0] % 2, size[1] % 2)
         self.size = width, height = width + right, height + bottom
         self._more = (0, bottom, 0, right) if right or bottom else None
-        self.matrix = 1 if size[1] >= 720 else 6  # BT.709 or 601, as players assume where they ignore the tag
-        self._weights = weights(*((0.2126, 0.0722) if self.matrix == 1 else (0.299, 0.114)))
-        self._planes = np.empty((height // 2 * 3, width), np.uint8)
-        y, uv = np.split(self._planes.ravel(), [width * height])
+        self.matrix = "bt709" if size[1] >= 720 else "smpte170m"  # as players assume where they ignore the tag
+        self._weights = weights(*((0.2126, 0.0722) if self.matrix == "bt709" else (0.299, 0.114)))
+        self._planes = np.empty(width * height // 2 * 3, np.uint8)
+        y, uv = np.split(self._planes, [width * height])
         self._y, self._uv = y.reshape(height, width), uv.reshape(2, height // 2, width // 2)
         self._rows = max(_STRIP // width, 2) // 2 * 2
 
     def of(self, image: Image) -> Image:
-        """The planes of (H, W, 3) uint8, one below the other; they are overwritten by those of the next image.
+        """The planes of (H, W, 3) uint8, one after the other, flat; they are overwritten by those of the next image.
 
         A chroma sample is the mean of its four pixels: `cv2.COLOR_BGR2YUV_I420` takes it from one, and thin coloured
         lines get holes; it does not know BT.709 either.
@@ -144,10 +218,38 @@ class Planes:
         return self._planes
 
 
+# Just enough of Matroska (RFC 9559) for one track of uncompressed YUV 4:2:0, each frame with a time
+
+
+def _element(identity: str, value: bytes | int) -> bytes:
+    data = value.to_bytes(8, "big") if isinstance(value, int) else value
+    return bytes.fromhex(identity) + (len(data) | 1 << 56).to_bytes(8, "big") + data
+
+
+def _matroska_head(width: int, height: int, fps: Fraction) -> bytes:
+    ebml = _element("4282", b"matroska") + _element("4287", 4) + _element("4285", 2)
+    info = _element("2AD7B1", round(_TICK_S * 1e9)) + _element("4D80", b"facetrack") + _element("5741", b"facetrack")
+    video = _element("B0", width) + _element("BA", height) + _element("2EB524", b"I420")
+    track = _element("D7", 1) + _element("73C5", 1) + _element("83", 1) + _element("9C", 0)
+    track += _element("23E383", round(10**9 / fps))  # without it, the last frame would last no time and not be shown
+    track += _element("86", b"V_UNCOMPRESSED") + _element("E0", video)
+    segment = bytes.fromhex("18538067") + b"\x01" + b"\xff" * 7  # of unknown length: it ends with the pipe
+    tracks = _element("1654AE6B", _element("AE", track))
+    return _element("1A45DFA3", ebml) + segment + _element("1549A966", info) + tracks
+
+
+def _matroska_block(ticks: int, size: int) -> bytes:
+    """All that goes before the `size` bytes of one frame: a cluster of its own, since only clusters hold long times."""
+    time = _element("E7", ticks)
+    block = b"\xa3" + (size + 4 | 1 << 56).to_bytes(8, "big") + b"\x81\x00\x00\x80"
+    return bytes.fromhex("1F43B675") + (len(time) + len(block) + size | 1 << 56).to_bytes(8, "big") + time + block
+
+
+_COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
+_LOCAL_CLIPS = ("-protocol_whitelist", "file", "-format_whitelist")  # as PyAV opens a clip
 _SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
 _LONGEST = 2**29  # ticks that a frame is shown at most: an MP4 holds 2**31, over several frames that are reordered
 _SLOW_S = 60  # frames that are shown for longer have a coarser clock
-_SOUND_RATE, _SOUND_BITS = 48_000, 160_000  # a second
 
 
 class Cut(NamedTuple):
@@ -232,7 +334,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         assert self._encoder is not None
         self._at = Cut(frames, first_s, left_out_s, last_tick, pieces)
         try:
-            self._encoder.write(image, tick - pieces[-1])
+            self._encoder.write(image, (tick - pieces[-1]) / self._timescale)
         except OutputError:
             self._closed = True
             raise
@@ -245,8 +347,9 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
 
         def finish() -> None:
             try:
-                encoder.end()
                 with _writing(self.path):
+                    encoder.end()
+                    encoder.drop()
                     folder.mkdir(exist_ok=True)
                     sync(encoder.target)
                     encoder.target.replace(_piece(folder, number))
@@ -264,12 +367,21 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             self.discard()
         if self._closed:
             return
-        self._closed, whole = True, False
+        self._closed = True
+        whole = False
         try:
             if self._failed is not None:
                 raise self._failed
             if self._encoder is not None:
-                self._encoder.end()
+                try:
+                    self._encoder.end()
+                except OutputError:
+                    raise
+                except BaseException:  # it needs only a moment more; a second interruption drops the video
+                    with contextlib.suppress(OutputError):
+                        self._encoder.end()
+                    whole = self._encoder.drop() and len(self._at.pieces) == 1
+                    raise
             if len(self._at.pieces) > 1 or self._encoder is None:
                 self._join()
             whole = True
@@ -306,23 +418,29 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
     def _join(self) -> None:
         """Put the pieces together, each at its time."""
         assert self._folder is not None
-        files = [_piece(self._folder, number) for number in range(len(self._at.pieces))]
-        with _writing(self.path), _mp4(self._target, self._timescale) as whole:
-            if self._encoder is not None:
-                self._encoder.target.replace(files[-1])
-            stream, last = None, -(2**62)
-            for file, start in zip(files, self._at.pieces, strict=True):
-                with open_container(file) as piece:
-                    stream = stream or whole.add_stream_from_template(piece.streams.video[0])
-                    for packet in _packets(piece, stream):
-                        packet.pts, last = packet.pts + start, max(packet.dts + start, last + 1)
-                        packet.dts = last
-                        whole.mux(packet)
+        pieces, names = self._at.pieces, self._target.with_suffix(".pieces.txt")
+        files = [_piece(self._folder, number) for number in range(len(pieces))]
+        try:
+            with _writing(self.path):
+                if self._encoder is not None:
+                    self._encoder.target.replace(files[-1])
+                lines = ["ffconcat version 1.0"]
+                for file, start, end in zip(files, pieces, [*pieces[1:], None], strict=True):
+                    lines.append("file '" + str(file.absolute()).replace("'", r"'\''") + "'")
+                    if end is not None:
+                        lines.append(f"duration {(end - start) / self._timescale:.6f}")
+                names.write_text("\n".join(lines) + "\n", encoding="utf-8")
+                command = ["-v", "error", "-y", "-f", "concat", "-safe", "0", *_LOCAL_CLIPS, f"concat,{FORMATS}"]
+                command += ["-i", str(names.absolute()), "-map", "0:v:0", "-c", "copy"]
+                code, messages = run_ffmpeg([*command, *as_mp4(self._target, self._timescale)])
+        finally:
+            names.unlink(missing_ok=True)
+        if code:
+            why = cause(messages) or f"ffmpeg ended with code {code}"
+            raise OutputError(f"{self.path}: the video cannot be put together ({why}); free some space or run it again")
 
     def _add_audio(self) -> None:
         """Add the source's sound to the video just written; without it, a warning."""
-        import av
-
         source, silent = self._audio_from, self._target
         if source is None or not source.is_file():
             return
@@ -331,15 +449,20 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             codec, late_s = sound_of(source)
             if not codec:
                 return
+            start = self._at.first_s + late_s
             ticks = self._at.last_tick - self._at.pieces[0]
             length = float(ticks / Fraction(self._timescale) + 1 / self._fps)
-            with open_container(source) as clip, open_container(silent) as video, _mp4(mixed, self._timescale) as out:
-                pictures = out.add_stream_from_template(video.streams.video[0])
-                sound = _sound(clip, out, self._at.first_s + late_s, length)
-                for packet in heapq.merge(_packets(video, pictures), sound, key=lambda one: one.dts * one.time_base):
-                    out.mux(packet)
+            command = ["-v", "error", "-y", "-i", str(silent.absolute())]
+            command += ["-itsoffset", f"{-start:.6f}", *_LOCAL_CLIPS, FORMATS, "-i", str(source.absolute())]
+            command += ["-map", "0:v:0", "-map", "1:a:0", "-map_metadata", "-1", "-c:v", "copy"]
+            # copying drops what comes before time 0 by itself
+            recode = ["-af", "atrim=start=0", "-c:a", "aac", "-b:a", "160k"]
+            command += ["-c:a", "copy"] if codec in _COPIED_AUDIO else recode
+            code, messages = run_ffmpeg([*command, "-t", f"{length:.6f}", *as_mp4(mixed, self._timescale)])
+            if code:
+                raise RuntimeError(cause(messages))
             mixed.replace(silent)
-        except (OSError, RuntimeError, ValueError, av.FFmpegError) as error:
+        except (OSError, RuntimeError, ValueError) as error:
             what = f"that of {source} cannot be used ({reason(error)})"
             self.warnings.append(f"{self.path}: written without sound, {what}")
         finally:
@@ -357,39 +480,3 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
 
 def _piece(folder: Path, number: int) -> Path:
     return folder / f"{number:05}.mp4"
-
-
-def _packets(video: "InputContainer", to: Any) -> Iterator[Any]:
-    for packet in video.demux(video.streams.video[0]):
-        if packet.size:
-            packet.stream = to
-            yield packet
-
-
-def _sound(clip: "InputContainer", out: "OutputContainer", start: float, length: float) -> "Iterator[Packet]":
-    """The first sound of a clip as packets of AAC, from `start` on, in s from the clip's own, for `length` seconds."""
-    import av
-
-    sound = clip.streams.audio[0]
-    layout = "mono" if sound.channels == 1 else "stereo"
-    stream = out.add_stream("aac", rate=_SOUND_RATE, bit_rate=_SOUND_BITS, layout=layout)
-    begins, graph = start + (clip.start_time or 0) / 1e6, av.filter.Graph()
-    cut = graph.add("atrim", start=f"{begins:.6f}", end=f"{begins + length:.6f}")
-    nodes = [graph.add_abuffer(template=sound), cut, graph.add("asetpts", f"PTS-{begins:.6f}/TB")]
-    graph.link_nodes(*nodes, graph.add("abuffersink")).configure()
-
-    with contextlib.suppress(EOFError):  # at the end of what is cut out
-        for frame in chain(_decoded(clip, sound), [None]):
-            graph.push(frame)
-            with contextlib.suppress(BlockingIOError):  # until it wants more
-                while True:
-                    yield from stream.encode(graph.pull())
-    yield from stream.encode(None)
-
-
-def _decoded(clip: "InputContainer", sound: Any) -> Iterator[Any]:
-    import av
-
-    for packet in clip.demux(sound):
-        with contextlib.suppress(av.InvalidDataError):  # damage: the rest is heard
-            yield from packet.decode()
