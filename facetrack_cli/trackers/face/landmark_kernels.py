@@ -316,22 +316,25 @@ def jump(
     `sharpness` and `floor` are those of WindowNcc.
     """
     many = 2 * len(z)
-    middle, (above, drawn, width, fall, target, proposal) = np.empty((2, many)), np.empty((6, many))
+    middle, (above, drawn, target, proposal) = np.empty((2, many)), np.empty((4, many))
+    wider, often, nearer, width, fall, scale = np.empty((6, many))
     mx = my = top = 0.0
     for k in range(x.shape[1]):
         hidden = (1.0 - visible[k]) * math.exp(-floor * sharpness)
+        for c in range(many):
+            square = sigma[k] ** 2 if c % 2 == 0 else wide[k] ** 2
+            wider[c] = 1.0 + square * p[c // 2, k]
+            nearer[c], width[c] = 1.0 - 1.0 / wider[c], math.sqrt(square / wider[c])
+            fall[c], scale[c] = -0.5 * wider[c] / square, math.log(wider[c])
+            often[c] = w[c // 2, k] + math.log(max(1.0 - jumps if c % 2 == 0 else jumps, 1e-12))
         for n in range(len(x)):
             if n == 0 or x[n, k, 0] != x[n - 1, k, 0] or x[n, k, 1] != x[n - 1, k, 1]:  # parents come in order
                 mx, my = rest[k, 0] + keep * (x[n, k, 0] - rest[k, 0]), rest[k, 1] + keep * (x[n, k, 1] - rest[k, 1])
                 top = -math.inf
                 for c in range(many):
-                    m, square = c // 2, sigma[k] ** 2 if c % 2 == 0 else wide[k] ** 2
-                    wider = 1.0 + square * p[m, k]
-                    u, v = z[m, k, 0] - mx, z[m, k, 1] - my
-                    middle[0, c], middle[1, c] = mx + (1.0 - 1.0 / wider) * u, my + (1.0 - 1.0 / wider) * v
-                    width[c], fall[c] = math.sqrt(square / wider), -0.5 * wider / square
-                    often = max(1.0 - jumps if c % 2 == 0 else jumps, 1e-12)
-                    above[c] = w[m, k] + math.log(often) - 0.5 * (u**2 + v**2) * p[m, k] / wider - math.log(wider)
+                    u, v = z[c // 2, k, 0] - mx, z[c // 2, k, 1] - my
+                    middle[0, c], middle[1, c] = mx + nearer[c] * u, my + nearer[c] * v
+                    above[c] = often[c] - 0.5 * (u**2 + v**2) * p[c // 2, k] / wider[c] - scale[c]
                     top = max(top, above[c])
                 total = 0.0
                 for c in range(many):
