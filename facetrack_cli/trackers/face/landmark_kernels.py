@@ -243,6 +243,32 @@ def follow(seen, z, log_odds, eyes, rest, offset, var, motion_var, noise_var, vi
 
 
 @exact
+def show(at, cov, seen, windows, shown, head, matrix, centre, middle, near, least, rows, how):
+    """Of parts at `at` (J, 2) of the stabilized image with `cov` (J, 2, 2), `seen` (J,): `rows` (6, J) in the frame.
+
+    These are x, y, their standard deviations and covariance, and the confidence. `matrix` (2, 2), `centre` (2,) and
+    `middle` are those of the map, `near` the pixels within which a part is right. The first parts have `windows`. Of
+    what is hidden, the head alone says where it is, with covariance `head` (2, 2). `how` (J,) becomes 1 of parts
+    without windows that are hidden, and 2 of all that are right with a probability below `least`.
+    """
+    a, b = matrix[0, 0], matrix[1, 0]
+    for j in range(len(at)):
+        u, v, p, q, r = at[j, 0] - middle, at[j, 1] - middle, cov[j, 0, 0], cov[j, 1, 1], cov[j, 0, 1]
+        rows[0, j], rows[1, j] = a * u - b * v + centre[0], b * u + a * v + centre[1]
+        doubt = 1.0 - seen[j] * shown
+        x = a * a * p - 2.0 * a * b * r + b * b * q + doubt * head[0, 0]
+        y = b * b * p + 2.0 * a * b * r + a * a * q + doubt * head[1, 1]
+        rows[2, j], rows[3, j] = math.sqrt(x), math.sqrt(y)
+        rows[4, j] = a * b * (p - q) + (a * a - b * b) * r + doubt * head[0, 1]
+        there = shown * (1.0 - math.exp(-near * near / (1e-9 if x + y < 1e-9 else x + y)))  # nan stays
+        rows[5, j] = there * (seen[j] if j < windows else 1.0)
+        if j >= windows and seen[j] < least:
+            how[j] = 1
+        if not there >= least:
+            how[j] = 2
+
+
+@exact
 def judge(
     like, number, age, maps, corner, beside, odds, state, x, log_w, sure, good, visible, usual, used, new, forgets
 ):  # fmt: skip
