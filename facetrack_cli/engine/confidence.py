@@ -265,7 +265,7 @@ def decide(settings: ConfidenceSettings, last: Judgement, confidence: Array) -> 
     """The judgement of the next frame, with this confidence (K,)."""
     below = np.where(confidence < settings.lost_below, last.below + 1, 0)
     status: tuple[Status, ...] = tuple(["lost" if n >= settings.patience else "tracked" for n in below.tolist()])
-    return replace(last, confidence=confidence, below=below, status=status)
+    return Judgement(last.good, last.bad, confidence, below, status)
 
 
 def resume(

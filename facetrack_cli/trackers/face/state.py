@@ -110,15 +110,19 @@ class FaceView(NamedTuple):
 def updated(pose: Array, var: Array, offset: Array, std: Array) -> tuple[Array, Array]:
     """A pose (4,) and its variances after a measurement that is `offset` from it, with standard deviations `std`."""
     gain = var / (var + std**2)
-    return np.clip(pose + gain * offset, -_MAX_POSE, _MAX_POSE), (1 - gain) * var
+    return np.minimum(np.maximum(pose + gain * offset, -_MAX_POSE), _MAX_POSE), (1 - gain) * var
 
 
-def moved(features: ParticleState, to: Callable[[Array], Array]) -> ParticleState:
-    """The points' state, with every place x replaced by to(x)."""
+def moved(features: ParticleState, to: Callable[[Array], Array], **others: Any) -> ParticleState:
+    """The points' state, with every place x replaced by to(x), and `others` of its values."""
     particles = features.particles._replace(x=to(features.particles.x))
-    return replace(
-        features, particles=particles, estimated=features.estimated._replace(state=to(features.estimated.state))
-    )
+    estimated = features.estimated._replace(state=to(features.estimated.state))
+    return replace(features, particles=particles, estimated=estimated, **others)
+
+
+def mapped(x: Array, turned: complex, shift: complex) -> Array:
+    """Places x (..., 2) as complex numbers, times `turned` plus `shift`: NumPy is slow on axes of two."""
+    return (x.view(np.complex128) * turned + shift).view(np.float64)
 
 
 def head_confidence(head: ParticleState) -> float:

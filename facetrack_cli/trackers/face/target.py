@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Final
 
 import numpy as np
@@ -59,7 +59,7 @@ from facetrack_cli.trackers.face.landmark_filters import (
 from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, SensorReading, modes
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
-from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, moved, updated
+from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, mapped, moved, updated
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
@@ -231,12 +231,12 @@ class FaceTarget(FaceParts):
         detection = self.sensors.detected(image) if due else None
         before = state.features.estimated.state
         detected = self.sensors.places({} if detection is None else detection.points)
-        around, measured = [before.mean(axis=0)], np.isfinite(detected).all(axis=1)
-        if measured.any():
-            around.append((before + (detected - before)[measured].mean(axis=0)).mean(axis=0))
+        around = [np.add.reduce(before) / len(before)]
+        if detection is not None and (measured := np.isfinite(detected).all(axis=1)).any():
+            around.append(around[0] + (detected - before)[measured].mean(axis=0))
         landmarks = self.sensors.read(frame, similarity, image, around)
         visible = self._visible(state.features)
-        places = np.stack([landmarks.parts.at, detected, landmarks.network])
+        places = np.array([landmarks.parts.at, detected, landmarks.network])
         readings = state.bias_filters.reading(places, visible)
         at, shift, apart = fused(readings, before)
         log_odds = 0.0 if apart else landmarks.parts.log_odds
@@ -294,10 +294,11 @@ class FaceTarget(FaceParts):
         All points first move by the view's shift. A jumping walk then follows the sensors' readings; any other motion
         has the shift alone.
         """
-        features = moved(features, lambda x: x + view.shift)
-        if isinstance(features.learned, window_ncc.WindowState):
-            odds, within = view.landmarks.parts.odds, self._within(features.estimated, view.readings)
-            features = replace(features, learned=features.learned._replace(sensor_odds=odds, within=within))
+        before, learned = features.estimated, features.learned
+        if isinstance(learned, window_ncc.WindowState):
+            odds, within = view.landmarks.parts.odds, self._within(before.state + view.shift, before.cov, view.readings)
+            learned = learned._replace(sensor_odds=odds, within=within)
+        features = moved(features, partial(mapped, turned=1, shift=complex(*view.shift)), learned=learned)
         walk, likelihood = self.features.motion, self.features.likelihood
 
         def measured(learned: Any) -> Motion:
@@ -313,11 +314,11 @@ class FaceTarget(FaceParts):
         windows = isinstance(features.learned, window_ncc.WindowState)
         return np.asarray(features.learned.visible if windows else np.ones(len(self.features.parts)))
 
-    def _within(self, before: Estimate, readings: SensorReading) -> float:
+    def _within(self, before: Array, cov: Array, readings: SensorReading) -> float:
         """Pixels from where they are expected, within which the points are by their spread and by the readings."""
-        expected = self.features.motion.expect(before.state[None])[0]
-        far = np.abs(np.where(readings.sure[..., None] > 0.5, readings.z - expected, 0.0)).max()
-        return float(far + 3 * math.sqrt(before.cov[:, [0, 1], [0, 1]].max()))
+        off = np.abs(readings.z - self.features.motion.expect(before[None])[0])
+        far = off.max(initial=0.0, where=(readings.sure > 0.5)[..., None])
+        return float(far + 3 * math.sqrt(np.diagonal(cov, 0, 1, 2).max()))
 
     def _judged(self, features: ParticleState, view: FaceView, estimated: Estimate) -> tuple[Array, Array]:
         """Log odds (S + 1, K) by this frame that sensors and windows see the parts; `cross` of `BiasFilter.updated`.
@@ -339,15 +340,15 @@ class FaceTarget(FaceParts):
     def _posed(self, state: FaceState, view: FaceView) -> FaceState:
         """With the pose by the detected box, and by the line of parts left and right, or else of the eyes."""
         z = view.fused
-        pose, var, seen = state.pose, state.pose_var + _POSE**2, np.asarray(np.isfinite(z).all(axis=1))
-        turns = [stabilized.slope(z[pair]) - self._slope(pair) for pair in self._pairs if seen[pair].all()]
+        pose, var = state.pose, state.pose_var + _POSE**2
+        turns = [turn for pair in self._pairs if math.isfinite(turn := stabilized.slope(z[pair]) - self._slope(pair))]
         # a box drawn by hand may differ from the detector's box
         detection = view.detection if self.sensors.searched else None
         if view.log_odds <= 0:  # the points are not seen
             eyes = None if detection is None else detection.eyes
             turns = [] if eyes is None else [stabilized.slope(np.array(eyes))]
         if turns:
-            pose, var = updated(pose, var, np.array([np.mean(turns), 0, 0, 0]), _BY_PAIRS)
+            pose, var = updated(pose, var, np.array([sum(turns) / len(turns), 0, 0, 0]), _BY_PAIRS)
         if view.checked:
             state = state._replace(facing=state.facing.updated(detected=view.detection is not None))
         if detection is not None:
@@ -360,12 +361,10 @@ class FaceTarget(FaceParts):
 
     def _restabilized(self, state: FaceState, old: Similarity) -> FaceState:
         """With the points, which are in the stabilized image of the `old` map, in that of the state's own."""
-        turned, shift = old.into(self.map_to_frame(state.head.estimated.state, state.pose))
-
-        def to(x: Array) -> Array:
-            return np.asarray((x.reshape(-1, 2) @ turned + shift).reshape(x.shape))
-
-        biases = state.bias_filters._replace(bias=state.bias_filters.bias @ turned)
+        matrix, shift = old.into(self.map_to_frame(state.head.estimated.state, state.pose))
+        turned = complex(*matrix[0])
+        to = partial(mapped, turned=turned, shift=complex(*shift))
+        biases = state.bias_filters._replace(bias=mapped(state.bias_filters.bias, turned, 0))
         others, eyes = (landmarks and landmarks.mapped(to) for landmarks in (state.others, state.eyes))
         return state._replace(features=moved(state.features, to), bias_filters=biases, others=others, eyes=eyes)
 
