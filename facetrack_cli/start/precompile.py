@@ -101,6 +101,10 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.regions.region_kernels.box_edges": ("f8:2 f8 f8 i8 i8 i8 i8 i8", "histogram"),
     "trackers.regions.region_kernels.crop_boxes": ("i8:2 i8:2", "histogram"),
     "engine.kernels.compiled.invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
+    "engine.confidence_kernels.calibrate": (
+        "f8:2 b1:1 b1:1 b1:1 f8 f8:2 f8:1 f8:3 i8:1 f8:1 f8 f8 i8:1",
+        "calibration",
+    ),
     "engine.kernels.compiled.moments": ("f8:3 f8:1 f8:1 f8:2 f8:3", _FILTERS),
     "engine.kernels.compiled.boxes_extent": ("f8:2 f8 f8 i8 i8", "target=affine correlation skin"),
     "trackers.skin.skin_kernels.bilinear": ("f4:2 f8:2 i8 i8", _NCC),
@@ -146,6 +150,8 @@ def _settings(key: str, settings: Any) -> Iterator[str]:
         yield f"{key}={settings['type']}" if "type" in settings else key
         for below, more in settings.items():
             yield from _settings(below, more)
+    elif key == "calibration" and settings is not None:
+        yield key
 
 
 @contextlib.contextmanager
