@@ -30,7 +30,6 @@ from facetrack_cli.engine.confidence import (
     Map,
     PartKind,
     boxes_of,
-    features,
 )
 from facetrack_cli.evaluation.reliability import (
     ELLIPSE_50,
@@ -183,13 +182,37 @@ def pool(y: Array, weight: Array) -> Array:
     return np.repeat(means, counts)
 
 
+def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]:
+    """The features (R,) of rows of which these (R,) are `boxes`; `size`, in pixels, is that of the points."""
+    c = rows.confidence
+    sides = np.where(boxes | (size == 0), np.sqrt(rows.w * rows.h), size)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = np.log(np.minimum(np.maximum(np.hypot(rows.std_x, rows.std_y) / sides, 1e-3), 10))
+        ess = np.log10(np.minimum(np.maximum(rows.ess / rows.particles, 1e-3), 1))
+    odds = np.log((c + 0.01) / (1.01 - c))
+    # what is small in the picture is placed less exactly, in terms of its size
+    logs = np.log(np.clip(sides, 3.0, 1000.0)) + 0.0 * c
+    lost = (rows.status == "lost") * 1.0
+    return {"confidence": c, "log_odds": odds, "spread": spread, "ess": ess, "lost": lost, "size": logs}
+
+
+def probability(fitted: Map, values: Mapping[Feature, Array]) -> Array:
+    """p (R,) of rows whose features have these values (R,), by a map; nan where a value is nan."""
+    if isinstance(fitted, Isotonic):
+        x, p = np.array(fitted.knots).T
+        score = fitted.score
+        return np.interp(probability(score, values) if isinstance(score, Logistic) else values[score], x, p)
+    logit = sum((slope * values[name] for name, slope in fitted.coefficients.items()), 0.0 * values["confidence"])
+    return np.clip(1 / (1 + np.exp(-np.clip(logit + fitted.intercept, -700, 700))), fitted.least, 1 - fitted.least)
+
+
 def fit_isotonic(score: Feature | tuple[Feature, ...], sample: Sample) -> Isotonic:
     """Isotonic regression of what is right on a feature, or on the logistic regression of several.
 
     Its knots are at the means of at most `LEVELS` quantiles.
     """
     of = fit_logistic(score, sample) if isinstance(score, tuple) else score
-    x, weight = of(sample.known) if isinstance(of, Logistic) else sample.known[of], sample.weight
+    x, weight = probability(of, sample.known) if isinstance(of, Logistic) else sample.known[of], sample.weight
     order = np.argsort(x, kind="stable")
     at = np.empty(len(x))
     at[order] = np.cumsum(weight[order])
@@ -292,7 +315,7 @@ def left_out(sample: Sample, one: Fit, *, boxes: bool = False) -> Array:
     for clip in sample.clips:
         mine = sample.clip == clip
         others, known = sample.take(~mine), {name: values[mine] for name, values in sample.known.items()}
-        p[mine] = one(others)(known)
+        p[mine] = probability(one(others), known)
         if boxes:
             p[mine] = np.where(known["lost"] > 0, np.minimum(p[mine], others.lost), p[mine])
     return p

@@ -41,6 +41,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Whole
+from facetrack_cli.engine.confidence_kernels import AS_IT_IS, HIDDEN, calibrate
 from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.recipe.model import LIKELY, ConfidenceSettings
 from facetrack_cli.trajectory.trajectory import SPREAD, Status, Trajectory
@@ -72,13 +73,6 @@ class Logistic(_StoredPart):
     coefficients: dict[Feature, float]
     least: Annotated[float, Field(ge=0, le=0.5)]
 
-    def __call__(self, values: Mapping[Feature, Array]) -> Array:
-        """p (R,) of rows whose features have these values (R,); nan where a value is nan."""
-        logit = sum((slope * values[name] for name, slope in self.coefficients.items()), self.intercept)
-        p = 1 / (1 + np.exp(-np.minimum(np.maximum(logit, -700), 700)))
-        p = np.minimum(np.maximum(p, self.least), 1 - self.least)
-        return np.asarray(p + np.zeros_like(values["confidence"]))
-
 
 class Isotonic(_StoredPart):
     """p is linear between `knots`, pairs of a value of the score and p, and level beyond them.
@@ -101,16 +95,6 @@ class Isotonic(_StoredPart):
                 f"values must rise from knot to knot, and p, within 0 and 1, {'fall' if falls else 'rise'}"
             )
         return knots
-
-    @cached_property
-    def _table(self) -> tuple[Array, Array]:
-        x, p = np.array(self.knots).T
-        return x, p
-
-    def __call__(self, values: Mapping[Feature, Array]) -> Array:
-        """As of `Logistic`."""
-        score = self.score(values) if isinstance(self.score, Logistic) else values[self.score]
-        return np.interp(score, *self._table)
 
 
 Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
@@ -164,43 +148,43 @@ class Calibration(_StoredPart):
         map. A row is lost where p is below 1/2. Other rows that the tracker does not see are hidden: their target is
         seen, or their place is likely right.
         """
-        lost = rows.status == "lost"
-        boxes, p, factor = boxes_of(rows), np.full(len(rows), np.nan), np.ones(len(rows))
-        values = features(rows, boxes, size)
-        for kind, fitted in self.maps.items():
-            chosen = boxes if kind == "box" else ~boxes
-            if chosen.any():
-                p, factor = np.where(chosen, fitted(values), p), np.where(chosen, self.spread[kind], factor)
-        if (lost & boxes).any():
-            p = np.where(lost, np.minimum(p, self.lost), p)
-        factor = np.where(np.isnan(rows.ess), 1.0, factor)
-        kept = (rows.status == "init") | np.isnan(rows.confidence) | np.isnan(rows.ess)
-        spread = {name: getattr(rows, name) * (factor**2 if name == "cov_xy" else factor) for name in SPREAD}
-        judged = np.where(p < LIKELY, "lost", np.where(lost, "hidden", rows.status))
-        status = np.where(kept | np.isnan(p), rows.status, judged)
-        return replace(rows, confidence=np.where(kept, rows.confidence, p), status=status, **spread)
+        values, how = np.array([getattr(rows, name) for name in _READ]), np.empty(len(rows), np.int64)
+        about = boxes_of(rows), rows.status == "lost", rows.status == "init"
+        status = rows.status
+        if calibrate(values, *about, size, *self._tables, self.lost, LIKELY, how):
+            status = np.where(how == AS_IT_IS, status, np.where(how == HIDDEN, "hidden", "lost"))
+        return replace(rows, confidence=values[0], status=status, **dict(zip(SPREAD, values[5:], strict=True)))
+
+    @cached_property
+    def _tables(self) -> tuple[Array, Array, Array, Whole, Array]:
+        """The maps and spreads of points and of boxes, as the kernel takes them."""
+        kinds: list[PartKind] = ["points", "box"]
+        steps = [one.knots if isinstance(one := self.maps.get(kind), Isotonic) else [] for kind in kinds]
+        slopes, least, knots = np.zeros((2, 7)), np.full(2, np.nan), np.zeros((2, 2, max(1, *map(len, steps))))
+        for i, kind in enumerate(kinds):
+            score: Map | Feature | None = self.maps.get(kind)
+            score = score.score if isinstance(score, Isotonic) else score
+            knots[i, :, : len(steps[i])] = np.array(steps[i]).reshape(-1, 2).T
+            if isinstance(score, Logistic):
+                slopes[i], least[i] = (
+                    [*(score.coefficients.get(one, 0.0) for one in RISES), score.intercept],
+                    score.least,
+                )
+            elif isinstance(score, str):
+                slopes[i, list(RISES).index(score)] = 1.0
+        counts = np.array([len(one) if kind in self.maps else -1 for one, kind in zip(steps, kinds, strict=True)])
+        return slopes, least, knots, counts, np.array([self.spread.get(kind, 1.0) for kind in kinds])
 
     def to_json(self) -> str:
         return json.dumps(self.model_dump(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
+_READ: Final = ("confidence", "w", "h", "ess", "particles", *SPREAD)
+
+
 def boxes_of(rows: Trajectory) -> Mask:
     """(R,) which rows are of boxes."""
     return np.array([part == BOX for _, part in rows.names], np.bool_)[rows.which]
-
-
-def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]:
-    """The features (R,) of rows of which these (R,) are `boxes`; `size`, in pixels, is that of the points."""
-    c = rows.confidence
-    sides = np.where(boxes | (size == 0), np.sqrt(rows.w * rows.h), size)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        spread = np.log(np.minimum(np.maximum(np.hypot(rows.std_x, rows.std_y) / sides, 1e-3), 10))
-        ess = np.log10(np.minimum(np.maximum(rows.ess / rows.particles, 1e-3), 1))
-    odds = np.log((c + 0.01) / (1.01 - c))
-    # what is small in the picture is placed less exactly, in terms of its size
-    logs = np.log(np.clip(sides, 3.0, 1000.0)) + 0.0 * c
-    lost = (rows.status == "lost") * 1.0
-    return {"confidence": c, "log_odds": odds, "spread": spread, "ess": ess, "lost": lost, "size": logs}
 
 
 def load_calibration(path: Path) -> Calibration:
@@ -265,7 +249,7 @@ def decide(settings: ConfidenceSettings, last: Judgement, confidence: Array) -> 
     """The judgement of the next frame, with this confidence (K,)."""
     below = np.where(confidence < settings.lost_below, last.below + 1, 0)
     status: tuple[Status, ...] = tuple(["lost" if n >= settings.patience else "tracked" for n in below.tolist()])
-    return replace(last, confidence=confidence, below=below, status=status)
+    return Judgement(last.good, last.bad, confidence, below, status)
 
 
 def resume(

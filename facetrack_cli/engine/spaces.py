@@ -12,6 +12,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Particles, Start
+from facetrack_cli.engine.kernels.compiled import moments
 from facetrack_cli.recipe.model import ParticleFilterSettings, Recipe
 from facetrack_cli.recipe.sections import ScaledSettings
 from facetrack_cli.trajectory.diagnostics import Diagnostic
@@ -147,21 +148,12 @@ def estimate(particles: Particles, ess: Array, *, best: bool = False, sides: Arr
     off by the variance over n. So they are multiplied by (n + 1) / (n - 1), n the effective sample size `ess` (K,),
     which is nothing where many particles count. `sides` (N, 2): width and height of each particle's box.
     """
-    w = np.exp(particles.log_w)
-    more = (1 + 1 / ess) / np.maximum(1 - 1 / ess, 1e-12)
-    mean = np.einsum("n,nkd->kd", w, particles.x)
-    cov = spread(w, particles.x[..., :2] - mean[:, :2]) * more[:, None, None]
-    side_std = None if sides is None else np.sqrt(w @ np.square(sides - w @ sides) * more[0])
-    return Estimate(particles.x[int(np.argmax(particles.log_w))] if best else mean, cov, side_std)
-
-
-def spread(w: Array, off: Array) -> Array:
-    """(K, 2, 2): the mean of the outer products of `off` (N, K, 2), with weights w (N,)."""
-    # by two sums of products of two, a quarter of the time of one of products of three
-    weighted, cov = w[:, None, None] * off, np.empty((off.shape[1], 4))
-    cov[:, ::3] = np.einsum("nkd,nkd->kd", weighted, off)
-    cov[:, 1:3] = np.einsum("nkd,nkd->kd", weighted, off[..., ::-1])
-    return cov.reshape(-1, 2, 2)
+    x, w = np.ascontiguousarray(particles.x), np.exp(particles.log_w)
+    moments(x, w, ess, mean := np.empty(x.shape[1:]), cov := np.empty((x.shape[1], 2, 2)))
+    side_std = None
+    if sides is not None:
+        side_std = np.sqrt(w @ np.square(sides - w @ sides) * (1 + 1 / ess[0]) / max(1 - 1 / ess[0], 1e-12))
+    return Estimate(x[int(np.argmax(particles.log_w))] if best else mean, cov, side_std)
 
 
 def evenly(x0: Array, windows: Array | None) -> Estimate:

@@ -1,10 +1,9 @@
 """A target followed by a particle filter: its state from frame to frame, and the model that the filter sees."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.random import Generator
@@ -47,15 +46,6 @@ class ParticleState:
     ahead: Prediction | None = None
     entropy_before: float | None = None
     absent: Mask | None = None
-
-
-class Rows(NamedTuple):
-    """The rows of a target in a frame before they are a trajectory: columns (K,) each, log evidence, notes."""
-
-    columns: Mapping[str, Any]
-    frame: int
-    evidence: float = math.nan
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -114,7 +104,7 @@ class ParticleTarget:
         """The state with its diagnostics and its flow, where particles begin."""
         flow = None if self._predicts is None else self._predicts.begin(rng, frame, state.estimated.state)
         state = replace(state, reported=self.likelihood.diagnose(state.learned), flow=flow)
-        return state, self._result(state, frame, Info(np.full(len(self.parts), float(self.particles))), status)
+        return state, self._result(state, frame, self.begun, status)
 
     def restart(
         self,
@@ -235,9 +225,13 @@ class ParticleTarget:
         predicted = () if self._predicts is None else self._predicts.diagnostics
         return (*self.likelihood.diagnostics, *self.space.diagnostics, *predicted, EVIDENCE)
 
-    def rows(self, state: ParticleState, frame: Frame, info: Info | None = None, otherwise: Status = "tracked") -> Rows:
-        """`otherwise` is the status where nothing judges. Without `info` particles have just begun."""
-        info = Info(np.full(len(self.parts), float(self.particles))) if info is None else info
+    @cached_property
+    def begun(self) -> Info:
+        """Of particles that have just begun."""
+        return Info(np.full(len(self.parts), float(self.particles)))
+
+    def _result(self, state: ParticleState, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
+        """`otherwise` is the status where nothing judges."""
         k, judged, estimated = len(self.parts), state.judgement, state.estimated
         windows, outline = self.space.windows(estimated), self.space.outline(estimated)
         std = np.sqrt(np.maximum(estimated.cov.reshape(k, 4)[:, ::3], 0.0))
@@ -262,10 +256,6 @@ class ParticleTarget:
         if state.absent is not None:
             columns |= {name: np.where(state.absent, np.nan, columns[name]) for name in PLACE if name in columns}
             columns["status"] = np.where(state.absent, "absent", columns["status"])
-        return Rows(columns, frame.index, info.evidence)
-
-    def _result(self, state: ParticleState, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
-        columns = self.rows(state, frame, info, otherwise).columns
         rows = of_frame(self._names, frame, self._reported(state, frame, info), **columns)
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.size)

@@ -51,6 +51,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.face.landmark_kernels.fuse": ("f8:3 f8:2 f8:2 f8:2 f8 f8:2 f8:1", "head"),
     "trackers.face.landmark_kernels.read": ("f8:3 f8:1 f8:3 f8:2 f8:2 f8:2 f8:2 f8 f8 f8:3 f8:2 f8:2", "head"),
     "trackers.face.landmark_kernels.add_up": ("f8:3 f8:2 f8:2 f8 f8:3 f8:2 f8:2", "motion=jumping_walk"),
+    "trackers.face.landmark_kernels.show": ("f8:2 f8:3 f8:1 i8 f8 f8:2 f8:2 f8:1 f8 f8 f8 f8:2 i8:1", "head"),
     "trackers.face.landmark_kernels.median_shift": ("f8:2 b1:1 f8:1", "head"),
     "trackers.face.image_kernels._read": ("f4:3 f8:2 f8:2 f8 f4:3", "head"),
     "trackers.face.image_kernels._looks": ("u1:3 f4:1 f4:1 f4:3", "head"),
@@ -91,6 +92,11 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.box.box_kernels._read_cubic": ("f4:2 f8:1 f8:1 f8:1 f8:1 f8:1", _CELLS),
     "engine.kernels.compiled.invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
     "trackers.skin.skin_kernels.box_sums": ("f8:2 f8:2", f"{_NCC} skin"),
+    "engine.confidence_kernels.calibrate": (
+        "f8:2 b1:1 b1:1 b1:1 f8 f8:2 f8:1 f8:3 i8:1 f8:1 f8 f8 i8:1",
+        "calibration",
+    ),
+    "engine.kernels.compiled.moments": ("f8:3 f8:1 f8:1 f8:2 f8:3", _FILTERS),
     "trackers.skin.skin_kernels.bilinear": ("f4:2 f8:2 i8 i8", _NCC),
     "trackers.appearance.appearance_kernels.mapped": ("f8:2 f4:2 f4:1", "velocity"),
 }
@@ -131,6 +137,8 @@ def _settings(key: str, settings: Any) -> Iterator[str]:
         yield f"{key}={settings['type']}" if "type" in settings else key
         for below, more in settings.items():
             yield from _settings(below, more)
+    elif key == "calibration" and settings is not None:
+        yield key
 
 
 @contextlib.contextmanager

@@ -403,17 +403,17 @@ def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     tables = list(parts)
     if len(tables) < 2:
         return replace(tables[0] if tables else build((), [], []), **others)
-    numbers: dict[tuple[str, str], int] = {}
-    for table in tables:
-        for name in table.names:
-            numbers.setdefault(name, len(numbers))
-    which = [np.array([numbers[name] for name in table.names], np.int64)[table.which] for table in tables]
+    kinds = dict.fromkeys(table.names for table in tables)  # frames have the same names again and again
+    numbers = {name: i for i, name in enumerate(dict.fromkeys(name for names in kinds for name in names))}
+    index = {names: np.array([numbers[name] for name in names], np.int64) for names in kinds}
+    which = [index[table.names][table.which] for table in tables]
     columns: dict[str, Any] = {}
     for column in _ARRAYS[1:]:
         arrays = [getattr(table, column) for table in tables]
-        if any(array is not None for array in arrays):
+        if column == "corners" and any(array is not None for array in arrays):
             pairs = zip(tables, arrays, strict=True)
-            columns[column] = np.concatenate([np.full((len(t), 4, 2), np.nan) if a is None else a for t, a in pairs])
+            arrays = [np.full((len(t), 4, 2), np.nan) if a is None else a for t, a in pairs]
+        columns[column] = None if arrays[0] is None else np.concatenate(arrays)
     return build(tuple(numbers), np.concatenate(which), **columns, **others)
 
 

@@ -51,17 +51,18 @@ class RunSummary:
             self.frames, self.lost_at_end = self.frames + 1, ()
             return
         last = rows.frame.max()
-        self.frames += 1 if (rows.frame == last).all() else len(rows.frames)
+        self.frames += 1 if rows.frame.min() == last else len(rows.frames)
         at = np.flatnonzero(rows.status == "lost")
-        at = at[np.lexsort((rows.which[at], rows.frame[at]))]
+        if at.size:
+            at = at[np.lexsort((rows.which[at], rows.frame[at]))]
         lost = ["/".join(rows.names[i]) for i in rows.which[at].tolist()]
         for name in lost:
             self.lost_frames[name] = self.lost_frames.get(name, 0) + 1
         self.lost_at_end = tuple(name for name, frame in zip(lost, rows.frame[at], strict=True) if frame == last)
         for target, reported in rows.diagnostics.items():
             nats = reported.get(EVIDENCE.name)
-            if np.isfinite(nats).any():
-                self.evidence[target] = self.evidence.get(target, 0.0) + float(np.nansum(nats))
+            if (nats := nats[np.isfinite(nats)]).size:
+                self.evidence[target] = self.evidence.get(target, 0.0) + float(nats.sum())
 
 
 FOOTER = ("complete", "stopped", "variable_fps", "lost_frames", "warnings", "evidence", "source_sha256")

@@ -74,7 +74,7 @@ def test_no_map_falls_with_confidence_or_rises_with_spread(random, rows, clips):
         known = {feature: np.full(9, values.mean()) for feature, values in drawn.known.items()}
         for feature, sign in RISES.items():
             span = drawn.known[feature]
-            p = made({**known, feature: np.linspace(span.min() - 1, span.max() + 1, 9)})
+            p = fitting.probability(made, {**known, feature: np.linspace(span.min() - 1, span.max() + 1, 9)})
             assert np.all((p > 0) & (p < 1)), name
             assert not sign or np.all(sign * np.diff(p) >= 0), (name, feature)
 
@@ -85,7 +85,7 @@ def test_clips_weigh_alike_however_long():
         return Sample(one.known, one.right, one.visible, np.full(rows, clip), one.far)
 
     both = fitting.joined([often(4000, 0, 0.9), often(400, 1, 0.1)])
-    p = fit_logistic(("confidence",), both)(both.known)
+    p = fitting.probability(fit_logistic(("confidence",), both), both.known)
     assert np.average(p, weights=both.weight) == pytest.approx(0.5, abs=0.03)
 
 
@@ -102,7 +102,7 @@ def test_clips_weigh_alike_however_long():
 def test_the_calibrated_are_nearer_to_the_truth_on_clips_never_seen(probability):
     seen, held = sample(probability, clips=12), sample(probability, clips=12, random=2)
     found = fit(seen)
-    raw, after = figures(held, held.known["confidence"]), figures(held, found.map(held.known))
+    raw, after = figures(held, held.known["confidence"]), figures(held, fitting.probability(found.map, held.known))
     assert after.ece < 0.04 < 0.15 < raw.ece and after.brier < raw.brier
     assert found.checked.ece < 0.04 and found.checked.ece_raw > 0.15
     assert found.losses[found.name] == min(found.losses.values())
@@ -112,7 +112,8 @@ def test_each_clip_is_checked_by_the_map_of_the_others():
     whole = sample(lambda known: known["confidence"], rows=60, clips=4)
     p = fitting.left_out(whole, fitting.CANDIDATES["isotonic of confidence"])
     mine = whole.clip == 2
-    np.testing.assert_array_equal(p[mine], fit_isotonic("confidence", whole.take(~mine))(whole.take(mine).known))
+    others = fit_isotonic("confidence", whole.take(~mine))
+    np.testing.assert_array_equal(p[mine], fitting.probability(others, whole.take(mine).known))
 
 
 def test_one_clip_cannot_be_left_out():

@@ -12,12 +12,14 @@ import pytest
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.engine import confidence as judging
-from facetrack_cli.engine.confidence import Calibration, CrossChecked, Isotonic, Logistic, features, load_calibration
+from facetrack_cli.engine.confidence import Calibration, CrossChecked, Isotonic, Logistic, boxes_of, load_calibration
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import ConfidenceSettings
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.trajectory.trajectory import SPREAD, build
-from tests.support.samples import FOLDER
+from tests.support.samples import FOLDER, from_tools
+
+fitting = from_tools("calibration_fit")
 
 X0 = np.array([[50.0, 50.0], [80.0, 50.0]])
 WINDOWS = np.array([[10.0, 10.0], [20.0, 12.0]])
@@ -191,8 +193,8 @@ def test_a_damaged_file_is_refused_in_a_line_that_names_it(file, change, said):
 
 def test_isotonic_of_a_logistic_regression(tmp_path):
     both = Isotonic(score=POINTS, knots=[[0.0, 0.2], [1.0, 0.6]])
-    known = features(rows(), np.zeros(4, np.bool_), 50.0)
-    np.testing.assert_allclose(both(known), 0.2 + 0.4 * POINTS(known))
+    known = fitting.features(rows(), np.zeros(4, np.bool_), 50.0)
+    np.testing.assert_allclose(fitting.probability(both, known), 0.2 + 0.4 * fitting.probability(POINTS, known))
     (tmp_path / "x.json").write_text(calibration(points=both).to_json(), encoding="utf-8")
     assert load_calibration(tmp_path / "x.json").maps["points"] == both
 
@@ -210,13 +212,13 @@ def test_what_is_no_calibration_is_refused(tmp_path, data):
 
 def test_features_by_hand():
     given = rows()
-    known = features(given, np.array([False, False, False, True]), 50.0)
+    known = fitting.features(given, np.array([False, False, False, True]), 50.0)
     assert known["spread"][[0, 1, 3]].tolist() == pytest.approx([np.log(1e-3), np.log(5 / 50), np.log(5 / 20)])
     assert known["ess"][[0, 1, 3]].tolist() == pytest.approx([0, -1, -2])
     assert known["log_odds"][1] == pytest.approx(np.log(0.61 / 0.41)) and known["lost"].tolist() == [0, 1, 0, 0]
     assert known["size"][[0, 1, 3]].tolist() == pytest.approx([np.log(50), np.log(50), np.log(20)])
     # a single point has no distance to others, but a window
-    assert features(given, np.zeros(4, np.bool_), 0.0)["spread"][1] == pytest.approx(np.log(5 / 8))
+    assert fitting.features(given, np.zeros(4, np.bool_), 0.0)["spread"][1] == pytest.approx(np.log(5 / 8))
 
 
 def test_points_and_boxes_have_maps_of_their_own():
@@ -234,6 +236,32 @@ def test_points_and_boxes_have_maps_of_their_own():
     assert found.status.tolist() == ["init", "hidden", "absent", "lost"]
     np.testing.assert_allclose(found.std_x, given.std_x * [2, 2, 2, 0.5])
     np.testing.assert_allclose(found.cov_xy, given.cov_xy * [4, 4, 4, 0.25])
+
+
+@pytest.mark.parametrize("size", [0.0, 50.0])
+@pytest.mark.parametrize("score", ["confidence", "spread", POINTS])
+def test_the_kernel_maps_rows_as_what_fitted_the_map_does(score, size):
+    rng = np.random.default_rng(6)
+    names = [("face", part) for part in ("nose", "box")]
+    columns = {name: rng.uniform(0.001, 60, 40) for name in ("w", "h", "std_x", "std_y", "ess")}
+    columns |= {
+        "particles": np.full(40, 50.0),
+        "confidence": rng.random(40),
+        "status": rng.choice(["lost", "tracked"], 40),
+    }
+    columns["confidence"][3], columns["ess"][4], columns["std_x"][5] = np.nan, np.nan, np.nan
+    given = build(names, np.arange(40) % 2, np.arange(40) // 2, **columns)
+    knots = [[0.1, 0.9], [0.3, 0.4], [0.4, 0.1]] if score == "spread" else [[0.1, 0.1], [0.3, 0.4], [0.4, 0.9]]
+    maps = {"points": Isotonic(score=score, knots=knots), "box": POINTS}
+    found = calibration(**maps).applied(given, size)
+    known, boxes = fitting.features(given, boxes_of(given), size), boxes_of(given)
+    p = np.where(boxes, *(fitting.probability(maps[kind], known) for kind in ("box", "points")))
+    p = np.where(given.status == "lost", np.minimum(p, 0.3), p)
+    kept = np.isnan(given.confidence) | np.isnan(given.ess)
+    np.testing.assert_allclose(found.confidence, np.where(kept, given.confidence, p))
+    lost, sure = given.status == "lost", np.where(kept, np.nan, p)
+    expected = np.where(sure < 0.5, "lost", np.where(lost & ~np.isnan(sure), "hidden", given.status))
+    np.testing.assert_array_equal(found.status, expected)
 
 
 def test_of_a_lost_box_and_its_points_nothing_is_likely():
@@ -284,7 +312,7 @@ def test_a_calibration_changes_confidence_and_spread_alone(file, recipe, clip):
     of_box = np.array([part == "box" for _, part in raw.names])[raw.which]
     np.testing.assert_allclose(found.std_y, raw.std_y * np.where(own, 1.0, np.where(of_box, 0.5, 2.0)))
     boxes = of_box & later
-    np.testing.assert_allclose(found.confidence[boxes], BOX({"confidence": raw.confidence[boxes]}))
+    np.testing.assert_allclose(found.confidence[boxes], fitting.probability(BOX, {"confidence": raw.confidence[boxes]}))
 
 
 def test_a_file_stands_beside_its_recipe_or_is_refused(file, tmp_path):

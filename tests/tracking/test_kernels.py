@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.types import Frame, planes_of
+from facetrack_cli.core.types import Frame, Particles, planes_of
 from facetrack_cli.engine import resampling
+from facetrack_cli.engine.spaces import estimate
 from facetrack_cli.trackers.face.image_kernels import coloured
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.points import point_kernels as windows
@@ -122,6 +123,19 @@ def test_inverse_agrees_with_exact_fractions(weights, points):
     points = np.sort(points)
     seen = resampling._invert(np.array(weights)[:, None].repeat(2, axis=1), points[:, None].repeat(2, axis=1))
     assert seen[:, 0].tolist() == seen[:, 1].tolist() == naive_inverse(weights, points)
+
+
+@pytest.mark.parametrize("ess", [np.inf, 5.0])
+def test_mean_and_covariance_are_those_of_numpy(ess):
+    rng = np.random.default_rng(4)
+    x, w = rng.normal(size=(40, 3, 4)), rng.dirichlet(np.ones(40))
+    found = estimate(Particles(x, np.log(w)), np.full(3, ess), sides=x[:, 0, 2:])
+    np.testing.assert_allclose(found.state, np.average(x, axis=0, weights=w))
+    more = (1 + 1 / ess) / (1 - 1 / ess)
+    for k in range(3):
+        cov = np.cov(x[:, k].T, aweights=w, ddof=0) * more
+        np.testing.assert_allclose(found.cov[k], cov[:2, :2])
+    np.testing.assert_allclose(found.side_std**2, np.diag(np.cov(x[:, 0, 2:].T, aweights=w, ddof=0)) * more)
 
 
 def test_colours_of_planes_are_those_that_opencv_computes():

@@ -163,6 +163,27 @@ def stacked(*each, area=AREA):
     return SensorReading(*map(np.stack, zip(*each, strict=True)), area)
 
 
+@pytest.mark.parametrize("shown", [1.0, 0.7])
+def test_rows_of_a_face_are_those_of_the_plain_twin(shown):
+    rng = np.random.default_rng(5)
+    at, seen, how = rng.uniform(0, 160, (9, 2)), rng.random(9), np.zeros(9, np.int64)
+    root, head = (
+        rng.normal(size=(9, 2, 2)) * np.array([1, 1, 1, 9, 1, 1, 9, 1, 1])[:, None, None],
+        rng.normal(size=(2, 2)),
+    )
+    at[8], how[1] = np.nan, 2
+    cov, face = (
+        root @ root.transpose(0, 2, 1) * np.where(np.isnan(at[:, :1, None]), np.nan, 1),
+        Similarity(FAR_AWAY, 1.3, 0.4),
+    )
+    how_it_was, rows = how.copy(), np.empty((6, 9))
+    given = at, cov, seen, 4, shown, head @ head.T, face.matrix, face.centre, MIDDLE, 9.0, 0.5
+    landmark_kernels.show(*given, rows, how)
+    expected, hows = twin.shown(*given, how_it_was)
+    np.testing.assert_allclose(rows, expected, atol=1e-12)
+    assert how.tolist() == hows and set(hows) == {0, 1, 2}
+
+
 @pytest.mark.parametrize(
     ("first", "second", "at", "sure"),
     [

@@ -95,3 +95,18 @@ def updated(z, state, cov, visible, log_odds, cross, least, keep, bias, var, noi
             wrong[k], r2[k] = np.clip(wrong[k], 0.01, 0.9), np.clip(r2[k], least[s] ** 2, (0.1 * EYES) ** 2)
         out.append((b, p, r2, right, wrong))
     return [np.array(values) for values in zip(*out, strict=True)]
+
+
+def shown(at, cov, seen, windows, shown, head, matrix, centre, middle, near, least, how):
+    """Rows (6, J) of a face, and how its parts are seen: 0 visible, 1 hidden, 2 lost."""
+    rows, how = [], list(how)
+    for j, (place, own, visible) in enumerate(zip(at, cov, seen, strict=True)):
+        spread = matrix @ own @ matrix.T + (1 - visible * shown) * head
+        right = shown * (1 - math.exp(-(near**2) / np.trace(spread)))
+        std, sure = np.sqrt(np.diag(spread)), right * visible if j < windows else right
+        rows.append([*(matrix @ (place - middle) + centre), *std, spread[0, 1], sure])
+        if j >= windows and visible < least:
+            how[j] = 1
+        if math.isnan(right) or right < least:
+            how[j] = 2
+    return np.array(rows).T, how

@@ -1,7 +1,7 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
 """How kernels are compiled and cached, a decorator for each kind of arithmetic, and what several trackers share.
 
-That is bilinear reading, the sums of boxes, where boxes lie, and drawing indices by weights.
+That is bilinear reading, the sums of boxes, where boxes lie, drawing indices by weights, and mean and covariance.
 """
 
 import contextlib
@@ -148,6 +148,29 @@ def invert_cdf(weights, points, out):
                 i += 1
                 cumulated += weights[i, k]
             out[j, k] = i
+
+
+@exact
+def moments(x, w, ess, mean, cov):
+    """Of x (N, K, D) with weights w (N,) the `mean` (K, D) and the covariance of the first two, `cov` (K, 2, 2).
+
+    It is that of the truth: `engine.spaces.estimate` says what the effective sample sizes `ess` (K,) add.
+    """
+    mean[:], cov[:] = 0.0, 0.0
+    for n in range(len(x)):
+        for k in range(x.shape[1]):
+            for d in range(x.shape[2]):
+                mean[k, d] += w[n] * x[n, k, d]
+    for n in range(len(x)):
+        for k in range(x.shape[1]):
+            u, v = x[n, k, 0] - mean[k, 0], x[n, k, 1] - mean[k, 1]
+            cov[k, 0, 0] += w[n] * u * u
+            cov[k, 0, 1] += w[n] * u * v
+            cov[k, 1, 1] += w[n] * v * v
+    for k in range(len(ess)):
+        more = (1.0 + 1.0 / ess[k]) / max(1.0 - 1.0 / ess[k], 1e-12)
+        cov[k, 1, 0] = cov[k, 0, 1] = more * cov[k, 0, 1]
+        cov[k, 0, 0], cov[k, 1, 1] = more * cov[k, 0, 0], more * cov[k, 1, 1]
 
 
 def boxes_extent(

@@ -247,7 +247,9 @@ class LandmarkFilter(NamedTuple):
     @property
     def cov(self) -> Array:
         """(J, 2, 2): the covariance of the places, with what the sensor is off for long."""
-        return (self.var + self.bias_std**2)[:, None, None] * np.eye(2)
+        cov = np.zeros((len(self.var), 2, 2))
+        cov[:, 0, 0] = cov[:, 1, 1] = self.var + self.bias_std**2
+        return cov
 
     def mapped(self, to: Callable[[Array], Array]) -> LandmarkFilter:
         """In another stabilized image; the similarity `to` maps places of this image to it."""

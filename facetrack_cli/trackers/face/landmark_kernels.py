@@ -243,6 +243,32 @@ def follow(seen, z, log_odds, eyes, rest, offset, var, motion_var, noise_var, vi
 
 
 @exact
+def show(at, cov, seen, windows, shown, head, matrix, centre, middle, near, least, rows, how):
+    """Of parts at `at` (J, 2) of the stabilized image with `cov` (J, 2, 2), `seen` (J,): `rows` (6, J) in the frame.
+
+    These are x, y, their standard deviations and covariance, and the confidence. `matrix` (2, 2), `centre` (2,) and
+    `middle` are those of the map, `near` the pixels within which a part is right. The first parts have `windows`. Of
+    what is hidden, the head alone says where it is, with covariance `head` (2, 2). `how` (J,) becomes 1 of parts
+    without windows that are hidden, and 2 of all that are right with a probability below `least`.
+    """
+    a, b = matrix[0, 0], matrix[1, 0]
+    for j in range(len(at)):
+        u, v, p, q, r = at[j, 0] - middle, at[j, 1] - middle, cov[j, 0, 0], cov[j, 1, 1], cov[j, 0, 1]
+        rows[0, j], rows[1, j] = a * u - b * v + centre[0], b * u + a * v + centre[1]
+        doubt = 1.0 - seen[j] * shown
+        x = a * a * p - 2.0 * a * b * r + b * b * q + doubt * head[0, 0]
+        y = b * b * p + 2.0 * a * b * r + a * a * q + doubt * head[1, 1]
+        rows[2, j], rows[3, j] = math.sqrt(x), math.sqrt(y)
+        rows[4, j] = a * b * (p - q) + (a * a - b * b) * r + doubt * head[0, 1]
+        there = shown * (1.0 - math.exp(-near * near / (1e-9 if x + y < 1e-9 else x + y)))  # nan stays
+        rows[5, j] = there * (seen[j] if j < windows else 1.0)
+        if j >= windows and seen[j] < least:
+            how[j] = 1
+        if not there >= least:
+            how[j] = 2
+
+
+@exact
 def judge(
     like, number, age, maps, corner, beside, odds, state, x, log_w, sure, good, visible, usual, used, new, forgets
 ):  # fmt: skip
@@ -316,22 +342,25 @@ def jump(
     `sharpness` and `floor` are those of WindowNcc.
     """
     many = 2 * len(z)
-    middle, (above, drawn, width, fall, target, proposal) = np.empty((2, many)), np.empty((6, many))
+    middle, (above, drawn, target, proposal) = np.empty((2, many)), np.empty((4, many))
+    wider, often, nearer, width, fall, scale = np.empty((6, many))
     mx = my = top = 0.0
     for k in range(x.shape[1]):
         hidden = (1.0 - visible[k]) * math.exp(-floor * sharpness)
+        for c in range(many):
+            square = sigma[k] ** 2 if c % 2 == 0 else wide[k] ** 2
+            wider[c] = 1.0 + square * p[c // 2, k]
+            nearer[c], width[c] = 1.0 - 1.0 / wider[c], math.sqrt(square / wider[c])
+            fall[c], scale[c] = -0.5 * wider[c] / square, math.log(wider[c])
+            often[c] = w[c // 2, k] + math.log(max(1.0 - jumps if c % 2 == 0 else jumps, 1e-12))
         for n in range(len(x)):
             if n == 0 or x[n, k, 0] != x[n - 1, k, 0] or x[n, k, 1] != x[n - 1, k, 1]:  # parents come in order
                 mx, my = rest[k, 0] + keep * (x[n, k, 0] - rest[k, 0]), rest[k, 1] + keep * (x[n, k, 1] - rest[k, 1])
                 top = -math.inf
                 for c in range(many):
-                    m, square = c // 2, sigma[k] ** 2 if c % 2 == 0 else wide[k] ** 2
-                    wider = 1.0 + square * p[m, k]
-                    u, v = z[m, k, 0] - mx, z[m, k, 1] - my
-                    middle[0, c], middle[1, c] = mx + (1.0 - 1.0 / wider) * u, my + (1.0 - 1.0 / wider) * v
-                    width[c], fall[c] = math.sqrt(square / wider), -0.5 * wider / square
-                    often = max(1.0 - jumps if c % 2 == 0 else jumps, 1e-12)
-                    above[c] = w[m, k] + math.log(often) - 0.5 * (u**2 + v**2) * p[m, k] / wider - math.log(wider)
+                    u, v = z[c // 2, k, 0] - mx, z[c // 2, k, 1] - my
+                    middle[0, c], middle[1, c] = mx + nearer[c] * u, my + nearer[c] * v
+                    above[c] = often[c] - 0.5 * (u**2 + v**2) * p[c // 2, k] / wider[c] - scale[c]
                     top = max(top, above[c])
                 total = 0.0
                 for c in range(many):

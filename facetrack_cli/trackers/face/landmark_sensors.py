@@ -165,11 +165,13 @@ class LandmarkSensors:
         if not self.eyes:
             return None
         at, odds = load_eyes().fit(frame, face, channels, parts)
-        irises, iris_odds = at[CORNERS].reshape(2, 2, 2).mean(axis=1), np.full(2, NO_FACE)
-        if self.iris is not None and mesh is not None:
-            corners = mesh[[MESH[OF_EYES[i]] for i in CORNERS]]
-            lids, irises = self.iris.measure(frame, face, corners)
-            at = (1 - TRUSTED) * at + TRUSTED * lids
-            iris_odds = odds[[0, 4]] + MAX_LOG_ODDS * (openings(at) / SHUT - 1)
+        if self.iris is not None:
+            irises, iris_odds = at[CORNERS].reshape(2, 2, 2).mean(axis=1), np.full(2, NO_FACE)
+            if mesh is not None:
+                corners = mesh[[MESH[OF_EYES[i]] for i in CORNERS]]
+                lids, irises = self.iris.measure(frame, face, corners)
+                at = (1 - TRUSTED) * at + TRUSTED * lids
+                iris_odds = odds[[0, 4]] + MAX_LOG_ODDS * (openings(at) / SHUT - 1)
+            at, odds = np.concatenate([at, irises]), np.concatenate([odds, iris_odds])
         index = [OF_EYES.index(part) for part in self.eyes]
-        return PlacedPoints(np.concatenate([at, irises])[index], np.concatenate([odds, iris_odds])[index])
+        return PlacedPoints(at[index], odds[index])

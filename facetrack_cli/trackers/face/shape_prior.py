@@ -40,6 +40,6 @@ class StudentPrior(Prior):
 
     def log_density(self, x: Array) -> Array:
         """(N,): the log density, at most 0."""
-        unit = (x - self.first).reshape(-1, len(self._to_unit)) @ self._to_unit
-        squared = np.sum(unit**2, axis=1)
+        unit = x.reshape(-1, len(self._to_unit)) @ self._to_unit - self.first.ravel() @ self._to_unit
+        squared = np.einsum("ni,ni->n", unit, unit)
         return np.asarray(-0.5 * (self.freedom + unit.shape[1]) * np.log1p(squared / self.freedom))

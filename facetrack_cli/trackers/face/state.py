@@ -10,13 +10,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.geometry import corners
-from facetrack_cli.core.types import BOX, Array, Frame, Mask
+from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask
 from facetrack_cli.engine.confidence import Calibration
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.smoothing import Belief
-from facetrack_cli.engine.target import ParticleState, ParticleTarget, Rows
+from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.trackers.box.hidden_box import BoxTarget
+from facetrack_cli.trackers.face import landmark_kernels as kernels
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import Sighting
 from facetrack_cli.trackers.face.landmark_filters import BiasFilter, Facing, LandmarkFilter
@@ -27,11 +27,13 @@ from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, Similarity
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
-from facetrack_cli.trajectory.trajectory import PLACE, TargetResult, of_frame
+from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 from facetrack_cli.video.shots import Passing
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
 _MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over
+_VALUES: Final = ("x", "y", "std_x", "std_y", "cov_xy", "confidence", "w", "h", "ess", "angle", "std_w", "std_h")
+_HOW: Final = ("tracked", "hidden", "lost")  # as `landmark_kernels.show` counts them
 
 
 class FaceState(NamedTuple):
@@ -40,7 +42,7 @@ class FaceState(NamedTuple):
     Attributes
     ----------
     head, features : states of the head's filter and of the points' filter, which lives in the stabilized image
-    feature_rows : the last rows of the points, in pixels of the stabilized image
+    info : of the last step of the points' filter
     bias_filters : of the regression, the detector and the network, in this order
     facing : whether the face is turned to the camera
     pose : (4,), how the face lies in the head's box: roll in radians, log of its size, offset in sizes of the box
@@ -59,7 +61,7 @@ class FaceState(NamedTuple):
 
     head: ParticleState
     features: ParticleState
-    feature_rows: Rows
+    info: Info
     bias_filters: BiasFilter
     facing: Facing
     pose: Array
@@ -108,15 +110,19 @@ class FaceView(NamedTuple):
 def updated(pose: Array, var: Array, offset: Array, std: Array) -> tuple[Array, Array]:
     """A pose (4,) and its variances after a measurement that is `offset` from it, with standard deviations `std`."""
     gain = var / (var + std**2)
-    return np.clip(pose + gain * offset, -_MAX_POSE, _MAX_POSE), (1 - gain) * var
+    return np.minimum(np.maximum(pose + gain * offset, -_MAX_POSE), _MAX_POSE), (1 - gain) * var
 
 
-def moved(features: ParticleState, to: Callable[[Array], Array]) -> ParticleState:
-    """The points' state, with every place x replaced by to(x)."""
+def moved(features: ParticleState, to: Callable[[Array], Array], **others: Any) -> ParticleState:
+    """The points' state, with every place x replaced by to(x), and `others` of its values."""
     particles = features.particles._replace(x=to(features.particles.x))
-    return replace(
-        features, particles=particles, estimated=features.estimated._replace(state=to(features.estimated.state))
-    )
+    estimated = features.estimated._replace(state=to(features.estimated.state))
+    return replace(features, particles=particles, estimated=estimated, **others)
+
+
+def mapped(x: Array, turned: complex, shift: complex) -> Array:
+    """Places x (..., 2) as complex numbers, times `turned` plus `shift`: NumPy is slow on axes of two."""
+    return (x.view(np.complex128) * turned + shift).view(np.float64)
 
 
 def head_confidence(head: ParticleState) -> float:
@@ -172,79 +178,71 @@ class FaceParts:
     def diagnostics(self) -> tuple[Any, ...]:
         return (SCALE, ROLL, EVIDENCE) if self.sensors.mesh is None else (SCALE, ROLL, EVIDENCE, NETWORK)
 
-    def result(self, state: FaceState, box: Rows, frame: Frame) -> TargetResult:
-        """The rows of all parts, with the particles of the points, in the frame."""
-        similarity = self.map_to_frame(state.head.estimated.state, state.pose)
-        columns, both = self._columns(state, box.columns, similarity), (box, state.feature_rows)
+    def result(self, state: FaceState, info: Info, frame: Frame, notes: tuple[str, ...] = ()) -> TargetResult:
+        """The rows of all parts, with the particles of the points, in the frame; `info` is of the head's filter."""
+        face = self.map_to_frame(state.head.estimated.state, state.pose)
         values = {
-            SCALE.name: np.array([similarity.scale * FACE / self.side]),
+            SCALE.name: np.array([face.scale * FACE / self.side]),
             ROLL.name: np.array([math.degrees(state.pose[0])]),
             # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
-            EVIDENCE.name: np.array([sum((rows.evidence for rows in both if rows.frame == frame.index), 0.0)]),
+            EVIDENCE.name: np.array([info.evidence + state.info.evidence]),
         }
         if self.sensors.mesh is not None:
             values[NETWORK.name] = state.bias_filters.reliability[BY_NETWORK].mean(keepdims=True)
         diagnostics = {self.name: Diagnostics(self.diagnostics, np.array([frame.index]), values)}
-        rows = filtered = of_frame(self._names, frame, diagnostics, **columns)
+        rows = filtered = of_frame(self._names, frame, diagnostics, **self._columns(state, info.ess, face))
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.features.size * self.side / FACE)
-        cloud = similarity.to_frame(state.features.particles.x)
-        return TargetResult(rows, cloud, (), box.notes, lambda: self.beliefs(state, filtered.unseen))
+        cloud = face.to_frame(state.features.particles.x)
+        return TargetResult(rows, cloud, (), notes, lambda: self.beliefs(state, filtered.unseen))
 
-    def _columns(self, state: FaceState, box: Mapping[str, Any], face: Similarity) -> dict[str, Any]:
-        """Columns of all parts; `box` has those of the head's filter.
+    def _columns(self, state: FaceState, head_ess: Array, face: Similarity) -> dict[str, Any]:
+        """Columns of all parts.
 
         The confidence of a point with a window is that it is visible, shown with the head and near. That of a point
         without a window is of its place alone; where it is not seen it is hidden. Points at nan are lost. The head's
         box is where the face is in it, as large as that, and turned by its roll.
         """
-        last, estimated = state.feature_rows.columns, state.features.estimated
-        k, count = len(self.features.parts), len(self._names)
-        status, confidence = last["status"], last.get("confidence", np.full(k, np.nan))
-        seen, hows = np.full(count, np.nan), np.full(count, "tracked")
-        at, cov = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
-        at[:k], cov[:k], seen[:k] = estimated.state, estimated.cov, np.where(np.isnan(confidence), 1.0, confidence)
-        hows[:k][status == "lost"], end = "lost", k + 1
+        features, head, k, count = state.features, state.head, len(self.features.parts), len(self._names)
+        points, box, judged = features.estimated, head.estimated, features.judgement
+        at, cov, seen, how = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan), np.ones(count), [0] * count
+        at[:k], cov[:k], end = points.state, points.cov, k + 1
+        if judged is not None:
+            seen[:k], how[:k] = judged.confidence, [_HOW.index("lost") * (status == "lost") for status in judged.status]
         for names, landmarks in self._without_windows(state):
             those, end = slice(end, end + len(names)), end + len(names)
             if landmarks is not None:
                 at[those], cov[those], seen[those] = landmarks.at, landmarks.cov, landmarks.visible
-                hows[those][landmarks.visible < self.settings.lost_below] = "hidden"
-        shown = state.facing.shown * head_confidence(state.head)
-        seen *= shown
-        # of what is hidden, the head alone says where it is
-        cov = face.matrix @ cov @ face.matrix.T + (1 - seen)[:, None, None] * state.head.estimated.cov[0]
-        var = cov.reshape(-1, 4)[:, ::3]
-        near = 1 - np.exp(-((OFF * EYES * face.scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
-        hows[~(shown * near >= self.settings.lost_below)] = "lost"
-        seen[k + 1 :] = shown
-        (x, y), (std_x, std_y) = face.to_frame(at).T, np.sqrt(var).T
-        columns = dict(zip(PLACE, np.full((len(PLACE), count), np.nan), strict=True))
-        columns |= {"x": x, "y": y, "std_x": std_x, "std_y": std_y, "cov_xy": cov[:, 0, 1], "confidence": seen * near}
-        columns["w"][:k], columns["h"][:k] = last["w"] * face.scale, last["h"] * face.scale
-        columns["ess"][:k] = last["ess"]
+        values, hows = np.full((len(_VALUES), count), np.nan), np.array(how)
+        shown, near = state.facing.shown * head_confidence(head), OFF * EYES * face.scale
+        place = face.matrix, face.centre, MIDDLE, near, self.settings.lost_below, values[:6], hows
+        kernels.show(at, cov, seen, k, shown, box.cov[0], *place)
+        values[6:8, :k], values[8, :k] = self.features.space.windows(points).T * face.scale, state.info.ess
+        status = np.array(_HOW)[hows]
         if not state.frames:
-            hows[:k][(hows[:k] != "lost") & (status == "init")] = "init"
-            columns["confidence"][:k] = confidence
-        if (absent := status == "absent").any():
-            hows[:k][absent] = "absent"
-            for values in columns.values():
-                values[:k][absent] = np.nan
-        columns["status"] = hows
-        for name in ("confidence", "status", "std_x", "std_y", "cov_xy", "ess"):
-            columns[name][k] = box[name][0]
-        grown, roll = face.scale * FACE / math.sqrt(box["w"][0] * box["h"][0]), math.remainder(face.angle, math.tau)
-        for name in ("w", "h", "std_w", "std_h"):
-            columns[name][k] = box[name][0] * grown if name in box else np.nan
-        columns["x"][k], columns["y"][k], columns["angle"][k] = *face.centre, math.degrees(roll)
-        way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
+            began = [judged is None or one == "init" for one in ([""] * k if judged is None else judged.status)]
+            status[:k][(hows[:k] < _HOW.index("lost")) & began] = "init"
+            values[5, :k] = np.nan if judged is None else judged.confidence
+        if features.absent is not None:
+            values[:, :k][:, features.absent], status[:k][features.absent] = np.nan, "absent"
+        assert head.judgement is not None
+        status[k], roll = head.judgement.status[0], math.remainder(face.angle, math.tau)
+        wide, high = self.head.space.windows(box)[0].tolist()
+        grown = face.scale * FACE / math.sqrt(wide * high)
+        wide, high = wide * grown, high * grown
+        spread = (math.nan, math.nan) if box.side_std is None else box.side_std * grown
+        (xx, xy), (_, yy) = box.cov[0].tolist()
+        std = math.sqrt(max(xx, 0.0)), math.sqrt(max(yy, 0.0))
+        sure = head_confidence(head), wide, high, head_ess[0], math.degrees(roll)
+        values[:, k] = *face.centre, *std, xy, *sure, *spread
+        corners = np.full((count, 4, 2), np.nan)
         # the border runs through the middle of the outermost pixels
-        size = np.array([[columns["w"][k] - 1, columns["h"][k] - 1]])
-        columns["corners"] = np.full((count, 4, 2), np.nan)
-        columns["corners"][k] = corners(way, face.centre[None], size)[0]
+        ends = np.array([[1 - wide, 1 - high], [wide - 1, 1 - high], [wide - 1, high - 1], [1 - wide, high - 1]]) / 2
+        way = [[math.cos(roll), math.sin(roll)], [-math.sin(roll), math.cos(roll)]]
+        corners[k] = face.centre + ends @ way
         # of a target one number: both filters' together
-        columns["particles"] = np.full(count, float(last["particles"].max() + box["particles"][0]))
-        return columns
+        particles = np.full(count, float(len(features.particles.x) + len(head.particles.x)))
+        return {**dict(zip(_VALUES, values, strict=True)), "status": status, "corners": corners, "particles": particles}
 
     def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
         """For the smoother: of the points in the stabilized image, of the head, and of the points without windows.

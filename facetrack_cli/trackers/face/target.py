@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Final
 
 import numpy as np
@@ -32,7 +32,7 @@ from facetrack_cli.core.types import Array, Frame, Info, TargetStart
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Motion, Names
 from facetrack_cli.engine.spaces import Estimate
-from facetrack_cli.engine.target import ParticleState, Rows
+from facetrack_cli.engine.target import ParticleState
 from facetrack_cli.trackers.face import stabilized, window_ncc
 from facetrack_cli.trackers.face.evidence import (
     MAYBE,
@@ -59,7 +59,7 @@ from facetrack_cli.trackers.face.landmark_filters import (
 from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, SensorReading, modes
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
-from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, moved, updated
+from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, mapped, moved, updated
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
@@ -104,13 +104,10 @@ class FaceTarget(FaceParts):
         biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, self.features.x0)
         if self.sensors.detector is not None and not self.sensors.searched and detection is None:
             facing = facing.undetected()
-        rows, shots = self.features.rows(features, image, otherwise="init"), Passing((small(frame),))
-        looks, pictures, pose = (look_of(image),), (self._picture(frame, similarity),), self.pose
-        state = FaceState(
-            head, features, rows, biases, facing, pose, np.zeros(4), others, eyes, looks, pictures, similarity, shots
-        )
-        box = self.head.rows(head, frame, otherwise="init")._replace(notes=result.notes)
-        return state, self.result(state, box, frame)
+        looks, pictures, info = (look_of(image),), (self._picture(frame, similarity),), self.features.begun
+        views, shots, pose = (looks, pictures, similarity), Passing((small(frame),)), self.pose
+        state = FaceState(head, features, info, biases, facing, pose, np.zeros(4), others, eyes, *views, shots)
+        return state, self.result(state, self.head.begun, frame, result.notes)
 
     def restart(
         self, rng: Generator, frame: Frame, first: FaceState, given: TargetStart, absent: Names = (), anew: Names = ()
@@ -135,12 +132,9 @@ class FaceTarget(FaceParts):
         features, _ = self.features.restart(rng, image, first.features, TargetStart(points=points), absent, anew)
         detection, at = self.sensors.detected(image), features.estimated.state
         biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, at)
-        rows, shots = self.features.rows(features, image), Passing((small(frame),))
-        looks, pictures = first.looks, first.pictures
-        state = FaceState(
-            head, features, rows, biases, Facing(), pose, np.zeros(4), others, eyes, looks, pictures, similarity, shots
-        )
-        return state, self.result(state, self.head.rows(head, frame), frame)
+        views, shots, info = (first.looks, first.pictures, similarity), Passing((small(frame),)), self.features.begun
+        state = FaceState(head, features, info, biases, Facing(), pose, np.zeros(4), others, eyes, *views, shots)
+        return state, self.result(state, self.head.begun, frame)
 
     # --- a frame -------------------------------------------------------------------------------------------------
 
@@ -171,8 +165,7 @@ class FaceTarget(FaceParts):
             if (sighting := state.sighting) is not None and sighting.is_target(frame):
                 return self._returned(rng, state, sighting, frame)
         head, info = self.head.unseen(rng, state.head, frame, anywhere=not just_cut)
-        state = state._replace(head=head, log_odds=_FORGETS * state.log_odds)
-        return state, self.result(state, self.head.rows(head, frame, info), frame)
+        return self._unseen(state._replace(head=head), info, frame)
 
     def _step(
         self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint]
@@ -206,15 +199,17 @@ class FaceTarget(FaceParts):
         log_odds = 0.0 if state.sighting is not None else state.facing.log_odds(seen)
         informed = replace(state.head, learned=state.head.learned._replace(external_log_odds=log_odds))
         head, info = self.head.advanced(rng, informed, frame, footprints)
-        box = self.head.rows(head, frame, info)
         if head_confidence(head) < self.settings.lost_below:
-            log_odds = _FORGETS * state.log_odds
-            state = state._replace(head=head, facing=state.facing.predicted(), log_odds=log_odds)
-            return state, self.result(state, box, frame)
+            return self._unseen(state._replace(head=head, facing=state.facing.predicted()), info, frame)
         state = state._replace(head=head, sighting=None)
         if view is None or not view.similarity.is_near(self.map_to_frame(head.estimated.state, state.pose), STEADY):
             view = self._view(state, head.estimated.state, frame, due=due)
-        return self._followed(rng, state, view, frame, box)
+        return self._followed(rng, state, view, frame, info)
+
+    def _unseen(self, state: FaceState, info: Info, frame: Frame) -> tuple[FaceState, TargetResult]:
+        """After a frame in which the head's filter, which says `info`, does not see it: the points stay."""
+        state = state._replace(log_odds=_FORGETS * state.log_odds, info=state.info._replace(evidence=0.0))
+        return state, self.result(state, info, frame)
 
     def _is_due(self, state: FaceState) -> bool:
         """Whether it is the detector's turn to look."""
@@ -236,23 +231,29 @@ class FaceTarget(FaceParts):
         detection = self.sensors.detected(image) if due else None
         before = state.features.estimated.state
         detected = self.sensors.places({} if detection is None else detection.points)
-        around, measured = [before.mean(axis=0)], np.isfinite(detected).all(axis=1)
-        if measured.any():
-            around.append((before + (detected - before)[measured].mean(axis=0)).mean(axis=0))
+        around = [np.add.reduce(before) / len(before)]
+        if detection is not None and (measured := np.isfinite(detected).all(axis=1)).any():
+            around.append(around[0] + (detected - before)[measured].mean(axis=0))
         landmarks = self.sensors.read(frame, similarity, image, around)
         visible = self._visible(state.features)
-        places = np.stack([landmarks.parts.at, detected, landmarks.network])
+        places = np.array([landmarks.parts.at, detected, landmarks.network])
         readings = state.bias_filters.reading(places, visible)
         at, shift, apart = fused(readings, before)
         log_odds = 0.0 if apart else landmarks.parts.log_odds
         return FaceView(similarity, image, due, detection, landmarks, places, readings, at, shift, log_odds)
 
     def _followed(
-        self, rng: Generator, state: FaceState, view: FaceView, frame: Frame, box: Rows | None
+        self,
+        rng: Generator,
+        state: FaceState,
+        view: FaceView,
+        frame: Frame,
+        head_info: Info | None,
+        notes: tuple[str, ...] = (),
     ) -> tuple[FaceState, TargetResult]:
         """The points followed in a view of the frame, then what sensors, pose and landmarks learn from it.
 
-        `box` are the head's rows; None: its filter has not looked, and the points carry the head.
+        `head_info` is of the head's filter; None: it has not looked, and the points carry the head.
         """
         features, info = self._tracked(rng, state.features, view)
         estimated, visible = features.estimated, self._visible(features)
@@ -260,7 +261,6 @@ class FaceTarget(FaceParts):
         biases = state.bias_filters.updated(view.places, estimated.state, estimated.cov, visible, odds[:-1], cross)
         if isinstance(features.learned, window_ncc.WindowState):
             features = replace(features, learned=window_ncc.doubted(features.learned, odds[-1]))
-        rows = self.features.rows(features, frame, info)
         facing = state.facing if self.sensors.detector is None else state.facing.predicted()
         others, mesh, eyes = state.others, view.landmarks.others, state.eyes
         if others is None:
@@ -272,13 +272,12 @@ class FaceTarget(FaceParts):
         if eyes is not None and view.landmarks.eyes is not None:
             eyes = eyes.after(*view.landmarks.eyes)
         head = state.head
-        if box is None:
+        if head_info is None:
             # by all of what the points have moved, or it falls behind until the head's filter looks again
             step = in_common(estimated.state - state.features.estimated.state, visible > 0.5)
-            head, info = self.head.carried(rng, head, view.similarity.matrix @ step)
-            box = self.head.rows(head, frame, info)
+            head, head_info = self.head.carried(rng, head, view.similarity.matrix @ step)
         state = state._replace(
-            head=head, features=features, feature_rows=rows, bias_filters=biases, facing=facing, others=others,
+            head=head, features=features, info=info, bias_filters=biases, facing=facing, others=others,
             eyes=eyes, log_odds=view.log_odds,
         )  # fmt: skip
         if view.detection is not None and view.log_odds >= EASY and state.cut_time is None:
@@ -287,7 +286,7 @@ class FaceTarget(FaceParts):
                 picture = self._picture(frame, view.similarity)
                 state = state._replace(looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
         state = self._restabilized(self._posed(state, view), view.similarity)
-        return state, self.result(state, box, frame)
+        return state, self.result(state, head_info, frame, notes)
 
     def _tracked(self, rng: Generator, features: ParticleState, view: FaceView) -> tuple[ParticleState, Info]:
         """The points' filter a frame later, in the stabilized image of the view.
@@ -295,10 +294,11 @@ class FaceTarget(FaceParts):
         All points first move by the view's shift. A jumping walk then follows the sensors' readings; any other motion
         has the shift alone.
         """
-        features = moved(features, lambda x: x + view.shift)
-        if isinstance(features.learned, window_ncc.WindowState):
-            odds, within = view.landmarks.parts.odds, self._within(features.estimated, view.readings)
-            features = replace(features, learned=features.learned._replace(sensor_odds=odds, within=within))
+        before, learned = features.estimated, features.learned
+        if isinstance(learned, window_ncc.WindowState):
+            odds, within = view.landmarks.parts.odds, self._within(before.state + view.shift, before.cov, view.readings)
+            learned = learned._replace(sensor_odds=odds, within=within)
+        features = moved(features, partial(mapped, turned=1, shift=complex(*view.shift)), learned=learned)
         walk, likelihood = self.features.motion, self.features.likelihood
 
         def measured(learned: Any) -> Motion:
@@ -314,11 +314,11 @@ class FaceTarget(FaceParts):
         windows = isinstance(features.learned, window_ncc.WindowState)
         return np.asarray(features.learned.visible if windows else np.ones(len(self.features.parts)))
 
-    def _within(self, before: Estimate, readings: SensorReading) -> float:
+    def _within(self, before: Array, cov: Array, readings: SensorReading) -> float:
         """Pixels from where they are expected, within which the points are by their spread and by the readings."""
-        expected = self.features.motion.expect(before.state[None])[0]
-        far = np.abs(np.where(readings.sure[..., None] > 0.5, readings.z - expected, 0.0)).max()
-        return float(far + 3 * math.sqrt(before.cov[:, [0, 1], [0, 1]].max()))
+        off = np.abs(readings.z - self.features.motion.expect(before[None])[0])
+        far = off.max(initial=0.0, where=(readings.sure > 0.5)[..., None])
+        return float(far + 3 * math.sqrt(np.diagonal(cov, 0, 1, 2).max()))
 
     def _judged(self, features: ParticleState, view: FaceView, estimated: Estimate) -> tuple[Array, Array]:
         """Log odds (S + 1, K) by this frame that sensors and windows see the parts; `cross` of `BiasFilter.updated`.
@@ -340,15 +340,15 @@ class FaceTarget(FaceParts):
     def _posed(self, state: FaceState, view: FaceView) -> FaceState:
         """With the pose by the detected box, and by the line of parts left and right, or else of the eyes."""
         z = view.fused
-        pose, var, seen = state.pose, state.pose_var + _POSE**2, np.asarray(np.isfinite(z).all(axis=1))
-        turns = [stabilized.slope(z[pair]) - self._slope(pair) for pair in self._pairs if seen[pair].all()]
+        pose, var = state.pose, state.pose_var + _POSE**2
+        turns = [turn for pair in self._pairs if math.isfinite(turn := stabilized.slope(z[pair]) - self._slope(pair))]
         # a box drawn by hand may differ from the detector's box
         detection = view.detection if self.sensors.searched else None
         if view.log_odds <= 0:  # the points are not seen
             eyes = None if detection is None else detection.eyes
             turns = [] if eyes is None else [stabilized.slope(np.array(eyes))]
         if turns:
-            pose, var = updated(pose, var, np.array([np.mean(turns), 0, 0, 0]), _BY_PAIRS)
+            pose, var = updated(pose, var, np.array([sum(turns) / len(turns), 0, 0, 0]), _BY_PAIRS)
         if view.checked:
             state = state._replace(facing=state.facing.updated(detected=view.detection is not None))
         if detection is not None:
@@ -361,12 +361,10 @@ class FaceTarget(FaceParts):
 
     def _restabilized(self, state: FaceState, old: Similarity) -> FaceState:
         """With the points, which are in the stabilized image of the `old` map, in that of the state's own."""
-        turned, shift = old.into(self.map_to_frame(state.head.estimated.state, state.pose))
-
-        def to(x: Array) -> Array:
-            return np.asarray((x.reshape(-1, 2) @ turned + shift).reshape(x.shape))
-
-        biases = state.bias_filters._replace(bias=state.bias_filters.bias @ turned)
+        matrix, shift = old.into(self.map_to_frame(state.head.estimated.state, state.pose))
+        turned = complex(*matrix[0])
+        to = partial(mapped, turned=turned, shift=complex(*shift))
+        biases = state.bias_filters._replace(bias=mapped(state.bias_filters.bias, turned, 0))
         others, eyes = (landmarks and landmarks.mapped(to) for landmarks in (state.others, state.eyes))
         return state._replace(features=moved(state.features, to), bias_filters=biases, others=others, eyes=eyes)
 
@@ -425,12 +423,12 @@ class FaceTarget(FaceParts):
         side = sighting.box[2] * math.exp(-state.pose[1])
         middle = np.array(centre(sighting.box)) - side * state.pose[2:]
         head, _ = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
-        box = self.head.rows(head, frame)
+        notes: tuple[str, ...] = ()
         if sighting.p < SURE:
             doubt = f"(probability {1 - sighting.p:.2f})"
-            note = f"from frame {frame.index} on the face may be another one than before {doubt}"
-            box = box._replace(notes=(*box.notes, note))
+            notes = (f"from frame {frame.index} on the face may be another one than before {doubt}",)
         pose, rest = np.array([sighting.roll, *state.pose[1:]]), self.features.x0
         features = moved(state.features, lambda x: x + (rest - state.features.estimated.state))
         state = state._replace(head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut_time=None)
-        return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=True), frame, box)
+        view = self._view(state, head.estimated.state, frame, due=True)
+        return self._followed(rng, state, view, frame, self.head.begun, notes)
