@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.types import Frame, planes_of
+from facetrack_cli.core.types import Frame, Planes
 from facetrack_cli.engine import resampling
 from facetrack_cli.trackers.face.image_kernels import coloured
 from facetrack_cli.trackers.face.stabilized import Similarity
@@ -130,7 +130,7 @@ def test_inverse_agrees_with_exact_fractions(weights, points):
 def test_colours_of_planes_are_those_that_opencv_computes():
     rng = np.random.default_rng(0)
     pixels = rng.integers(0, 256, (12, 8)).astype(np.uint8)
-    y, *tints = planes_of(pixels)
+    y, *tints = Planes.of(pixels)[:3]
     u, v = (one.repeat(2, axis=0).repeat(2, axis=1) for one in tints)
     np.testing.assert_array_equal(np.moveaxis(coloured(y, u, v), 0, 2), cv2.cvtColor(pixels, cv2.COLOR_YUV2BGR_I420))
 
