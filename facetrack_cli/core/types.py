@@ -169,11 +169,11 @@ class Frame:
     def planes(self, factor: int, extent: Extent) -> list[tuple[Image, int, int, int]] | None:
         """Y, U and V, each reduced for itself and with (left, top) and its own factor; None of what has no planes.
 
-        As `reduced`, but that U and V, which are half as large, are reduced by 2 at least.
+        As `reduced`, but that U and V are reduced by twice as much.
         """
         if self.yuv is None:  # whether colours were computed meanwhile must not matter
             return None
-        own, lit = max(factor, 2), (*self._brightness(factor, extent), factor)
+        own, lit = 2 * factor, (*self._brightness(factor, extent), factor)
         kept = self._tints.get(own)
         if kept is None or not _within(extent, kept[4]):
             asked = _widened(extent, 6.0 * own)
