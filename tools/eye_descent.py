@@ -157,7 +157,7 @@ def draw(
     covered = one.covered[IN_NAMES][np.array(SIDES)].mean(axis=1)
     true = HEAD.to_stabilized(one.points[IN_NAMES])
     upper = seen[: SIDE // 2].copy()  # holds the eyes; the whole takes gigabytes
-    return Drawn(Frame(0, 0.0, one.picture), upper, mouth.run_stages(seen) + CORNER, true, covered)
+    return Drawn(Frame(0, 0.0, one.picture), upper, mouth.placed_from(seen, mouth.mean).at, true, covered)
 
 
 def drawn_of(mouth: CascadedRegression, clip: Clip, clips: Sequence[Clip]) -> tuple[list[Drawn], list[Drawn]]:

@@ -259,7 +259,7 @@ def odds_of(rng: np.random.Generator, model: CascadedRegression, clips: Sequence
     found, visible = [], np.array([1 - 2 * one.covered for one in drawn])
     for one in drawn:
         seen, at = channels(one.picture), one.points + rng.normal(0, JITTER * EYES, one.points.shape)
-        at[: len(PARTS)] = model.run_stages(seen)
+        at[: len(PARTS)] = model.placed_from(seen, model.mean).at - cascaded_regression.CORNER
         found.append(read(seen, at, cascaded_regression.ODDS_SCALE)[:-1].reshape(len(at), -1))
     phi = np.array(found)
     phi = np.concatenate([phi, np.ones_like(phi[..., :1])], axis=2)

@@ -42,42 +42,89 @@ def checked_name(name: str, of: str = "person") -> str:
     return name
 
 
-@dataclass(slots=True)
+class Planes(NamedTuple):
+    """Y (H, W), U and V (H / 2, W / 2) of 4:2:0 in limited range, views of where a decoder has put them.
+
+    `ours` (3, 3) makes Y, Cb and Cr by BT.601 of them; None of planes by BT.601.
+    """
+
+    y: Image
+    u: Image
+    v: Image
+    ours: Array | None = None
+
+    @classmethod
+    def of(cls, pixels: Image) -> "Planes":
+        """Those in one array (H * 3 / 2, W)."""
+        width, height = pixels.shape[1], pixels.shape[0] * 2 // 3
+        y, u, v = np.split(pixels.ravel(), [width * height, width * height // 4 * 5])
+        return cls(y.reshape(height, width), u.reshape(-1, width // 2), v.reshape(-1, width // 2))
+
+    def part(self, columns: tuple[int, int], rows: tuple[int, int]) -> "Planes":
+        """Pairs of columns and rows, each of which has one value of U and of V, by BT.601."""
+        (x0, x1), (y0, y1) = columns, rows
+        y, u, v = self.y[2 * y0 : 2 * y1, 2 * x0 : 2 * x1], self.u[y0:y1, x0:x1], self.v[y0:y1, x0:x1]
+        if self.ours is None:
+            return Planes(y, u, v)
+        # grey stays grey: Y changes by U and V alone, each about its middle
+        more, *tints = (np.asarray(cv2.addWeighted(u, a, v, b, 128 - 128 * (a + b))) for _, a, b in self.ours.tolist())
+        pairs, lit = cv2.merge((more, more)).reshape(len(more), -1), np.empty(y.shape, np.uint8)
+        for odd in (0, 1):
+            cv2.addWeighted(y[odd::2], 1, pairs, 1, -128, dst=lit[odd::2])
+        return Planes(lit, *tints)
+
+    def joined(self) -> Image:
+        """Planes by BT.601 in one array (H * 3 / 2, W)."""
+        return np.concatenate([plane.ravel() for plane in self[:3]]).reshape(-1, self.y.shape[1])
+
+
 class Frame:
     """One frame of the source: its 0-based index, its time in s, its pixels, and values that were computed from them.
 
     `pixels` are (H, W, 3) in OpenCV's order, blue first, or the planes Y, U and V of 4:2:0 of limited range by BT.601,
-    (H * 3 / 2, W), as a decoder gives them. Grey is then Y, and colours are computed when they are read first.
-    `aspect` is the width of a pixel over its height, as it is shown.
+    (H * 3 / 2, W). Grey is then Y, and colours are computed when they are read first. Of the planes of a decoder those
+    parts are read that somebody asks for. `size` is (width, height) in pixels, `aspect` the width of a pixel over its
+    height, as it is shown.
     """
 
-    index: int
-    time_s: float
-    pixels: Image
-    _bgr: Image | None = field(default=None, repr=False, compare=False)
-    _part: tuple[Image, int, int, Extent] | None = field(default=None, repr=False, compare=False)
-    _reduced: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
-    _luma: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
-    _grey: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
-    _patches: dict[Hashable, tuple[object, NDArray[np.float32]]] = field(
-        default_factory=dict, repr=False, compare=False
-    )
-    aspect: float = field(default=1.0, kw_only=True)
+    __slots__ = (
+        "_bgr", "_grey", "_luma", "_ours", "_part", "_patches", "_pixels", "_reduced", "_tints", "aspect", "index",
+        "size", "time_s", "yuv",
+    )  # fmt: skip
+
+    def __init__(
+        self, index: int, time_s: float, pixels: Image | Planes, _bgr: Image | None = None, *, aspect: float = 1.0
+    ) -> None:
+        self.index, self.time_s, self.aspect = index, time_s, aspect
+        self._bgr, self._pixels = _bgr, None if isinstance(pixels, Planes) else pixels
+        self.yuv = pixels if isinstance(pixels, Planes) else Planes.of(pixels) if pixels.ndim == 2 else None
+        height, width = (pixels if self.yuv is None else self.yuv.y).shape[:2]
+        self.size = width, height
+        self._ours: tuple[Planes, int, int, Extent] | None = None
+        self._part: tuple[Image, int, int, Extent] | None = None
+        self._tints: dict[int, tuple[Image, Image, int, int, Extent]] = {}
+        self._reduced: dict[int, tuple[Image, int, int, Extent]] = {}
+        self._luma: dict[int, tuple[Image, int, int, Extent]] = {}
+        self._grey: dict[int, tuple[Image, int, int, Extent]] = {}
+        self._patches: dict[Hashable, tuple[object, NDArray[np.float32]]] = {}
+
+    @property
+    def pixels(self) -> Image:
+        """All of them in one array."""
+        if self._pixels is None:
+            assert self.yuv is not None
+            width, height = self.size
+            self._pixels = self.yuv.part((0, width // 2), (0, height // 2)).joined()
+        return self._pixels
 
     @property
     def bgr(self) -> Image:
         """The image as (H, W, 3)."""
-        if self.pixels.ndim == 3:
+        if self.yuv is None:
             return self.pixels
         if self._bgr is None:
             self._bgr = np.asarray(cv2.cvtColor(self.pixels, cv2.COLOR_YUV2BGR_I420), np.uint8)
         return self._bgr
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        height, width = self.pixels.shape[:2]
-        return width, height if self.pixels.ndim == 3 else height * 2 // 3
 
     def reduced(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image reduced by `factor`, a power of two (area means), at least within `extent`.
@@ -91,51 +138,68 @@ class Frame:
 
     def _colours(self, extent: Extent) -> tuple[Image, int, int]:
         """As `reduced` by 1. Of planes a part of the image is converted, where it is less than half of the whole."""
-        if self.pixels.ndim == 3 or self._bgr is not None:
+        if self.yuv is None or self._bgr is not None:
             return self.bgr, 0, 0
         if self._part is not None and _within(extent, self._part[3]):
             return self._part[:3]
-        width, height = self.size
         asked = _widened(extent, 6.0)
-        # pairs of columns and rows, each of which has one value of U and of V
-        x0, x1 = _blocks(asked[0], asked[2], 2, width // 2)
-        y0, y1 = _blocks(asked[1], asked[3], 2, height // 2)
-        if 8 * (x1 - x0) * (y1 - y0) > width * height:
+        columns, rows = self._pairs(asked)
+        if 8 * (columns[1] - columns[0]) * (rows[1] - rows[0]) > self.size[0] * self.size[1]:
             return self.bgr, 0, 0
-        y, u, v = planes_of(self.pixels)
-        parts = y[2 * y0 : 2 * y1, 2 * x0 : 2 * x1], u[y0:y1, x0:x1], v[y0:y1, x0:x1]
-        planes = np.concatenate([part.ravel() for part in parts]).reshape(-1, 2 * (x1 - x0))
-        image = np.asarray(cv2.cvtColor(planes, cv2.COLOR_YUV2BGR_I420), np.uint8)
-        self._part = image, 2 * x0, 2 * y0, asked
+        image = np.asarray(cv2.cvtColor(self.yuv.part(columns, rows).joined(), cv2.COLOR_YUV2BGR_I420), np.uint8)
+        self._part = image, 2 * columns[0], 2 * rows[0], asked
         return self._part[:3]
+
+    def _pairs(self, extent: Extent) -> tuple[tuple[int, int], tuple[int, int]]:
+        """The pairs of columns and of rows that cover an extent."""
+        width, height = self.size
+        return _blocks(extent[0], extent[2], 2, width // 2), _blocks(extent[1], extent[3], 2, height // 2)
+
+    def _own_planes(self, extent: Extent) -> tuple[Planes, int, int]:
+        """The planes by BT.601, at least within `extent`, and the point (left, top) at which they begin."""
+        assert self.yuv is not None
+        if self.yuv.ours is None:
+            return self.yuv, 0, 0
+        if self._ours is None or not _within(extent, self._ours[3]):
+            asked = _widened(extent, 16.0)
+            columns, rows = self._pairs(asked)
+            self._ours = self.yuv.part(columns, rows), 2 * columns[0], 2 * rows[0], asked
+        return self._ours[:3]
 
     def planes(self, factor: int, extent: Extent) -> list[tuple[Image, int, int, int]] | None:
         """Y, U and V, each reduced for itself and with (left, top) and its own factor; None of what has no planes.
 
-        As `reduced`, but that U and V, which are half as large, are reduced by 2 at least.
+        As `reduced`, but that U and V are reduced by twice as much.
         """
-        if self.pixels.ndim == 3:  # whether colours were computed meanwhile must not matter
+        if self.yuv is None:  # whether colours were computed meanwhile must not matter
             return None
-        whole, own = planes_of(self.pixels), max(factor, 2)
-        reduced = [(*self._brightness(factor, extent), factor)]
-        width, height = (max(side // own, 1) for side in self.size)
-        x0, x1 = _blocks(extent[0], extent[2], own, width)
-        y0, y1 = _blocks(extent[1], extent[3], own, height)
-        for plane in whole[1:]:
-            part = plane[y0 * own // 2 : y1 * own // 2, x0 * own // 2 : x1 * own // 2]
+        own, lit = 2 * factor, (*self._brightness(factor, extent), factor)
+        kept = self._tints.get(own)
+        if kept is None or not _within(extent, kept[4]):
+            asked = _widened(extent, 6.0 * own)
+            width, height = (max(side // own, 1) for side in self.size)
+            x0, x1 = _blocks(asked[0], asked[2], own, width)
+            y0, y1 = _blocks(asked[1], asked[3], own, height)
+            planes, left, top = self._own_planes((x0 * own, y0 * own, x1 * own - 1, y1 * own - 1))
+            u, v = (
+                plane[(y0 * own - top) // 2 : (y1 * own - top) // 2, (x0 * own - left) // 2 : (x1 * own - left) // 2]
+                for plane in planes[1:3]
+            )
             if own > 2:
-                part = np.asarray(cv2.resize(part, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA), np.uint8)
-            reduced.append((part, x0 * own, y0 * own, own))
-        return reduced
+                u, v = (cv2.resize(plane, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA) for plane in (u, v))
+            kept = self._tints[own] = np.asarray(u, np.uint8), np.asarray(v, np.uint8), x0 * own, y0 * own, asked
+        u, v, x, y, _ = kept
+        return [lit, (u, x, y, own), (v, x, y, own)]
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
         kept = self._grey.get(factor)
         if kept is None or not _within(extent, kept[3]):
-            planes = self.pixels.ndim == 2
-            image, left, top = (self._brightness if planes else self.reduced)(factor, extent)
-            reduced = self._luma if planes else self._reduced
-            asked = _widened(extent, 6.0) if factor == 1 else reduced[factor][3]  # which is widened already
+            planes = self.yuv is not None
+            asked = _widened(extent, 6.0) if factor == 1 else extent
+            image, left, top = (self._brightness if planes else self.reduced)(factor, asked)
+            if factor > 1:  # which is widened already
+                asked = (self._luma if planes else self._reduced)[factor][3]
             height, width = image.shape[:2]
             x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
             y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
@@ -147,7 +211,8 @@ class Frame:
     def _brightness(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The plane Y, as `reduced`."""
         if factor == 1:
-            return self.pixels[: self.size[1]], 0, 0
+            planes, left, top = self._own_planes(extent)
+            return planes.y, left, top
         return self._smaller(self._brightness, self._luma, factor, extent)
 
     def _smaller(
@@ -183,13 +248,6 @@ class Frame:
         if len(self._patches) >= MAX_REMEMBERED:
             del self._patches[next(iter(self._patches))]
         self._patches[key] = of, values
-
-
-def planes_of(pixels: Image) -> tuple[Image, Image, Image]:
-    """Y (H, W), U and V (H / 2, W / 2) of the planes of 4:2:0 in one array (H * 3 / 2, W)."""
-    width, height = pixels.shape[1], pixels.shape[0] * 2 // 3
-    y, u, v = np.split(pixels.ravel(), [width * height, width * height // 4 * 5])
-    return y.reshape(height, width), u.reshape(-1, width // 2), v.reshape(-1, width // 2)
 
 
 def factor_for(longest: float, most: float | None) -> int:

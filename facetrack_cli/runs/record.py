@@ -536,7 +536,7 @@ class Video(Sink):
 
     def write(self, result: FrameResult) -> None:
         assert self._painter is not None
-        if result.frame.pixels.size:  # of joined chunks a frame may be gone
+        if all(result.frame.size):  # of joined chunks a frame may be gone
             self._painter.put(result)
 
     def _paint(self, result: FrameResult) -> None:

@@ -55,7 +55,6 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.face.landmark_kernels.median_shift": ("f8:2 b1:1 f8:1", "head"),
     "trackers.face.image_kernels._read": ("f4:3 f8:2 f8:2 f8 f4:3", "head"),
     "trackers.face.image_kernels._looks": ("u1:3 f4:1 f4:1 f4:3", "head"),
-    "trackers.face.image_kernels._coloured": ("u1:1 u1:1 u1:1 u1:1 u1:1 u1:1", "head"),
     "trackers.appearance.appearance_kernels.read_patches": (
         "u1:2 i8 i8 i8 i8 i8 f8x4 f8:2 f8 f8 i8 i8",
         "target=affine",

@@ -240,4 +240,4 @@ def _taken(face: Detection, others: Sequence[Detection]) -> bool:
 
 def _own(frame: Frame) -> Frame:
     """The frame for one track: what is computed of it is kept apart."""
-    return Frame(frame.index, frame.time_s, frame.pixels, frame.bgr, aspect=frame.aspect)
+    return Frame(frame.index, frame.time_s, frame.yuv or frame.pixels, frame.bgr, aspect=frame.aspect)

@@ -22,13 +22,14 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
-from facetrack_cli.core.types import Array, Frame, Image, Whole, planes_of
+from facetrack_cli.core.types import Array, Frame, Image, Planes, Whole
 from facetrack_cli.video.images import MOST_PIXELS, check_pixels
 
 if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.codeccontext import VideoCodecContext
     from av.video.frame import VideoFrame
+    from av.video.plane import VideoPlane
     from av.video.stream import VideoStream
 
 _DEFAULT_FPS: Final = Fraction(25)
@@ -123,7 +124,8 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
             raise ValueError("no frame")
         self._frames: Iterator[VideoFrame] = chain([first], decoded)
         self.size, shape = (first.width, first.height), video.sample_aspect_ratio or Fraction(1)
-        if _orientation(first)[0]:
+        self._ways = {first.rotation: _orientation(first)}
+        if self._ways[first.rotation][0]:
             self.size, shape = self.size[::-1], 1 / shape
         self.aspect = shape if 1 / _OBLONG < shape < _OBLONG else Fraction(1)
         self.begins_s, _ = _shown_at(first, self._container)
@@ -149,7 +151,9 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
 
     def picture(self, raw: VideoFrame) -> Frame:
         """The frame that was read last, as players show it."""
-        frame = Frame(self.next - 1, self.time_s, pixels(raw), aspect=float(self.aspect))
+        if (way := self._ways.get(raw.rotation)) is None:  # what tells it keeps a frame in memory for some time
+            way = self._ways[raw.rotation] = _orientation(raw)
+        frame = Frame(self.next - 1, self.time_s, pixels(raw, way), aspect=float(self.aspect))
         if frame.size == self.size:
             return frame
         self.resized = self.resized or (frame.index, frame.size)
@@ -311,40 +315,31 @@ def _shown_at(first: VideoFrame, container: InputContainer) -> tuple[float, floa
     return (at_s, 0.0) if late else (0.0, at_s)
 
 
-def pixels(raw: VideoFrame) -> Image:
-    """A decoded frame as `Frame.pixels`, turned and mirrored as players show it."""
-    way, sides = _orientation(raw), (raw.width, raw.height)
+def pixels(raw: VideoFrame, way: tuple[bool, bool, bool] | None = None) -> Image | Planes:
+    """What `Frame` takes of a decoded frame, as players show it: `way` is how."""
+    way, sides = _orientation(raw) if way is None else way, (raw.width, raw.height)
     matrix = int(raw.colorspace) if int(raw.colorspace) in _LUMA else _BT601
     if raw.format.name != "yuv420p" or raw.color_range == _FULL_RANGE or sides[0] % 2 or sides[1] % 2:
         image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace=matrix, dst_colorspace=_BT601), np.uint8)
         return np.ascontiguousarray(_oriented(image, way))
-    planes = np.asarray(raw.to_ndarray(), np.uint8)
-    if _LUMA[matrix] != _LUMA[_BT601]:
-        _to_our_matrix(planes, matrix)
-    if not any(way):
-        return planes
-    turned = np.concatenate([_oriented(part, way).ravel() for part in planes_of(planes)])
-    return turned.reshape(-1, sides[way[0]])
+    ours = None if _LUMA[matrix] == _LUMA[_BT601] else _to_bt601(matrix)
+    each = raw.planes  # which are not copied, since new memory costs more than what is read of them
+    upside_down = each[0].line_size < 0
+    parts = Planes.of(np.asarray(raw.to_ndarray(), np.uint8))[:3] if upside_down else map(_view, each)
+    if any(way):
+        parts = (np.ascontiguousarray(_oriented(part, way)) for part in parts)
+    return Planes(*parts, ours)
 
 
-def _to_our_matrix(planes: Image, matrix: int) -> None:
-    """Planes of limited range of another matrix become those of BT.601 that have the same colours."""
-    luma, *chroma = planes_of(planes)
-    # grey stays grey: Y changes by U and V alone, each about its middle
-    more, *others = (
-        cv2.addWeighted(chroma[0], u, chroma[1], v, 128 - 128 * (u + v)) for _, u, v in _to_bt601(matrix).tolist()
-    )
-    chroma[0][:], chroma[1][:] = others
-    pairs = cv2.merge((more, more)).reshape(more.shape[0], -1)
-    for rows in (luma[::2], luma[1::2]):
-        cv2.addWeighted(rows, 1, pairs, 1, -128, dst=rows)  # in place, since new memory costs more than the sums
+def _view(plane: VideoPlane) -> Image:
+    return np.frombuffer(memoryview(plane), np.uint8).reshape(plane.height, plane.line_size)[:, : plane.width]
 
 
 @lru_cache
 def _to_bt601(matrix: int) -> Array:
-    """(3, 3) Y, Cb and Cr by those of another matrix."""
+    """(3, 3) Y, Cb and Cr by those of another matrix, in so few bits that sums of float32 are exact."""
     ours, theirs = (weights(*_LUMA[number])[:, :3] for number in (_BT601, matrix))
-    return np.asarray(ours @ np.linalg.inv(theirs))
+    return np.rint(ours @ np.linalg.inv(theirs) * 2**14) / 2**14
 
 
 def _orientation(raw: VideoFrame) -> tuple[bool, bool, bool]:

@@ -152,11 +152,9 @@ def shots_of(cuts: Iterable[Cut], first: int, stop: int | None) -> list[Shot]:
 
 def small(frame: Frame) -> Image:
     """(18, 32, 3) brightness and two colours of a frame."""
-    if frame.pixels.ndim == 3:
-        return np.asarray(cv2.cvtColor(_shrunk(frame.pixels), cv2.COLOR_BGR2YUV), np.uint8)
-    (width, height), planes = frame.size, frame.pixels
-    colours = planes[height:].reshape(2, height // 2, width // 2)
-    return np.stack([_shrunk(plane) for plane in (planes[:height], *colours)], axis=2)
+    if frame.yuv is None:
+        return np.asarray(cv2.cvtColor(_shrunk(frame.bgr), cv2.COLOR_BGR2YUV), np.uint8)
+    return np.asarray(cv2.merge([_shrunk(plane) for plane in frame.yuv[:3]]), np.uint8)
 
 
 def _flat(images: Sequence[Image]) -> NDArray[np.float32]:

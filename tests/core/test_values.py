@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import UsageError, needed
 from facetrack_cli.core.numbers import spans, union
-from facetrack_cli.core.types import Frame, factor_for
+from facetrack_cli.core.types import Frame, Planes, factor_for
 
 
 def naive_blocks(picture, factor):
@@ -94,17 +94,41 @@ def test_the_factor_is_the_least_power_of_two_that_brings_a_length_below_its_bou
     assert factor_for(longest, most) == factor
 
 
-@given(calls=st.lists(anywhere, min_size=1, max_size=4), width=st.integers(1, 70), height=st.integers(1, 50))
-def test_a_part_of_planes_has_the_colours_of_the_whole(calls, width, height):
-    planes = np.random.default_rng(2).integers(0, 256, (3 * height, 2 * width), dtype=np.uint8)
-    frame, whole = Frame(0, 0.0, planes), Frame(0, 0.0, planes).bgr
-    for x, y, w, h in calls:
+@given(
+    calls=st.lists(st.tuples(anywhere, st.sampled_from([1, 2, 4])), min_size=1, max_size=4),
+    width=st.integers(1, 70),
+    height=st.integers(1, 50),
+    matrix=st.booleans(),
+)
+def test_a_part_of_planes_has_the_colours_and_the_grey_of_the_whole(calls, width, height, matrix):
+    pixels = np.random.default_rng(2).integers(0, 256, (3 * height, 2 * width), dtype=np.uint8)
+    ours = (
+        np.array([[1.0, 0.1015625, 0.19140625], [0.0, 0.9921875, -0.109375], [0.0, -0.0703125, 0.984375]])
+        if matrix
+        else None
+    )
+    planes = Planes.of(pixels)._replace(ours=ours)
+    frame, whole = Frame(0, 0.0, planes), Frame(0, 0.0, Frame(0, 0.0, planes).pixels)
+    assert matrix or np.array_equal(whole.pixels, pixels)
+    for (x, y, w, h), factor in calls:
         part, left, top = frame.reduced(1, (x, y, x + w, y + h))
-        assert np.array_equal(part, whole[top : top + part.shape[0], left : left + part.shape[1]])
+        assert np.array_equal(part, whole.bgr[top : top + part.shape[0], left : left + part.shape[1]])
         right, bottom = left + part.shape[1] - 1, top + part.shape[0] - 1
         assert left <= max(x, 0) or x > 2 * width - 1
         assert top <= max(y, 0) or y > 2 * height - 1
         assert right >= min(x + w, 2 * width - 1) and bottom >= min(y + h, 2 * height - 1)
+        everything = whole.planes(factor, (0, 0, 2 * width, 2 * height))
+        for (some, left, top, own), (all_, *_) in zip(
+            frame.planes(factor, (x, y, x + w, y + h)), everything, strict=True
+        ):
+            i, j = top // own, left // own
+            assert np.array_equal(some, all_[i : i + some.shape[0], j : j + some.shape[1]])
+        (some, left, top), (all_, *_) = (
+            one.grey(factor, extent)
+            for one, extent in ((frame, (x, y, x + w, y + h)), (whole, (0, 0, 2 * width, 2 * height)))
+        )
+        i, j = top // factor, left // factor
+        assert np.array_equal(some, all_[i : i + some.shape[0], j : j + some.shape[1]])
 
 
 MASKS = st.lists(st.tuples(st.booleans(), st.booleans()), max_size=12)

@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.types import Frame, Particles, planes_of
+from facetrack_cli.core.types import Frame, Particles
 from facetrack_cli.engine import resampling
 from facetrack_cli.engine.spaces import estimate
-from facetrack_cli.trackers.face.image_kernels import coloured
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.points import point_kernels as windows
 from tests.support.images import frame
@@ -138,20 +137,15 @@ def test_mean_and_covariance_are_those_of_numpy(ess):
     np.testing.assert_allclose(found.side_std**2, np.diag(np.cov(x[:, 0, 2:].T, aweights=w, ddof=0)) * more)
 
 
-def test_colours_of_planes_are_those_that_opencv_computes():
-    rng = np.random.default_rng(0)
-    pixels = rng.integers(0, 256, (12, 8)).astype(np.uint8)
-    y, *tints = planes_of(pixels)
-    u, v = (one.repeat(2, axis=0).repeat(2, axis=1) for one in tints)
-    np.testing.assert_array_equal(np.moveaxis(coloured(y, u, v), 0, 2), cv2.cvtColor(pixels, cv2.COLOR_YUV2BGR_I420))
-
-
 @pytest.mark.parametrize("scale", [0.8, 1.5, 2.5, 5.0])
-def test_a_stabilized_image_by_planes_is_nearly_that_of_the_converted_frame(scale):
+@pytest.mark.parametrize("side", [160, 201])
+def test_a_stabilized_image_by_planes_is_nearly_that_of_the_converted_frame(scale, side):
     rng = np.random.default_rng(1)
-    smooth = cv2.GaussianBlur(rng.integers(0, 256, (480, 640, 3)).astype(np.uint8), (0, 0), 6)
-    planes = cv2.cvtColor(cv2.normalize(smooth, None, 40, 215, cv2.NORM_MINMAX), cv2.COLOR_BGR2YUV_I420)
+    noise = rng.integers(0, 256, (480, 640, 3)).astype(np.float32)
+    smooth = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 8 * scale), None, 40, 215, cv2.NORM_MINMAX)
+    planes = cv2.cvtColor(smooth.astype(np.uint8), cv2.COLOR_BGR2YUV_I420)
     whole = Frame(0, 0.0, cv2.cvtColor(planes, cv2.COLOR_YUV2BGR_I420))
     lies = Similarity(np.array([310.0, 250.0]), scale, 0.3)
-    off = lies.read(Frame(0, 0.0, planes)).bgr.astype(float) - lies.read(whole).bgr
-    assert np.abs(off).mean() < 1.5 and abs(off.mean()) < 0.3
+    seen, expected = (lies.read(one, side).bgr.astype(float) for one in (Frame(0, 0.0, planes), whole))
+    off = cv2.blur(seen, (2, 2)) - cv2.blur(expected, (2, 2))  # colours are read at every other pixel
+    assert np.abs(off).mean() < 0.6 and abs(off.mean()) < 0.3

@@ -246,4 +246,4 @@ def test_planes_that_lie_upside_down_in_memory_are_read_as_they_are_shown():
     graph.push(frame)
     flipped = graph.pull()
     assert all(plane.line_size < 0 for plane in flipped.planes)
-    np.testing.assert_array_equal(pixels(flipped)[:64], shown[63::-1])
+    np.testing.assert_array_equal(Frame(0, 0.0, pixels(flipped)).pixels[:64], shown[63::-1])

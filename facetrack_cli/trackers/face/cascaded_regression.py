@@ -38,7 +38,7 @@ LEFT, TOP, SIDE = 24, 46, 112  # of the stabilized image, pixels: the part that 
 CORNER: Final = np.array([LEFT, TOP], np.float64)
 GRID: Final = 5
 ODDS_SCALE: Final = 1.6
-NEAR: Final = 3.0  # pixels
+NEAR: Final = 2.5  # pixels
 SEEN: Final = 14.0  # log odds of all parts, above which nothing else is tried
 MAX_LOG_ODDS: Final = 4.0  # bound of what one part says of how well a face lies
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
@@ -97,23 +97,20 @@ class CascadedRegression(NamedTuple):
             the fit of the greatest log odds is taken
         seen : the image's `face_channels`, if they are computed already
         """
-        usual = self.mean.mean(axis=0) + CORNER
-        best = self._from(still, np.zeros(2), seen)
+        seen = face_channels(still) if seen is None else seen
+        best = self.placed_from(seen, self.mean)
         for middle in around:
-            shift = np.round(middle - usual)
-            if best.log_odds < SEEN and np.abs(shift).max() >= NEAR:  # from nearer the regression finds its way
-                best = max(best, self._from(still, shift), key=lambda fit: fit.log_odds)
+            if best.log_odds >= SEEN:
+                break
+            shift = middle - CORNER - self.mean.mean(axis=0)
+            if np.abs(shift).max() >= NEAR:  # from nearer the regression finds its way
+                best = max(best, self.placed_from(seen, self.mean + shift), key=lambda fit: fit.log_odds)
         return best
 
-    def _from(self, still: Image, shift: Array, seen: NDArray[np.float32] | None = None) -> PlacedPoints:
-        """The parts, sought `shift` (2,) beside the usual place."""
-        seen = face_channels(still, shift) if seen is None else seen
-        at = self.run_stages(seen) + CORNER
-        return PlacedPoints(at + shift, self.visible(seen, at))
-
-    def run_stages(self, seen: NDArray[np.float32]) -> Array:
-        """(K, 2): x after the last stage."""
-        return image_kernels.run_stages(seen, self.mean, AROUND, self.scales, self.stages)
+    def placed_from(self, seen: NDArray[np.float32], x: Array) -> PlacedPoints:
+        """The parts, sought from x (K, 2) on."""
+        at = image_kernels.run_stages(seen, x, AROUND, self.scales, self.stages) + CORNER
+        return PlacedPoints(at, self.visible(seen, at))
 
     def visible(self, seen: NDArray[np.float32], at: Array) -> Array:
         """The log odds (J,) that the first J points are visible at (J, 2), by the channels `seen`."""
@@ -148,14 +145,9 @@ def _made(stored: Stored) -> CascadedRegression:
     return CascadedRegression(points, mean, stages, scales, std, odds)
 
 
-def face_channels(still: Image, shift: Array | None = None) -> NDArray[np.float32]:
-    """The channels of the part of a stabilized image that is read, or of the part (2,) whole pixels beside it."""
-    if shift is None or not shift.any():
-        return channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
-    x, y = (CORNER + shift + (SIDE - 1) / 2).tolist()
-    size = still.shape[0]
-    part = cv2.getRectSubPix(still, (SIDE, SIDE), (float(np.clip(x, 0, size)), float(np.clip(y, 0, size))))
-    return channels(np.asarray(part, np.uint8))
+def face_channels(still: Image) -> NDArray[np.float32]:
+    """The channels of the part of a stabilized image that is read."""
+    return channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
 
 
 def read(seen: NDArray[np.float32], x: Array, scale: float) -> NDArray[np.float32]:

@@ -1,5 +1,5 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
-"""Loops over images of a face: colours from planes, channels of gradients and redness, and regressions that read them.
+"""Loops over images of a face: channels of gradients and redness, and regressions that read them.
 
 Logarithms come from tables, means over squares from running sums. Channels are smoothed down the image everywhere, and
 across it at the points alone that are read.
@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.engine.kernels.compiled import exact, fast, fast_part
+from facetrack_cli.engine.kernels.compiled import fast, fast_part
 
 Single: TypeAlias = NDArray[np.float32]
 Array: TypeAlias = NDArray[np.float64]
@@ -234,21 +234,3 @@ def _run_stages(seen, x, offsets, scales, stages, phi, move):
         for k in range(len(x)):
             x[k, 0] += move[2 * k]
             x[k, 1] += move[2 * k + 1]
-
-
-def coloured(y: Image, u: Image, v: Image) -> Image:
-    """Blue, green and red, (3, H, W), of planes Y, U and V (H, W) of limited range by BT.601, as OpenCV computes it."""
-    out = np.empty((3, *y.shape), np.uint8)
-    _coloured(y.ravel(), u.ravel(), v.ravel(), *out.reshape(3, -1))
-    return out
-
-
-@exact
-def _coloured(y, u, v, blue, green, red):
-    half, shift, low, high = np.int32(1 << 19), np.int32(20), np.int32(0), np.int32(255)
-    for i in range(len(y)):
-        grey = max(np.int32(y[i]) - np.int32(16), low) * np.int32(1220542) + half
-        b, r = np.int32(u[i]) - np.int32(128), np.int32(v[i]) - np.int32(128)
-        blue[i] = min(max((grey + np.int32(2116026) * b) >> shift, low), high)
-        green[i] = min(max((grey - np.int32(409993) * b - np.int32(852492) * r) >> shift, low), high)
-        red[i] = min(max((grey + np.int32(1673527) * r) >> shift, low), high)

@@ -11,7 +11,6 @@ import numpy as np
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Extent, Frame, Image
-from facetrack_cli.trackers.face.image_kernels import coloured
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
@@ -62,31 +61,42 @@ class Similarity(NamedTuple):
         return far < pixels * self.scale and math.cos(self.angle - other.angle) > math.cos(2 * pixels / FACE)
 
     def read(self, frame: Frame, side: int = SIDE) -> Frame:
-        """The stabilized image, (side, side, 3), of a frame; beyond the frame's border, the border's pixels."""
+        """The stabilized image, (side, side, 3), of a frame; beyond the frame's border, the border's pixels.
+
+        Of planes U and V are read at every other pixel, as they are stored.
+        """
         factor, extent = self._extent(side)
+        middle = (side - 1) / 2
         if (planes := frame.planes(factor, extent)) is not None:
-            colours = coloured(*(self._warped(*plane, side) for plane in planes))
-            still = np.asarray(cv2.merge(tuple(colours)), np.uint8)
+            lit, *tints = planes
+            even = side + side % 2
+            parts = [self._warped(*lit, even, middle)]
+            parts += [self._warped(*tint, even // 2, middle / 2 - 0.25, 2) for tint in tints]
+            joined = np.concatenate([part.ravel() for part in parts]).reshape(-1, even)
+            still = np.asarray(cv2.cvtColor(joined, cv2.COLOR_YUV2BGR_I420)[:side, :side], np.uint8)
         else:
-            still = self._warped(*frame.reduced(factor, extent), factor, side)
+            still = self._warped(*frame.reduced(factor, extent), factor, side, middle)
         return Frame(frame.index, frame.time_s, still)
 
     def read_grey(self, frame: Frame, side: int) -> Image:
         """As `read`, in grey (side, side)."""
         factor, extent = self._extent(side)
-        return self._warped(*frame.grey(factor, extent), factor, side)
+        return self._warped(*frame.grey(factor, extent), factor, side, (side - 1) / 2)
 
     def _extent(self, side: int) -> tuple[int, Extent]:
         """By which factor the frame is reduced that is read, and where."""
         factor = 2 ** min(max(math.floor(math.log2(max(self.scale, 1.0))), 0), 8)
-        far = 0.75 * side * self.scale + 2 * factor
+        far = 0.5 * side * self.scale * (abs(math.cos(self.angle)) + abs(math.sin(self.angle))) + 4 * factor
         x, y = self.centre.tolist()
         return factor, (x - far, y - far, x + far, y + far)
 
-    def _warped(self, image: Image, left: int, top: int, factor: int, side: int) -> Image:
-        """Of a frame an image, reduced by `factor`, that begins at (left, top)."""
-        (x, y), half, off = self.centre.tolist(), (side - 1) / 2, (factor - 1) / 2
-        a, b = self.scale * math.cos(self.angle) / factor, self.scale * math.sin(self.angle) / factor
+    def _warped(self, image: Image, left: int, top: int, factor: int, side: int, half: float, step: int = 1) -> Image:
+        """Of a frame an image, reduced by `factor`, that begins at (left, top), read at every `step` pixels.
+
+        `half` of these lie on either side of the middle.
+        """
+        (x, y), off, scale = self.centre.tolist(), (factor - 1) / 2, step * self.scale / factor
+        a, b = scale * math.cos(self.angle), scale * math.sin(self.angle)
         u, v = (x - left - off) / factor - (a - b) * half, (y - top - off) / factor - (b + a) * half
         matrix = np.array([[a, -b, u], [b, a, v]])
         return np.asarray(warp_affine(image, matrix, (side, side), cv2.BORDER_REPLICATE, inverse=True), np.uint8)
