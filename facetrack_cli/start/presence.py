@@ -19,6 +19,7 @@ from numpy.random import Generator
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside, overlap, share_inside
+from facetrack_cli.core.npz import STORED
 from facetrack_cli.core.types import BOX, Box, Frame, Start, TargetStart
 from facetrack_cli.engine.corrected import CorrectedTarget
 from facetrack_cli.engine.loop import Target, TrackState
@@ -55,6 +56,7 @@ class Track:
     state: Any
     odds: float = _BEGINS
     closer: Detection | None = None  # as it was found, where that took a closer look
+    target: FaceTarget | None = field(default=None, metadata={STORED: False})  # what tracks it, built once
     box: Box | None = None  # where it is; None while it is lost
 
     def see(self, rows: TargetResult) -> None:
@@ -123,7 +125,8 @@ class MultiFaceTracker:
 
     def _advance(self, track: Track, frames: Iterable[Frame], *, back: bool = False) -> list[TargetResult]:
         """The results of one track in further frames, while it is in the picture; going `back`, while it is seen."""
-        target, results = self._target(track.start), list[TargetResult]()
+        track.target = target = track.target or self._target(track.start)
+        results = list[TargetResult]()
         for frame in frames:
             track.state, result = target.advance(track.rng, track.state, _own(frame))
             before = track.box
@@ -205,12 +208,13 @@ class MultiFaceTracker:
         name = f"{STREAM}{film.count + 1}"
         start = Start(frame.index, {name: TargetStart(face.box, points)}, self.detector.name)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, film.count)))
+        target = self._target(start)
         try:
-            state, result = self._target(start).begin(rng, _own(frame))
+            state, result = target.begin(rng, _own(frame))
         except InputError:  # too small, or beyond the border
             return None
         film.count += 1
-        return Track(name, start, rng, state, closer=face if face.closer else None), result
+        return Track(name, start, rng, state, closer=face if face.closer else None, target=target), result
 
     def _back(self, track: Track, passed: Sequence[Frame]) -> list[TargetResult]:
         """The results of a track in the frames before, the last of them first."""

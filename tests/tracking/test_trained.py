@@ -87,7 +87,10 @@ def test_a_memory_of_many_windows_is_their_weighted_sum():
     np.testing.assert_allclose(naive.matrices(known.matrices, C), whole, atol=1e-4 * np.abs(whole).max())
     y = np.fft.rfft2(wanted()).ravel()
     right = sum(pi * a * y.conj() for pi, a in zip(weights, z, strict=True))
-    np.testing.assert_allclose(naive.complexes(known.target), right, atol=1e-4 * np.abs(right).max())
+    walled = spectrum(inverse(known.filters, G) * one.wall)
+    np.testing.assert_allclose(known.walled, walled, atol=1e-4 * np.abs(walled).max())
+    left = right - naive.multiply(whole, known.filters) - naive.complexes(walled)
+    np.testing.assert_allclose(naive.complexes(known.residual), left, atol=1e-4 * np.abs(right).max())
     exact = dense(windows, weights, one.wall.astype(float), wanted())
     np.testing.assert_allclose(inverse(known.filters, G), exact, atol=0.01 * np.abs(exact).max())
 

@@ -16,7 +16,7 @@ Array: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
 CHANNELS = 31  # 18 signed orientations, 9 unsigned ones, 4 of texture
 _CLIP, _TEXTURE, _FLAT = np.float32(0.2), np.float32(0.2357), np.float32(1e-4)
-_WAYS: Single = np.array([[math.cos(k * math.pi / 9), math.sin(k * math.pi / 9)] for k in range(9)], np.float32)
+_10, _30, _50, _70 = (np.float32(math.tan(math.radians(angle))) for angle in (10, 30, 50, 70))
 _ZERO, _HALF, _ONE, _UNIT = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(1 / 255)
 
 
@@ -29,83 +29,96 @@ def gradients(grey: Single, cell: int, out: Single) -> None:
 
 
 def _room(height: int, width: int, cell: int) -> tuple[Single, Single, Single, NDArray[np.int32]]:
-    """What `_gradients` works in: bins, their energy, and what it knows of a row of pixels."""
+    """What `_gradients` works in: bins of all rows of cells, what it knows of one row, and of a row of pixels."""
     rows, columns = height // cell + 2, width // cell + 2
-    bins, energy = np.empty((rows, columns, 18), np.float32), np.empty((rows, columns), np.float32)
-    return bins, energy, np.empty((3, width), np.float32), np.empty(width, np.int32)
+    bins, row = np.empty((rows, 19, columns), np.float32), np.empty((22, columns), np.float32)
+    return bins, row, np.empty((3, width), np.float32), np.empty((2, width), np.int32)
 
 
 @exact
-def _gradients(grey, cell, bins, energy, row_of, which, out):
+def _gradients(grey, cell, bins, votes, row_of, whole_of, out):
     height, width = grey.shape
     rows, columns = height // cell, width // cell
     bins[:] = _ZERO
-    energy[:] = _ZERO
     inverse = np.float32(1.0 / cell)
-    dx, dy, most = row_of[0], row_of[1], row_of[2]
+    dx, size, part = row_of[0], row_of[1], row_of[2]
+    which, cell_of = whole_of[0], whole_of[1]
+    for x in range(width):
+        at = (np.float32(x) + _HALF) * inverse + _HALF
+        cell_of[x] = int(at)
+        part[x] = at - np.float32(int(at))
+    # loops over a row inside vectorise
     for y in range(height):
         row, above, below = grey[y], grey[max(y - 1, 0)], grey[min(y + 1, height - 1)]
         for x in range(1, width - 1):
             dx[x] = row[x + 1] - row[x - 1]
         dx[0], dx[width - 1] = row[1] - row[0], row[width - 1] - row[width - 2]
         for x in range(width):
-            dy[x] = below[x] - above[x]
-            most[x] = _ZERO
-            which[x] = 0
-        for k in range(9):  # a loop over pixels inside vectorises
-            u, v = _WAYS[k, 0], _WAYS[k, 1]
-            for x in range(width):
-                along = u * dx[x] + v * dy[x]
-                if abs(along) > most[x]:
-                    most[x] = abs(along)
-                    which[x] = k if along > 0 else k + 9
+            across, down = dx[x], below[x] - above[x]
+            size[x] = np.sqrt(across * across + down * down)
+            u, v = abs(across), abs(down)
+            steep = np.int32(v > _10 * u) + np.int32(v > _30 * u) + np.int32(v > _50 * u) + np.int32(v > _70 * u)
+            left = np.int32(across * down < _ZERO)
+            back = np.int32((down < _ZERO) | ((down == _ZERO) & (across < _ZERO)))
+            way = steep + left * (9 - 2 * steep) + 9 * back
+            which[x] = way - 18 * np.int32(way == 18)
+        votes[:18] = _ZERO
+        for x in range(width):
+            j, k = cell_of[x], which[x]
+            right = part[x] * size[x]
+            votes[k, j] += size[x] - right
+            votes[k, j + 1] += right
         at = (np.float32(y) + _HALF) * inverse + _HALF
         i = int(at)
         fy = at - np.float32(i)
-        for x in range(width):
-            size = np.sqrt(dx[x] * dx[x] + dy[x] * dy[x])
-            at = (np.float32(x) + _HALF) * inverse + _HALF
-            j, k = int(at), which[x]
-            fx = at - np.float32(j)
-            lower = fy * size
-            upper = size - lower
-            bins[i, j, k] += (_ONE - fx) * upper
-            bins[i, j + 1, k] += fx * upper
-            bins[i + 1, j, k] += (_ONE - fx) * lower
-            bins[i + 1, j + 1, k] += fx * lower
+        for k in range(18):
+            vote, upper, lower = votes[k], bins[i, k], bins[i + 1, k]
+            for j in range(columns + 2):
+                low = fy * vote[j]
+                upper[j] += vote[j] - low
+                lower[j] += low
     for i in range(rows + 2):
-        for j in range(columns + 2):
-            for k in range(9):
-                both = bins[i, j, k] + bins[i, j, k + 9]
-                energy[i, j] += both * both
+        energy = bins[i, 18]
+        for k in range(9):
+            one, other = bins[i, k], bins[i, k + 9]
+            for j in range(columns + 2):
+                both = one[j] + other[j]
+                energy[j] += both * both
     for i in range(rows):
-        for j in range(columns):
-            _normalise(bins[i + 1, j + 1], energy[i : i + 3, j : j + 3], out[:, i, j])
+        _normalise(bins, i, votes[18:], out)
 
 
 @exact
-def _normalise(bins, energy, out):
-    """The channels `out` (31,) of one cell from its `bins` (18,), and the `energy` (3, 3) of it and its neighbours."""
-    a = _ONE / np.sqrt(energy[0, 0] + energy[1, 0] + energy[0, 1] + energy[1, 1] + _FLAT)
-    b = _ONE / np.sqrt(energy[0, 1] + energy[1, 1] + energy[0, 2] + energy[1, 2] + _FLAT)
-    c = _ONE / np.sqrt(energy[1, 0] + energy[2, 0] + energy[1, 1] + energy[2, 1] + _FLAT)
-    d = _ONE / np.sqrt(energy[1, 1] + energy[2, 1] + energy[1, 2] + energy[2, 2] + _FLAT)
-    ta, tb, tc, td = _ZERO, _ZERO, _ZERO, _ZERO
+def _normalise(bins, i, norms, out):
+    """The channels `out` (31, H, W) of row i of cells from the `bins` (H + 2, 19, W + 2): 18 directions, the energy."""
+    above, here, below, columns = bins[i, 18], bins[i + 1, 18], bins[i + 2, 18], out.shape[2]
+    a, b, c, d = norms[0], norms[1], norms[2], norms[3]
+    for j in range(columns):
+        left, middle, right = here[j], here[j + 1], here[j + 2]
+        a[j] = _ONE / np.sqrt(above[j] + left + above[j + 1] + middle + _FLAT)
+        b[j] = _ONE / np.sqrt(above[j + 1] + middle + above[j + 2] + right + _FLAT)
+        c[j] = _ONE / np.sqrt(left + below[j] + middle + below[j + 1] + _FLAT)
+        d[j] = _ONE / np.sqrt(middle + below[j + 1] + right + below[j + 2] + _FLAT)
+    ta, tb, tc, td = out[27, i], out[28, i], out[29, i], out[30, i]
+    out[27:, i] = _ZERO
     for k in range(18):
-        pa, pb, pc, pd = (
-            min(bins[k] * a, _CLIP),
-            min(bins[k] * b, _CLIP),
-            min(bins[k] * c, _CLIP),
-            min(bins[k] * d, _CLIP),
-        )
-        out[k] = _HALF * (pa + pb + pc + pd)
-        ta, tb, tc, td = ta + pa, tb + pb, tc + pc, td + pd
+        one, to = bins[i + 1, k], out[k, i]
+        for j in range(columns):
+            value = one[j + 1]
+            pa, pb = min(value * a[j], _CLIP), min(value * b[j], _CLIP)
+            pc, pd = min(value * c[j], _CLIP), min(value * d[j], _CLIP)
+            to[j] = _HALF * (pa + pb + pc + pd)
+            ta[j] += _TEXTURE * pa
+            tb[j] += _TEXTURE * pb
+            tc[j] += _TEXTURE * pc
+            td[j] += _TEXTURE * pd
     for k in range(9):
-        both = bins[k] + bins[k + 9]
-        out[18 + k] = _HALF * (
-            min(both * a, _CLIP) + min(both * b, _CLIP) + min(both * c, _CLIP) + min(both * d, _CLIP)
-        )
-    out[27], out[28], out[29], out[30] = _TEXTURE * ta, _TEXTURE * tb, _TEXTURE * tc, _TEXTURE * td
+        one, other, to = bins[i + 1, k], bins[i + 1, k + 9], out[18 + k, i]
+        for j in range(columns):
+            value = one[j + 1] + other[j + 1]
+            pa, pb = min(value * a[j], _CLIP), min(value * b[j], _CLIP)
+            pc, pd = min(value * c[j], _CLIP), min(value * d[j], _CLIP)
+            to[j] = _HALF * (pa + pb + pc + pd)
 
 
 def gradients_of_scales(image: NDArray[np.uint8], x: float, y: float, sides: Any, cell: int, out: Single) -> None:
@@ -120,7 +133,7 @@ def gradients_of_scales(image: NDArray[np.uint8], x: float, y: float, sides: Any
 
 
 @exact
-def _of_scales(image, x, y, sides, cell, window, columns, part, bins, energy, row_of, which, out):
+def _of_scales(image, x, y, sides, cell, window, columns, part, bins, votes, row_of, whole_of, out):
     (height, width), left, right = window.shape, columns[0], columns[1]
     last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
     for s in range(len(sides)):
@@ -140,7 +153,7 @@ def _of_scales(image, x, y, sides, cell, window, columns, part, bins, energy, ro
                 first = np.float32(upper[a]) + fx * (np.float32(upper[b]) - np.float32(upper[a]))
                 second = np.float32(lower[a]) + fx * (np.float32(lower[b]) - np.float32(lower[a]))
                 row[j] = (first + fy * (second - first)) * _UNIT
-        _gradients(window, cell, bins, energy, row_of, which, out[s])
+        _gradients(window, cell, bins, votes, row_of, whole_of, out[s])
 
 
 @fast

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.geometry import warp_affine
-from facetrack_cli.core.types import Array, Frame, Image, factor_for
+from facetrack_cli.core.types import Array, Frame, Image, Whole, factor_for
 from facetrack_cli.trackers.box.box_kernels import CHANNELS, gradients, gradients_of_scales, project
 
 Single: TypeAlias = NDArray[np.float32]
@@ -118,23 +118,25 @@ class Features:
         colour = has_colours(image)
         hann = np.hanning(cells + 2)[1:-1].astype(np.float32)
         taper = np.outer(hann, hann).ravel()
-        features = _features(image, cells, colour=colour) * np.sqrt(taper)
-        products = np.einsum(
-            "if,jf->ij", features, features, dtype=np.float64
-        )  # a product by BLAS depends on its threads
+        whole, _ = _features(image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cells)
+        features = whole * np.sqrt(taper)
+        products = np.einsum("if,jf->ij", features, features, dtype=np.float64)  # BLAS rounds by its threads
         _, vectors = np.linalg.eigh(products)
         kept = np.ascontiguousarray(vectors[:, ::-1][:, :count].T.astype(np.float32))
         kept *= np.sign(kept[np.arange(len(kept)), np.abs(kept).argmax(axis=1)])[:, None]  # LAPACK leaves it open
         plain = cls(cells, colour, kept, taper)
-        energy = float(np.mean(np.sum(plain._project(_features(image, cells, colour=colour)) ** 2, axis=0)))
+        energy = float(np.mean(np.sum(plain._project(whole) ** 2, axis=0)))
         return cls(cells, colour, kept, taper / np.float32(np.sqrt(max(energy, 1e-12))))
 
     def read(self, frame: Frame, centre: Array, side: float) -> tuple[Single, Image]:
-        """The channels' spectrum (2, C, F) of the window of `side` pixels around `centre`, and the window itself."""
+        """The channels' spectrum (2, C, F) of the window of `side` pixels around `centre`, and its cells' mean colours.
+
+        They are (G, G, 3) in BGR, or (G, G) in grey.
+        """
         n = CELL * self.cells
         image = resample(frame, centre, (side, side), (n, n), colour=self.colour)
-        channels = self._project(_features(image, self.cells, colour=self.colour))
-        return spectrum(channels.reshape(-1, self.cells, self.cells)), image
+        features, small = _features(image, self.cells)
+        return spectrum(self._project(features).reshape(-1, self.cells, self.cells)), small
 
     def _project(self, features: Single) -> Single:
         out = np.empty((len(self.components), features.shape[1]), np.float32)
@@ -142,21 +144,24 @@ class Features:
         return out
 
 
-def _features(image: Image, cells: int, *, colour: bool) -> Single:
-    """(L, G * G): the features of an image (4 G, 4 G), or (4 G, 4 G, 3)."""
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+def _features(image: Image, cells: int) -> tuple[Single, Image]:
+    """(L, G * G): the features of an image (4 G, 4 G) or (4 G, 4 G, 3), and it reduced to its cells."""
+    colour, small = image.ndim == 3, cv2.resize(image, (cells, cells), interpolation=cv2.INTER_AREA)
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if colour else image, np.uint8)
     out = np.empty((CHANNELS + 1 + 2 * colour, cells, cells), np.float32)
-    cells_of(np.asarray(grey, np.uint8), out[:CHANNELS])
-    small = (cells, cells)
-    out[CHANNELS] = cv2.resize(grey, small, interpolation=cv2.INTER_AREA) * np.float32(1 / 255) - np.float32(0.5)
+    cells_of(grey, out[:CHANNELS])
+    dark = cv2.resize(grey, (cells, cells), interpolation=cv2.INTER_AREA) if colour else small
+    np.multiply(dark, np.float32(1 / 255), out=out[CHANNELS])
+    out[CHANNELS] -= np.float32(0.5)
     if colour:
-        lab = cv2.cvtColor(cv2.resize(image, small, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2LAB)
-        out[CHANNELS + 1 :] = np.moveaxis((lab[..., 1:].astype(np.float32) - 128) / np.float32(_CHROMA), 2, 0)
-    return out.reshape(len(out), -1)
+        for plane, chroma in zip(
+            cv2.split(cv2.cvtColor(small, cv2.COLOR_BGR2LAB))[1:], out[CHANNELS + 1 :], strict=True
+        ):
+            np.multiply(plane - np.float32(128), np.float32(1 / _CHROMA), out=chroma)
+    return out.reshape(len(out), -1), np.asarray(small, np.uint8)
 
 
-_SIDE = 64  # pixels of a window that is read for colours
-_BITS = 5  # of each channel: 32 levels
+_BITS = 4  # of each channel: 16 levels, since cells are few
 _RATE = 0.04
 _TELLS = 0.2  # how much more likely the target's pixels must be than those around, on average
 
@@ -171,49 +176,50 @@ class Colours(NamedTuple):
 
 @dataclass(frozen=True)
 class ColourModel:
-    """`box`: width and height of the target as shares of the window's side."""
+    """Of windows of `cells` x `cells`; `box`: width and height of the target as shares of their side."""
 
     box: tuple[float, float]
+    cells: int
 
-    def learn(self, known: Colours | None, window: Image, rate: float) -> Colours:
-        """From a window (n, n, 3) in whose middle the target is; `rate` 1 as Staple learns, 0 not at all."""
-        bins = _bins(window)
-        half = np.abs(np.arange(_SIDE) - (_SIDE - 1) / 2) / _SIDE
-        w, h = (max(side, 2.5 / _SIDE) for side in self.box)
+    @cached_property
+    def _parts(self) -> tuple[Whole, Whole]:
+        """The cells of the target, and those around it."""
+        half = np.abs(np.arange(self.cells) - (self.cells - 1) / 2) / self.cells
+        w, h = (max(side, 2.5 / self.cells) for side in self.box)
         inside = np.outer(half <= 0.4 * h, half <= 0.4 * w)
         outside = ~np.outer(half <= 0.55 * h, half <= 0.55 * w)
-        if not outside.any():
-            outside = np.ones_like(inside)
-        target, around = (_histogram(bins[of]) for of in (inside, outside))
-        if known is not None:
-            keep, new = np.float32(1 - _RATE * rate), np.float32(_RATE * rate)
-            target, around = keep * known.target + new * target, keep * known.around + new * around
-        found = Colours(target, around)
-        p = _probability(found, bins)
-        return found._replace(tells=max(float(p[inside].mean() - p[outside].mean()), 0.0))
+        return np.flatnonzero(inside), np.flatnonzero(outside if outside.any() else ~outside)
+
+    def learn(self, known: Colours | None, window: Image, rate: float) -> Colours:
+        """From a window (G, G, 3) in whose middle the target is; `rate` 1 as Staple learns, 0 not at all."""
+        share, bins, learned = 1.0 if known is None else _RATE * rate, _bins(window), []
+        before = known or Colours(*np.zeros((2, 1 << 3 * _BITS), np.float32))
+        for part, histogram in zip(self._parts, before[:2], strict=True):
+            learned.append(np.float32(1 - share) * histogram)
+            np.add.at(learned[-1], bins[part], np.float32(share / len(part)))
+        p = _probability(found := Colours(*learned), bins)
+        inside, outside = (float(p[part].mean()) for part in self._parts)
+        return found._replace(tells=max(inside - outside, 0.0))
 
     def respond(self, known: Colours, window: Image, samples: int) -> Single | None:
         """The score (samples, samples) of the box around each place of the window; None where colour tells nothing."""
         if known.tells < _TELLS:
             return None
-        w, h = (max(round(0.8 * side * _SIDE), 1) | 1 for side in self.box)
-        mean = cv2.blur(_probability(known, _bins(window)), (w, h), borderType=cv2.BORDER_REPLICATE)
+        w, h = (max(round(0.8 * side * self.cells), 1) | 1 for side in self.box)
+        each = _probability(known, _bins(window)).reshape(self.cells, -1)
+        mean = cv2.blur(each, (w, h), borderType=cv2.BORDER_REPLICATE)
         return np.asarray(cv2.resize(mean, (samples, samples), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _bins(window: Image) -> Array:
-    small = np.asarray(cv2.resize(window, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA), np.uint8) >> (8 - _BITS)
-    b, g, r = (np.asarray(plane, np.int64) for plane in cv2.split(small))
+def _bins(window: Image) -> Whole:
+    """(P,) of all pixels."""
+    b, g, r = (window >> (8 - _BITS)).reshape(-1, 3).T.astype(np.int64)
     return np.asarray((b << 2 * _BITS) | (g << _BITS) | r)
 
 
-def _histogram(bins: Array) -> Single:
-    return (np.bincount(bins, minlength=1 << 3 * _BITS) / max(len(bins), 1)).astype(np.float32)
-
-
-def _probability(known: Colours, bins: Array) -> Single:
+def _probability(known: Colours, bins: Whole) -> Single:
     target, around = known.target[bins], known.around[bins]
-    return np.where(target + around > 0, target / np.maximum(target + around, np.float32(1e-12)), np.float32(0.5))
+    return np.where((both := target + around) > 0, target / np.maximum(both, np.float32(1e-12)), np.float32(0.5))
 
 
 _LAMBDA = 0.01
@@ -253,6 +259,12 @@ class ScaleTrainer:
         return np.concatenate([turns.real, turns.imag]).astype(np.float32)
 
     @cached_property
+    def _back(self) -> NDArray[np.complex128]:
+        """(S, S / 2 + 1): of a spectrum the real part of this times it is the signal."""
+        k, s = np.arange(self.scales // 2 + 1), np.arange(self.scales)[:, None] - self.scales // 2
+        return np.asarray(np.exp(2j * np.pi * k * s / self.scales) * np.where(k, 2, 1) / self.scales)
+
+    @cached_property
     def _shape(self) -> tuple[int, int]:
         k = math.sqrt(self.area / (self.size[0] * self.size[1]))
         w, h = (min(max(round(side * k / CELL), 2), 64) * CELL for side in self.size)
@@ -287,5 +299,5 @@ class ScaleTrainer:
 
     def respond(self, known: TrainedScale, z: NDArray[np.complex64]) -> Array:
         """The response (S,), from the least scale to the largest."""
-        found = np.sum(known.numerator.conj() * z, axis=1) / (known.denominator + np.float32(_LAMBDA))
-        return np.fft.fftshift(np.fft.irfft(found, n=self.scales)).astype(np.float64)
+        found = np.vecdot(known.numerator, z) / (known.denominator + np.float32(_LAMBDA))
+        return np.asarray((self._back @ found).real, np.float64)

@@ -12,7 +12,8 @@ the learning rate. So nothing is merged, and memory is the same after any number
 
     (sum_k pi_k x_k x_k^H) f + F[w^2 F^-1 f] = sum_k pi_k x_k conj(y)
 
-are solved by conjugate gradients from the filters of the last frame on, a few steps each time.
+are solved by conjugate gradients from the filters of the last frame on, a few steps each time. What is left of them is
+carried on: a window x of weight a makes the residual r = (1 - a) r - a g + a x (conj(y) - x^H f), g = F[w^2 F^-1 f].
 """
 
 from __future__ import annotations
@@ -33,11 +34,12 @@ _INSIDE, _OUTSIDE = 0.1, 100.0  # w^2 inside of the target's box, and a whole bo
 
 
 class Trained(NamedTuple):
-    """`filters` (2, C, F), and the memory: matrices (P, 2, F), and the right-hand side `target` (2, C, F)."""
+    """`filters` f (2, C, F), the memory, matrices (P, 2, F), the `residual` (2, C, F), and g, the `walled` filters."""
 
     filters: Single
     matrices: Single
-    target: Single
+    residual: Single
+    walled: Single
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +73,21 @@ class Trainer:
         channels, frequencies = x.shape[1:]
         matrices = np.zeros((channels * (channels + 1) // 2, 2, frequencies), np.float32)
         remember(matrices, x, np.float32(1.0))
-        return self._solve(Trained(np.zeros_like(x), matrices, self.y * x), _FIRST_STEPS)
+        nothing = np.zeros_like(x)
+        return self._solve(Trained(nothing, matrices, self.y * x, nothing), _FIRST_STEPS)
 
     def learn(self, known: Trained, x: Single, rate: float) -> Trained:
         """With a window more, of weight `rate` in the memory."""
-        matrices = known.matrices.copy()
-        remember(matrices, x, np.float32(rate))
-        target = np.float32(1 - rate) * known.target + np.float32(rate) * self.y * x
-        return self._solve(Trained(known.filters, matrices, target), self.steps)
+        matrices, share = known.matrices.copy(), np.float32(rate)
+        remember(matrices, x, share)
+        off = np.empty((2, x.shape[2]), np.float32)
+        respond(x, known.filters, off)
+        off *= -share
+        off[0] += share * self.y
+        residual = (1 - share) * known.residual - share * known.walled
+        residual[0] += off[0] * x[0] - off[1] * x[1]
+        residual[1] += off[0] * x[1] + off[1] * x[0]
+        return self._solve(Trained(known.filters, matrices, residual, known.walled), self.steps)
 
     def respond(self, x: Single, *filters: Single) -> Single:
         """The responses (n, 2 G, 2 G) of n filters, with place 0 in the middle, [G, G]: between the cells by its
@@ -95,28 +104,23 @@ class Trainer:
 
     def _solve(self, known: Trained, steps: int) -> Trained:
         """Conjugate gradients, preconditioned by the diagonal."""
-        matrices, v = known.matrices, known.filters
+        v, matrices, r, walled = known
         channels = v.shape[1]
         diagonal = matrices[np.cumsum([0, *range(channels, 1, -1)]), 0]
         scale = np.float32(1.0) / (diagonal + np.float32(0.5 * float(diagonal.mean()) + _INSIDE))
-        r = known.target - self._times(matrices, v)
-        p = z = scale * r
-        rz = self._dot(r, z)
+        p, last, ap = np.zeros_like(v), 1.0, np.empty_like(v)
         for _ in range(steps):
-            ap = self._times(matrices, p)
-            alpha = np.float32(rz / max(self._dot(p, ap), 1e-20))
-            v, r = v + alpha * p, r - alpha * ap
             z = scale * r
-            rz, last = self._dot(r, z), rz
+            rz = self._dot(r, z)
             p = z + np.float32(rz / max(last, 1e-20)) * p
-        return known._replace(filters=v)
-
-    def _times(self, matrices: Single, v: Single) -> Single:
-        out, cells = np.empty_like(v), inverse(v, self.cells)
-        multiply(matrices, v, out)
-        cells *= self.wall
-        out += spectrum(cells)
-        return out
+            cells = inverse(p, self.cells)
+            cells *= self.wall
+            beyond = spectrum(cells)
+            multiply(matrices, p, ap)
+            ap += beyond
+            alpha, last = np.float32(rz / max(self._dot(p, ap), 1e-20)), rz
+            v, r, walled = v + alpha * p, r - alpha * ap, walled + alpha * beyond
+        return Trained(v, matrices, r, walled)
 
     def _dot(self, a: Single, b: Single) -> float:
         """The inner product of two real functions by half of their frequencies."""

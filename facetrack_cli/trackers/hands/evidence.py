@@ -116,7 +116,7 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
         raise InputError(f"frame {frame.index}: the face has no colour, as in a grey clip: {remedy}")
     around = (np.hypot(u, v - 2) < 6) & ~((np.abs(u) < 0.75) & (np.abs(v) < 0.9))
     chances = _chances(middle, colours[around])
-    skin = _skin(chances, colours)
+    skin = _skin(chances, small)
     # hanging at the sides, or before the chest and in the lap
     hang = np.exp(-0.5 * ((np.abs(u) - 1.5) / 0.7) ** 2) / (1 + np.exp((3.0 - v) / 0.3))
     still = skin * (1 - hang)
@@ -133,7 +133,7 @@ def look(
 ) -> tuple[Scene, Seen]:
     """The scene after a frame with the head there, and what is seen; `hands` (n, 2) were there in the reduced frame."""
     small = _as_lit(scene.first, reduced(frame, scene.factor))
-    skin = _skin(scene.chances, _colours(small))
+    skin = _skin(scene.chances, small)
     grey = _grey(small)
     followed = _followed(scene, grey, skin)
     first = scene.first if followed is scene.still else small  # a camera that moves shows other things
@@ -146,13 +146,15 @@ def look(
     change = cv2.GaussianBlur(least, (0, 0), 1.0)
     limit = max(CHANGED, UNREST * scene.unrest)
     new = 1 / (1 + np.exp(np.clip((limit - change) / CHANGED_WIDTH, -30, 30)))
-    free = np.ones(new.shape, np.bool_)
-    for x, y in (hands - at) / s - np.array(HEAD[:2]):
-        row, column = np.ogrid[: new.shape[0], : new.shape[1]]
-        free &= np.hypot(column - x * scene.side, row - y * scene.side) > radius
+    free, rows, columns = np.ones(new.shape, np.bool_), np.arange(new.shape[0])[:, None], np.arange(new.shape[1])
+    for x, y in (scene.side * ((hands - at) / s - np.array(HEAD[:2]))).tolist():
+        free &= (columns - x) ** 2 + (rows - y) ** 2 > radius**2
     learned = np.where(free, HELD + (LEARNS - HELD) * (1 - new), HELD)[..., None]
     face = scene.face + learned * (seen - scene.face)
-    unrest = scene.unrest + LEARNS * (float(np.median(change[free])) - scene.unrest if free.any() else 0.0)
+    unrest = scene.unrest
+    if len(apart := change[free]):
+        middle = [(len(apart) - 1) // 2, len(apart) // 2]
+        unrest += LEARNS * (0.5 * sum(np.partition(apart, middle)[middle].tolist()) - unrest)
     size = 2 * round(REACHES * s) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     evidence, near = np.maximum(skin - still, 0), np.zeros_like(skin)
@@ -181,9 +183,12 @@ def _as_lit(first: Image, now: Image) -> Image:
     if np.mean(usable) < ENOUGH:
         return now
     ratio = after[:, usable] / before[:, usable].astype(np.float32)
+    half, off = ratio.shape[1] // 2, ratio - 1
+    if all(np.count_nonzero(one < LEAST_GAIN) > half >= np.count_nonzero(one <= -LEAST_GAIN) for one in off):
+        return now  # the medians are near 1
     quarters = [share * ratio.shape[1] // 4 for share in (1, 2, 3)]
     low, gain, high = np.partition(ratio, quarters, axis=1)[:, quarters].T
-    if np.abs(gain - 1).max() < LEAST_GAIN or (high - low).max() > AGREES:
+    if (high - low).max() > AGREES:
         return now
     return np.asarray(np.clip(np.rint(now / gain), 0, 255), np.uint8)
 
@@ -241,8 +246,9 @@ def _chances(middle: Array, others: Image) -> Map:
     return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
 
 
-def _skin(chances: Map, colours: Image) -> Map:
-    p = chances.ravel().take(colours[..., 0].astype(np.intp) << 8 | colours[..., 1])
+def _skin(chances: Map, image: Image) -> Map:
+    _, *both = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb))
+    p = chances.ravel().take(cv2.merge(both).view("<u2")[..., 0])  # 256 Cb + Cr
     return np.asarray(cv2.GaussianBlur(p, (0, 0), 0.7), np.float32)
 
 

@@ -136,7 +136,7 @@ def step(
     kept = systematic(rng, log_w, n)
     x, seen, parted = x[kept], seen[kept], parted[kept]
     # all particles have the order of the belief: which hand is which is not theirs to say
-    other = seen.all(axis=1) & ((x[:, 0, :2] - x[:, 1, :2]) @ (at[0] - at[1]) < 0)
+    other = seen[:, 0] & seen[:, 1] & ((x[:, 0, :2] - x[:, 1, :2]) @ (at[0] - at[1]) < 0)
     x[other] = x[other][:, ::-1]
     return Cloud(x, seen, parted), belief
 
@@ -191,17 +191,17 @@ def _reach(shape: tuple[int, ...], scale: float, face: Face) -> Map:
     x, y, a, b = REACH
     u = ((np.arange(shape[1]) / scale - face.at[0]) / face.size - x) / a
     v = ((np.arange(shape[0]) / scale - face.at[1]) / face.size - y) / b
-    far = np.sqrt(u[None] ** 2 + v[:, None] ** 2)
-    return np.asarray(-BEYOND * np.maximum(far - 0.8, 0.0), np.float32)
+    far = np.sqrt((u**2).astype(np.float32) + (v[:, None] ** 2).astype(np.float32))
+    return np.minimum(np.float32(BEYOND) * (np.float32(0.8) - far), np.float32(0.0))
 
 
 def _peaks(fit: Map) -> tuple[Array, Array]:
     """The places (P, 2) of most skin in pixels, and how often each is proposed (P,)."""
-    top = (fit >= cv2.dilate(fit, np.ones((5, 5)))) & (fit > LEAST)
-    row, column = np.nonzero(top)
-    best = np.argsort(-fit[row, column], kind="stable")[:PEAKS]
-    at = np.stack([column[best], row[best]], axis=1).astype(float)
-    weight = np.exp(0.5 * (fit[row[best], column[best]].astype(float) - fit.max()))
+    top = np.flatnonzero((fit >= cv2.dilate(fit, np.ones((5, 5)))) & (fit > LEAST))
+    heights = fit.ravel()[top]
+    best = np.argsort(-heights, kind="stable")[:PEAKS]
+    at = np.stack(np.divmod(top[best], fit.shape[1])[::-1], axis=1).astype(float)
+    weight = np.exp(0.5 * (heights[best].astype(float) - fit.max()))
     return at, weight / max(weight.sum(), _TINY)
 
 
