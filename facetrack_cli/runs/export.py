@@ -135,7 +135,7 @@ def content(
     if not linked:
         say(f"facetrack: warning: {into} does not link to {video}; its times are taken for those of that clip")
     say(f"{into}: {', '.join(tiers) or 'no tier'} added")
-    return data
+    return data.decode()
 
 
 def _playable(table: Trajectory, media: Path | None, say: Callable[[str], None]) -> Path:

@@ -4,23 +4,23 @@ docs/export.md has the tiers. Their values are controlled vocabularies, describe
 frames, in milliseconds; a span ends when the frame after it begins. The media URL is the path as it is, not
 percent-encoded: ELAN writes it so, and takes what follows `file:` for the name of the file.
 
-What is added to a file that people work in comes below what is there: slots of time in their order, then tiers, types
-and vocabularies. Nothing of it changes but the number of the last annotation.
+What is added to a file that people work in is put between its bytes, which stay: slots of time in their order, then
+tiers, types and vocabularies below those that are there. Only the number of the last annotation is another.
 """
 
 import contextlib
 import os
 import re
 import uuid
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
+from xml.parsers import expat
 
 import numpy as np
 
@@ -36,7 +36,6 @@ from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 from facetrack_cli.trajectory.views import frame_milliseconds
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
-ET.register_namespace("xsi", XSI)
 SCHEMA = "http://www.mpi.nl/tools/elan/EAFv3.0.xsd"
 MIME = {".mp4": "mp4", ".m4v": "mp4", ".mpeg": "mpeg", ".mpg": "mpeg", ".webm": "webm"}
 MIME |= {".mov": "quicktime", ".avi": "x-msvideo", ".mkv": "x-matroska"}
@@ -118,10 +117,6 @@ def write_eaf(table: Trajectory, video: Path, folder: Path, written: datetime) -
             element = ET.SubElement(ET.SubElement(tier, "ANNOTATION"), "ALIGNABLE_ANNOTATION", own)
             ET.SubElement(element, "ANNOTATION_VALUE").text = clean(text)
     _types(root, list(dict.fromkeys(kind for kind, _, _ in tiers)))
-    return _text(root)
-
-
-def _text(root: ET.Element) -> str:
     ET.indent(root, "    ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
@@ -220,7 +215,7 @@ class Tier(NamedTuple):
 
 def read_tiers(path: Path, clip: str) -> list[Tier]:
     """The tiers of a file, with annotations that have times. InputError for a file that is not ELAN's."""
-    root = _read(path)
+    root = _read(path)[1]
     offset = _offset_of(root, clip) or 0
     slots = {slot.get("TIME_SLOT_ID"): slot.get("TIME_VALUE", "") for slot in root.iter("TIME_SLOT")}
     tiers = []
@@ -248,30 +243,52 @@ def _offset_of(root: ET.Element, clip: str) -> int | None:
     return None
 
 
-def add_tiers(path: Path, ours: str, clip: str) -> tuple[str, list[str], bool]:
+def add_tiers(path: Path, ours: str, clip: str) -> tuple[bytes, list[str], bool]:
     """The file with the tiers of `ours`, the text of an .eaf; the names that they have there; whether it has the clip.
 
     Tiers whose name is there get another. InputError for a file that cannot take them.
     """
-    root, new = _read(path), ET.fromstring(ours)
-    offset = _offset_of(root, clip)
-    tiers, slots = _named_apart(root, new), deque(sorted(_moved(new, offset or 0), key=itemgetter(0)))
-    order = root.find("TIME_ORDER")
-    assert order is not None
-    merged = list[ET.Element]()
-    for there in order:
-        while slots and there.get("TIME_VALUE") and slots[0][0] < int(str(there.get("TIME_VALUE"))):
-            merged.append(slots.popleft()[1])
-        merged.append(there)
-    order[:] = [*merged, *(slot for _, slot in slots)]
+    data, root, spans = _read(path)
+    new, offset = ET.fromstring(ours), _offset_of(root, clip)
+    tiers, slots = _named_apart(root, new), sorted(_moved(new, offset or 0), key=lambda slot: slot[0])
+    edits: list[tuple[int, int, bytes]] = []  # where, how many bytes are replaced, by what
+
+    def insert(where: int, elements: list[ET.Element], depth: int, *, last: bool) -> None:
+        """Each on a line of its own, before what stands at `where`, or as the `last` ones of their parent."""
+        texts = []
+        for element in elements:
+            ET.indent(element, "    ", level=depth)
+            element.tail = ""
+            texts.append(ET.tostring(element, encoding="unicode") + "\n" + "    " * depth)
+        text = "".join(texts)
+        edits.append((where, 0, ("    " + text[:-4] if last else text).encode()))
+
+    order = next(span for span in spans if span.tag == "TIME_ORDER")
+    times = [(span.begin, int(span.about["TIME_VALUE"])) for span in spans if span.about.get("TIME_VALUE")]
+    at, rows = 0, dict[int, list[ET.Element]]()
+    for time, slot in slots:
+        while at < len(times) and times[at][1] <= time:
+            at += 1
+        rows.setdefault(times[at][0] if at < len(times) else order.end, []).append(slot)
+    for where, elements in rows.items():
+        insert(where, elements, 2, last=where == order.end)
+    if rows and data[order.begin : order.end].endswith(b"/>") and data.count(b"<", order.begin, order.end) == 1:
+        text = edits.pop()[2].decode().rstrip()
+        edits.append((order.begin, order.end - order.begin, f"<TIME_ORDER>\n    {text}\n    </TIME_ORDER>".encode()))
     for tag in ("TIER", "LINGUISTIC_TYPE", "LANGUAGE", "CONTROLLED_VOCABULARY"):
         later = ORDER[ORDER.index(tag) + 1 :]
-        at = next((i for i, child in enumerate(root) if child.tag in later), len(root))
-        root[at:at] = new.findall(tag)
+        after = next((span.begin for span in spans if span.depth == 1 and span.tag in later), None)
+        if elements := new.findall(tag):
+            insert(spans[0].end if after is None else after, elements, 1, last=after is None)
     numbers = [int(str(note.get("ANNOTATION_ID"))[1:]) for note in new.iter("ALIGNABLE_ANNOTATION")]
-    if (last := root.find(".//PROPERTY[@NAME='lastUsedAnnotationId']")) is not None and numbers:
-        last.text = str(max(numbers))
-    return _text(root), tiers, offset is not None
+    for span in spans:
+        if span.about.get("NAME") == "lastUsedAnnotationId" and span.text and numbers:
+            edits.append((*span.text, str(max(numbers)).encode()))
+    parts, done = [], 0
+    for where, replaced, addition in sorted(edits, key=lambda edit: edit[0]):
+        parts += [data[done:where], addition]
+        done = where + replaced
+    return b"".join([*parts, data[done:]]), tiers, offset is not None
 
 
 def _moved(new: ET.Element, offset: int) -> list[tuple[int, ET.Element]]:
@@ -330,19 +347,51 @@ def _is_ours(root: ET.Element, new: ET.Element, kind: ET.Element) -> bool:
     }
 
 
-def _read(path: Path) -> ET.Element:
-    """The tree of a file. InputError for a file that is not ELAN's, or of an earlier version."""
+@dataclass
+class _Span:
+    """Where an element stands in the bytes: its beginning, that of its closing tag, and where its text is, how long."""
+
+    tag: str
+    depth: int
+    about: dict[str, str]
+    begin: int
+    end: int = 0
+    text: tuple[int, int] | None = None
+
+
+def _read(path: Path) -> tuple[bytes, ET.Element, list[_Span]]:
+    """The bytes of a file, its tree, and where each element is in the bytes."""
     with reading(path, "name an .eaf"):
         data = read_bounded(path)
     if b"<!DOCTYPE" in data[:4096] or b"<!ENTITY" in data:
         raise InputError(f"{path}: declares a document type, which ELAN's files do not; it is not read")
+    spans: list[_Span] = []
+    open_spans: list[_Span] = []
+    parser, builder = expat.ParserCreate("UTF-8"), ET.TreeBuilder()
+
+    def start(tag: str, about: dict[str, Any]) -> None:
+        span = _Span(tag, len(open_spans), about, parser.CurrentByteIndex)
+        spans.append(span)
+        open_spans.append(span)
+        builder.start(tag, about)
+
+    def stop(tag: str) -> None:
+        open_spans.pop().end = parser.CurrentByteIndex
+        builder.end(tag)
+
+    def text(piece: str) -> None:
+        open_spans[-1].text = parser.CurrentByteIndex, len(piece.encode())
+        builder.data(piece)
+
+    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, stop, text
     try:
-        root = ET.fromstring(data, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
-    except (ET.ParseError, ValueError, LookupError) as e:
-        raise InputError(f"{path}: is no XML ({e}); save it by ELAN again") from None
-    version = root.get("FORMAT") or root.get("VERSION") or ""
+        parser.Parse(data, True)
+    except (expat.ExpatError, ValueError, LookupError) as e:
+        raise InputError(f"{path}: is no XML in UTF-8 ({e}); save it by ELAN again") from None
+    root = builder.close()
     if root.tag != "ANNOTATION_DOCUMENT" or root.find("TIME_ORDER") is None:
         raise InputError(f"{path}: is XML, but not ELAN's: it begins with {root.tag}; name an .eaf")
+    version = root.get("FORMAT") or root.get("VERSION") or ""
     if not version.replace(".", "", 1).isdigit() or float(version) < LEAST_FORMAT:
         raise InputError(f"{path}: is of EAF {version or 'without a version'}; save it by ELAN 4.9 or later")
-    return root
+    return data, root, spans
