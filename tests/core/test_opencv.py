@@ -22,8 +22,7 @@ def test_another_version_is_refused_with_its_packages(version):
     with pytest.raises(UsageError) as caught:
         check_opencv(version)
     said = str(caught.value)
-    assert f"cv2 is {version}" in said and "opencv-python-headless" in said and "\n" not in said
-    assert "pip uninstall -y opencv" in said and "pip install --force-reinstall" in said and "<5" in said
+    assert f"cv2 is {version}" in said and "pip install 'opencv-python-headless" in said and "\n" not in said
 
 
 @pytest.mark.one_in(4)
