@@ -119,12 +119,6 @@ def test_what_is_said_to_be_absent_is_not_what_the_tracker_says():
     assert (found.rows, found.covered, found.called) == (3, 1, 0), "neither called lost nor missed"
 
 
-@pytest.mark.parametrize("ours, delay", [("itttlltttt", 1), ("itttallttt", None), ("ittttllitt", 2)])
-def test_a_delay_is_measured_where_no_correction_came_before(ours, delay):
-    found = measure_lost([rows(np.zeros(10), "vvvhhhvvvv", ours=corrected(ours))])
-    assert (found.delay_lost, found.delay_back) == (delay, 0 if delay == 1 else None)
-
-
 @pytest.mark.parametrize("ours, decided", [("tttttltttttt", True), ("tttttlittttt", False), ("tttaattttttt", False)])
 def test_what_comes_back_by_a_correction_is_not_decided(ours, decided):
     [hidden] = found = occlusions([rows([0] * 3 + [9] * 3 + [0] * 6, "vvvhhhvvvvvv", ours=corrected(ours))])
