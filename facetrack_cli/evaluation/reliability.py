@@ -11,9 +11,8 @@ from typing import Annotated
 
 import numpy as np
 
-from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.evaluation.rows import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Rows, Value, column, mean, median
+from facetrack_cli.evaluation.rows import COUNT, PERCENT, PX, UNIT, Measure, Rows, Value, column, mean, median
 
 BINS = 10
 # squared Mahalanobis distances within which 50 and 90 % of a two-dimensional normal distribution lie
@@ -22,16 +21,13 @@ ELLIPSE_50, ELLIPSE_90 = 2 * math.log(2), 2 * math.log(10)
 
 @dataclass(frozen=True)
 class LostMeasures:
-    """Status `lost` against the ground truth; shares are 0 to 1, delays frames.
+    """Status `lost` against the ground truth; shares are 0 to 1.
 
     rows, covered, called  rows with a status; of these the covered, and those called lost
     precision        of the rows called lost, those covered; `precision_gone`: those gone
     recall           of the covered rows, those called lost; `recall_gone`: of the rows gone
     false_alarms     of the rows visible and near, those called lost
     tracked_near     of the rows called tracked, those near; `tracked_visible_near`: of those visible too
-    spans            the stretches in which a part is covered; `spans_called`: those in which it is called lost at all
-    delay_lost       from the first covered row until a part is called lost: median over the spans in which it is
-    delay_back       from a part's return until it is tracked and near: median over the spans after which it is
     """
 
     rows: Annotated[int, Measure("rows\n", COUNT)]
@@ -44,10 +40,6 @@ class LostMeasures:
     false_alarms: Annotated[Value, Measure("false\nalarms %", PERCENT, "less")]
     tracked_near: Annotated[Value, Measure("tracked:\nnear %", PERCENT, "more")]
     tracked_visible_near: Annotated[Value, Measure("& visible:\nnear %", PERCENT, "more")]
-    spans: Annotated[int, Measure("", COUNT)]
-    spans_called: Annotated[int, Measure("", COUNT)]
-    delay_lost: Annotated[Value, Measure("delay lost\nframes", HALVES, "less")]
-    delay_back: Annotated[Value, Measure("delay back\nframes", HALVES, "less")]
 
 
 @dataclass(frozen=True)
@@ -140,22 +132,12 @@ def _share(rows: Mask, others: Mask) -> Value:
 
 
 def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
-    """`lost` against the ground truth; None if no row has a status. Delays: of spans in which no correction helped."""
-    by_hand = [part.frame[part.by_hand] for part in parts]
+    """None if no row has a status."""
     parts = [part.take(part.stated) for part in parts]
     names = ("lost", "visible", "covered", "near", "judged")
     lost, visible, covered, near, judged = (column(parts, name) for name in names)
     if not len(lost):
         return None
-    delays: tuple[list[int], list[int]] = [], []  # until lost, until back
-    each = zip(parts, by_hand, strict=True)
-    stretches = [(part, helped, span) for part, helped in each for span in spans(part.covered)]
-    for part, helped, (first, end) in stretches:
-        called = part.frame[first:end][part.lost[first:end]]
-        back = part.frame[end:][~part.lost[end:] & part.near[end:]]
-        for delay, at, begin in zip(delays, (called, back), (first, end), strict=True):
-            if len(at) and not np.any((helped >= part.frame[first]) & (helped <= at[0])):
-                delay.append(at[0] - part.frame[begin])
     judged_rows = covered | judged  # a hidden row is gone, wherever it is
     gone = covered | (judged & ~near)
     return LostMeasures(
@@ -169,10 +151,6 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
         false_alarms=_share(visible & judged & near, lost),
         tracked_near=_share(~lost & judged, near),
         tracked_visible_near=_share(~lost & judged & visible, near),
-        spans=len(stretches),
-        spans_called=len(delays[0]),
-        delay_lost=median(np.array(delays[0])),
-        delay_back=median(np.array(delays[1])),
     )
 
 

@@ -339,8 +339,9 @@ def _pair_names(ours: Trajectory, truth: Trajectory, select: str | None, note: C
             note(f"{truth.target} of the ground truth is taken for {ours.target}: both have one target")
             theirs = tuple(renamed.values())
     if not pairs:
-        both = f"it has {_names(theirs)}, the trajectory {_names(ours.parts)}"
-        raise InputError(f"{truth.path}: no part in common with {ours.path}; {both}: {_remedy(theirs, ours.parts)}")
+        both = f"no part in common with {ours.path}; it has {_names(theirs)}, the trajectory {_names(ours.parts)}"
+        remedy = "name targets and parts alike, or let --people find which target is whom"
+        raise InputError(f"{truth.path}: {both}: {remedy}; points are not measured by boxes, nor boxes by points")
     paired = {pair.ours.name for pair in pairs}
     alone = [part for part in theirs if part.name not in paired]
     if alone and select is None:
@@ -350,33 +351,14 @@ def _pair_names(ours: Trajectory, truth: Trajectory, select: str | None, note: C
     return pairs
 
 
-def _remedy(theirs: Sequence[Trajectory], ours: Sequence[Trajectory]) -> str:
-    """How two tables come to have parts in common."""
-    true, tracked = ({part.part == BOX for part in parts} for parts in (theirs, ours))
-    if (true, tracked) == ({False}, {True}):
-        return "boxes are not measured by points; give ground truth of boxes, or track with a recipe of points"
-    if (true, tracked) == ({True}, {False}):
-        remedy = "give ground truth of points, or track by a recipe of regions, as contour_histogram"
-        return f"points are not measured by boxes; {remedy}"
-    if {part.part for part in theirs} & {part.part for part in ours}:
-        return "name targets alike, or let --people find which target is whom"
-    return "name targets and parts alike"
-
-
 def _nameless(ours: Trajectory, truth: Trajectory, note: Callable[[str], None]) -> Pair:
     """The boxes of ground truth without names, paired with the only part that has a size."""
     boxed = [part for part in ours.parts if np.any(np.isfinite(part.w) & np.isfinite(part.h))]
-    why = ""
-    if not boxed:
-        why = f"holds boxes, no part of {ours.path} has w and h; give ground truth of its points"
-    elif len(boxed) > 1 and len({part.target for part in boxed}) == 1:
-        remedy = "give ground truth of these points (--target NAME/PART would measure the window around one of them)"
-        why = f"holds boxes, and {ours.path} points, {_names(boxed)}; {remedy}"
-    elif len(boxed) > 1:
-        remedy = "choose the one that they belong to with --target NAME/PART"
-        why = f"its boxes have no names, and {ours.path} has {_names(boxed)}; {remedy}"
-    if why:
-        raise InputError(f"{truth.path}: {why}")
+    if len(boxed) != 1:
+        what = f"its boxes have no names, and {ours.path} has {_names(boxed) or 'no part with w and h'}"
+        raise InputError(
+            f"{truth.path}: {what}; choose one with --target NAME/PART, or give ground truth of its points"
+        )
     if boxed[0].part != BOX:
         note(f"{truth.path}: its boxes are taken for {boxed[0].name}, the only part with a size")
     return Pair(boxed[0], truth.parts[0])
@@ -398,36 +380,22 @@ def _check_status(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
     if np.isin(theirs, OF_TRACK).any() and np.isin(ours, OF_TRUTH).any() and not np.isin(ours, OF_TRACK).any():
         both = f"is a trajectory, and {trajectory.path} is ground truth, as their status says"
         raise InputError(f"{truth.path}: {both}: name them the other way round")
-    if set(theirs.tolist()) <= {"lost"}:
-        raise InputError(f"{truth.path}: calls every row lost, so nothing can be measured; name a ground truth file")
 
 
 def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair], partial: bool) -> None:
     ours, theirs = (np.unique(column(parts, "frame")) for parts in zip(*named, strict=True))
     both = len(np.intersect1d(ours, theirs))
     first, last = int(theirs[0] - ours[0]), int(theirs[-1] - ours[-1])
-    spans = f"the ground truth has frames {_span(theirs)}, the trajectory {_span(ours)}"
-    # the file may have been moved already
-    moved = f"--shift {int(truth.header.get('shift', 0)) - first}" if first == last != 0 else ""
-    if not both:
-        remedy = "move ground truth by --shift N, or name its own"
-        remedy = f"if it counts from another frame, {moved}" if moved else remedy
-        raise InputError(f"{truth.path}: {spans}: no frame in common; {remedy}")
-    if partial:
-        return
-    rest = f"--partial measures the {both} that both have"
     stride = int(np.median(np.diff(theirs))) if len(theirs) > 1 else 1
-    if moved and abs(first) >= (stride if first > 0 else 1):
-        by = "one" if abs(first) == 1 else str(abs(first))
-        raise InputError(f"{truth.path}: {spans}: shifted by {by}? {moved}; if not, {rest}")
-    if not 0 <= first < stride or not -stride < last <= 0:
-        uneven = f"begins at frame {theirs[0]}, the trajectory at {ours[0]}"
-        if 0 <= first < stride:
-            uneven = f"ends at frame {theirs[-1]}, the trajectory {'goes on to' if last < 0 else 'ends at'} {ours[-1]}"
-        raise InputError(f"{truth.path}: {uneven}: {rest}, --shift N moves the truth")
-    for part, true in named:
-        missing = np.setdiff1d(true.frame, part.frame)
-        if missing.size:
+    rest = f"--partial measures the {both} that both have" if both else "name its own"
+    if not both or not (partial or (0 <= first < stride and -stride < last <= 0)):
+        spans = f"the ground truth has frames {_span(theirs)}, the trajectory {_span(ours)}"
+        shift = "if it is moved, --shift N"
+        if first == last != 0:  # the file may have been moved already
+            shift = f"shifted by {abs(first)}? --shift {int(truth.header.get('shift', 0)) - first}"
+        raise InputError(f"{truth.path}: {spans}: {shift}; if not, {rest}")
+    for part, true in () if partial else named:
+        if (missing := np.setdiff1d(true.frame, part.frame)).size:
             place = f"frame {missing[0]}" + (f" and {len(missing) - 1} more" if len(missing) > 1 else "")
             what = f"no row of {part.name} in {place}, where ground truth does"
             raise InputError(f"{trajectory.path}: {what}; was it cut? {rest}")

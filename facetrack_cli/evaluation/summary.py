@@ -33,7 +33,6 @@ from facetrack_cli.evaluation.identities import PeopleMeasures
 from facetrack_cli.evaluation.rows import (
     HALVES,
     NEAR_IOU,
-    PERCENT,
     Measure,
     Pair,
     Rows,
@@ -244,7 +243,7 @@ def evaluate(
     )
     texts = {target: unit.text for target, unit in units.items()}
     evaluation = Evaluation(options, rows, texts, parts, whole, occlusions, ())
-    return replace(evaluation, notes=(*notes, *_strange_start(rows), *_why_undefined(evaluation)))
+    return replace(evaluation, notes=(*notes, *_why_undefined(evaluation)))
 
 
 def units_of(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory]) -> dict[str, Unit]:
@@ -305,30 +304,12 @@ def scalars(evaluation: Evaluation) -> dict[str, float]:
 _WHY: Final = (  # a figure that is not defined although the other is, and why
     ("points.mean_px", "points.rows", "no visible row has a true position and one of ours, so there is no error"),
     ("boxes.success_auc", "boxes.rows", "no visible row has a true box, so there is no overlap"),
-    ("boxes.ao", "boxes.success_auc", "AO and SR leave out given rows; no others have a true box"),
-    (
-        "occlusions.recovered",
-        "occlusions.occlusions",
-        "fewer than 5 rows of known ground truth follow each occlusion, or corrections do: recovery is not known",
-    ),
+    ("occlusions.recovered", "occlusions.occlusions", "too few rows follow each occlusion: recovery is not known"),
     ("lost.precision", "lost.rows", "no row is called lost, so lost has no precision"),
     ("lost.recall", "lost.rows", "the ground truth marks no row as hidden or absent, so lost has no recall"),
-    ("confidence.auroc_near", "confidence.near", "AUROC compares near rows with others, and there is only one kind"),
     ("confidence.ece", "confidence.right", "confidence is not within 0 and 1, so its calibration is not defined"),
     ("coverage.within_50", "coverage.rows", "no visible row has a true position and a std, so there is no coverage"),
-    ("coverage.factor", "coverage.within_50", "half of the rows have no spread, which no factor changes"),
 )
-
-
-def _strange_start(rows: Sequence[Rows]) -> list[str]:
-    """A note where the rows that the tracker was given at its start are far from the ground truth."""
-    start = [part.take(part.init & ~part.later & part.placed) for part in rows]
-    error, unit = column(start, "error"), column(start, "unit")
-    finite = np.isfinite(error) & np.isfinite(unit)
-    if not finite.any() or np.median(error[finite] / unit[finite]) <= 1:
-        return []
-    off = float(np.median(error[finite]))
-    return [f"the track starts {off:.0f} px from the ground truth: is that of another clip, size or frames?"]
 
 
 def _why_undefined(evaluation: Evaluation) -> list[str]:
@@ -433,7 +414,7 @@ def to_text(evaluation: Evaluation, about: About, *, colour: bool = False) -> st
             console.print(Text(flat(line)))
         for sheet in sheets(evaluation):
             name, _, what = sheet.title.partition(": ")
-            console.print(Text.assemble("\n", (name.upper(), "bold"), ("  " + what, "dim")) if what else "")
+            console.print(Text.assemble("\n", (name.upper(), "bold"), ("  " + what, "dim")))
             console.print(sheet.table(ruled=False))
             for note in sheet.notes:
                 console.print(note)
@@ -462,7 +443,7 @@ def facts(evaluation: Evaluation) -> Iterator[str]:
 
 
 def sheets(evaluation: Evaluation) -> Iterator[Sheet]:
-    """All tables. A title is a name and, of all but the second table of confidence, what the table shows.
+    """All tables. A title is a name and what the table shows.
 
     Of more than MAX_PARTS parts the tables of status, confidence, spread and jitter show all parts together alone.
     """
@@ -489,8 +470,6 @@ def sheets(evaluation: Evaluation) -> Iterator[Sheet]:
                 cells = [NO_FIGURE if (v := own[key]) is None else measure.write(v) for key, measure in shown.items()]
                 rows.append((name(part.target, part.part), *cells))
             yield Sheet(": ".join(title), ("part", *(measure.title for measure in shown.values())), tuple(rows))
-        if group == "confidence" and evaluation.all.confidence is not None and evaluation.all.confidence.bins:
-            yield _reliability(evaluation.all.confidence.bins)
 
 
 def _occlusions(evaluation: Evaluation, name: Callable[[str, str], str]) -> Sheet:
@@ -515,12 +494,3 @@ def _occlusions(evaluation: Evaluation, name: Callable[[str, str], str]) -> Shee
         (f"... and {more} more; --json has them all",) if more > 0 else (),
         left=(0, 1),
     )
-
-
-def _reliability(bins: Sequence[reliability.ReliabilityBin]) -> Sheet:
-    rows = [("rows", *(f"{each.rows:,.0f}" for each in bins))]
-    for name in ("right", "visible"):
-        shares = [getattr(each, name) for each in bins]
-        rows.append((f"{name}, %", *(NO_FIGURE if share is None else PERCENT(share) for share in shares)))
-    heads = ("confidence", *(f"{each.low:.1f}-{each.high:.1f}" for each in bins))
-    return Sheet("Rows by confidence", heads, tuple(rows))

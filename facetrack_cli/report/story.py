@@ -4,7 +4,6 @@ Frames are source frames.
 """
 
 import math
-from bisect import bisect
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,8 +27,14 @@ Kind: TypeAlias = Literal[
 ]
 """Why a frame is shown, in the order in which the reasons of one frame stand."""
 MAX_KEY_FRAMES: Final = 12
+_HEADINGS: Final[Mapping[Kind, tuple[str, str]]] = {
+    "start": ("Start", ""), "corrected": ("Corrected by hand", ""), "seam": ("Two chunks differ", ""),
+    "lost": ("Called lost", ""), "hidden": ("Hidden", " for {}"), "back": ("No longer called lost", " after {}"),
+    "opening": ("Mouth open widest", ""), "smile": ("Widest smile", ""), "blink": ("Blink", ""),
+    "worst": ("Lowest confidence", ""), "end": ("End", ""),
+}  # fmt: skip
+"""The heading of each kind, and what follows a part that was lost or hidden so long."""
 _DETECTORS: Final[Mapping[str, str]] = {"haar": "the Haar cascades", "yunet": "YuNet"}
-_OF_EPISODES: Final = 2 / 3  # of the frames beside start, worst and end, where there are too many events
 
 
 class Stretch(NamedTuple):
@@ -203,37 +208,23 @@ def _least(values: Array) -> float:
 
 
 def key_frames(history: RunHistory, first: int, last: int, most: int = MAX_KEY_FRAMES) -> list[KeyFrame]:
-    """At most `most` frames: the first, the last, that of the lowest mean confidence, the peaks, and of events. Of
-    too many events, where the longest episodes begin and end, then, one by one, that furthest in time from all taken.
+    """At most `most` frames: the first, the last, that of the lowest mean confidence, the peaks, and of events. Of too
+    many events that where the longest episode begins, then, one by one, that furthest in time from all taken.
     """
     by_frame = history.events
-    events = sorted({frame for frame, _ in by_frame})
+    events = np.array(sorted({frame for frame, _ in by_frame}), dtype=np.int64)
     worst = [] if history.worst is None else [(history.worst, Event("worst"))]
     fixed = [(first, Event("start")), *worst, *history.peaks, (last, Event("end"))]
     by_frame |= {(frame, event.kind): event for frame, event in fixed}
     taken = {frame for frame, _ in fixed}
-    if len(taken.union(events)) <= most:
-        taken.update(events)
-    else:
-        room = len(taken) + round((most - len(taken)) * _OF_EPISODES)
-        for begin, end in sorted(history.episodes, key=lambda e: (e.first - e.last, e.first)):
-            after = bisect(events, end)  # where the last part came back
-            if len(both := taken | {begin, *events[after : after + 1]}) <= room:
-                taken = both
-        taken = _spread(taken, events, most)
+    taken |= {span.first for span in sorted(history.episodes, key=lambda e: e.first - e.last)[:1]}
+    while len(events) and len(taken) < most:
+        away = np.abs(events[:, None] - np.array(sorted(taken))).min(axis=1)
+        if not away.max():
+            break
+        taken.add(int(events[np.argmax(away)]))
     kinds: tuple[Kind, ...] = get_args(Kind)
     return [KeyFrame(at, tuple(by_frame[at, kind] for kind in kinds if (at, kind) in by_frame)) for at in sorted(taken)]
-
-
-def _spread(taken: set[int], events: Sequence[int], most: int) -> set[int]:
-    """The frames taken, and the events furthest from them and from each other."""
-    frames = np.array(events, dtype=np.int64)
-    away = np.min(np.abs(frames[:, None] - np.array(sorted(taken))), axis=1)
-    while len(taken) < most and away.max() > 0:
-        pick = int(np.argmax(away))
-        taken.add(int(frames[pick]))
-        away = np.minimum(away, np.abs(frames - frames[pick]))
-    return taken
 
 
 # --- in words --------------------------------------------------------------------------------------------------------
@@ -276,32 +267,26 @@ def names(items: Sequence[str], most: int = 8) -> str:
 
 def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHistory) -> str:
     """The run in words: what was tracked, for how long, how often it was lost."""
-    frames, one = len(clock.frames), len(history.parts) == 1
+    frames, parts = len(clock.frames), len(history.parts)
     whose = table.target if len(table.targets) == 1 else count(len(table.targets), "target")
-    each = len(history.parts) == len(table.targets)  # a box of each, or the only part
-    what = whose if each else f"{count(len(history.parts), 'part')} of {whose}"
+    what = (
+        whose if parts == len(table.targets) else f"{count(parts, 'part')} of {whose}"
+    )  # a box each, or the only part
     long = f"{count(frames, 'frame')}, {lasting(clock.duration)}"
     facts = [f"The recipe {header.recipe_name} looked for {what} in {header.clip_name} over {long}."]
-    some = "At least one of them" if each else "At least one part"
-    who, lost = "It" if one else some, [part.name for part in history.parts if part.spans]
-    gone, absent = history.ending("lost"), history.ending("absent")
+    lost = [part.name for part in history.parts if part.spans]
     if not any(part.judged for part in history.parts):
         facts.append("The tracker does not report when it is lost.")
     elif not lost:
-        facts.append("It was never called lost." if one else "No part was ever called lost.")
+        facts.append("It was never called lost." if parts == 1 else "No part was ever called lost.")
     else:
-        n = len(history.episodes)
-        times = {1: "one stretch", 2: "two stretches"}.get(n, count(n, "stretch", "stretches"))
-        parts = "" if one else f": {names(lost)}"
         share = f"{count(history.frames_lost, 'frame')} ({percent(history.frames_lost / frames)})"
-        facts.append(f"{who} was called lost in {share}, in {times}{parts}.")
-        end = f"{_are(gone)} called lost" if gone else f"{'no other' if absent else 'no'} part is called lost"
-        if one and not absent:
-            end = "it is called lost" if gone else "it is not called lost"
-        if not one or not absent:
-            facts.append(f"In the last frame {end}.")
+        times = count(len(history.episodes), "stretch", "stretches")
+        facts.append(f"Called lost in {share}, in {times}: {names(lost)}.")
+        gone = history.ending("lost")
+        facts.append(f"In the last frame {_are(gone) if gone else 'none is'} called lost.")
     if hidden := len({at for part in history.parts for gap in part.hidings for at in range(gap.first, gap.last + 1)}):
-        facts.append(f"{who} was hidden, at a likely place, in {count(hidden, 'frame')}.")
+        facts.append(f"Something was hidden, at a likely place, in {count(hidden, 'frame')}.")
     if (mean := confidence_of(table)) is not None:
         facts.append(_trust(calibrated(header.recipe), mean))
     if history.seams:
@@ -311,10 +296,9 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     if history.corrections:
         facts.append(f"It was corrected by hand in {count(len(history.corrections), 'frame')}.")
     if missing := [part for part in history.parts if part.frames_absent]:
-        rows = sum(part.frames_absent for part in missing)
-        over = count(rows, "frame" if len(missing) == 1 else "row")
         said = "Absent" if any(part.vanishes for part in missing) else "Marked as absent"
-        facts.append(f"{said}: {names([part.name for part in missing])}, in {over}.")
+        rows = count(sum(part.frames_absent for part in missing), "row")
+        facts.append(f"{said}: {names([part.name for part in missing])}, in {rows}.")
     return " ".join(facts)
 
 
@@ -385,35 +369,31 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
     mean = number(float(confidences.mean()) if confidences.size else None)
 
     def words(event: Event) -> tuple[str, str]:
+        heading, after = _HEADINGS[event.kind]
         match event.kind:
             case "start":
-                return "Start", f"placed by {_DETECTORS.get(origin) or Path(origin).name or origin}"
+                text = f"placed by {_DETECTORS.get(origin) or Path(origin).name or origin}"
             case "corrected":
                 placed, absent = event.corrected[1:] if event.corrected else ((), ())
                 gone = f"{_are(absent, 5)} absent" if absent else ""
-                return "Corrected by hand", "; ".join(filter(None, (names(placed, 5), gone)))
+                text = "; ".join(filter(None, (names(placed, 5), gone)))
             case "seam":
                 share = None if event.seam is None else event.seam.agreement
-                agree = f"they agree in {percent(share)} of the frames that both have"
-                return "Two chunks differ", "none of the frames is in both" if share is None else agree
+                text = f"they agree in {percent(share)} of the frames that both have"
             case "hidden" | "lost" | "back":
-                heading, after = {"hidden": ("Hidden", " for {}"), "lost": ("Called lost", "")}.get(
-                    event.kind, ("No longer called lost", " after {}")
-                )
-                each = [
+                text = names([
                     f"{s.name}{after.format(lasting(s.seconds))} (confidence {number(confidence.get(s.name))})"
                     for s in event.spans
-                ]
-                return heading, names(each, 5)
-            case "opening" | "smile" | "blink":
-                return {"opening": "Mouth open widest", "smile": "Widest smile"}.get(event.kind, "Blink"), event.words
+                ], 5)  # fmt: skip
             case "worst":
-                return "Lowest confidence", mean + (f", the mean over {len(parts):,} parts" if len(parts) > 1 else "")
-            case _:
+                text = mean + (f", the mean over {len(parts):,} parts" if len(parts) > 1 else "")
+            case "end":
                 ends = [(kind, [parts[i] for i in np.flatnonzero(rows.status == kind)]) for kind in ("lost", "absent")]
-                words = {"lost": "called lost", "absent": "absent"}
-                endings = "; ".join(f"{words[kind]}: {names(gone, 5)}" for kind, gone in ends if gone)
-                return "End", endings or ("not called lost" if len(parts) == 1 else "no part is called lost")
+                text = "; ".join(f"called {kind}: {names(gone, 5)}" for kind, gone in ends if gone)
+                text = text or "nothing is called lost"
+            case _:
+                text = event.words
+        return heading, text
 
     return [(event.kind, *words(event)) for event in key.events]
 

@@ -148,28 +148,22 @@ def outlines(rows: Trajectory) -> Array | None:
     return outline if np.isfinite(outline).any() else None
 
 
-def _checked(rule: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:
+def _checked(kind: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:
     """The numbers of a value, nan where there are none."""
-    if rule.shape is None:
-        if not isinstance(value, Mapping):
-            raise ValueError(at, f"{rule.name} is not an object of names and numbers")
-        for name, number in value.items():
-            if not name or not _fits(rule, number):
-                raise ValueError(at, f"{rule.name} of {name!r}: {number!r} is no {_expected(rule)}")
-        return [float(value.get(name, math.nan)) for name in labels]
-    if rule.shape:
-        listed = isinstance(value, Sequence | np.ndarray) and len(value) == rule.shape[0]
-        if not listed or not all(_fits(rule, v) for v in value):
-            raise ValueError(at, f"{rule.name} is not a list of {rule.shape[0]} numbers")
-        return [float(v) for v in value]
-    if not _fits(rule, value):
-        raise ValueError(at, f"{rule.name} {value!r} is no {_expected(rule)}")
-    return float(value)
-
-
-def _expected(rule: Diagnostic) -> str:
-    words = {(0, 1): "probability", (0, math.inf): "number from 0 up", (-math.inf, math.inf): "finite number"}
-    return words.get((rule.least, rule.most), f"number from {rule.least:g} to {rule.most:g}")
+    if kind.shape is None:
+        fits, each = (
+            isinstance(value, Mapping) and "" not in value,
+            value.values() if isinstance(value, Mapping) else (),
+        )
+        what = "an object of names and numbers"
+    elif kind.shape:
+        fits, each = isinstance(value, Sequence | np.ndarray) and len(value) == kind.shape[0], value
+        what = f"a list of {kind.shape[0]} numbers"
+    else:
+        fits, each, what = True, (value,), "a number"
+    if not fits or not all(_fits(kind, number) for number in each):
+        raise ValueError(at, f"{kind.name} {value!r:.60} is not {what} from {kind.least:g} to {kind.most:g}")
+    return [float(value.get(name, math.nan)) for name in labels] if kind.shape is None else np.float64(value)
 
 
 def _fits(rule: Diagnostic, value: Any) -> bool:

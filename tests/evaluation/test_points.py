@@ -212,21 +212,11 @@ def test_lost_against_the_truth():
     assert found.false_alarms == 3 / 5  # of 0, 1, 2, 7, 9: rows 1, 7, 9
     assert found.tracked_near == 2 / 5  # of 0, 2, 3, 4, 8: rows 0, 2
     assert found.tracked_visible_near == 2 / 3  # of 0, 2, 8
-    assert (found.spans, found.spans_called) == (1, 1)
-    assert found.delay_lost == 2  # hidden from 3, called in 5
-    assert found.delay_back is None  # from 6 on: lost and off, lost and near, tracked and off, lost and near
-    one = rows([0] * 10, "vhhvvvhhvv", ours=statuses("ttltltttll"), frame=np.arange(10) * 2, part="one")
-    other = rows([0] * 4, "hvva", ours=statuses("lttl"), part="other")
-    found = measure_lost([one, other])  # medians over the spans of all parts, in frames
-    assert (found.spans, found.spans_called) == (4, 3)
-    assert found.delay_lost == 0  # of 2 frames (one row), 0 and 0
-    assert found.delay_back == 0  # of 0 and 0; after the second nothing came back
 
 
 def test_nothing_to_count_is_not_zero_and_a_row_of_unknown_place_counts_by_its_visibility():
     found = measure_lost([rows([0, 0], ours=statuses("tt"))])
     assert found.precision is found.precision_gone is found.recall is found.recall_gone is None
-    assert found.delay_lost is found.delay_back is None
     assert found.false_alarms == 0.0 and found.tracked_near == 1.0
     assert measure_lost([rows([0, 0], ours="")]) is None
     far = measure_lost([rows([9, 9], ours=statuses("tt"))])

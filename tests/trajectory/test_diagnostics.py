@@ -84,16 +84,16 @@ def test_values_become_arrays_and_what_is_not_known_nan():
 @pytest.mark.parametrize(
     ("one", "value", "why"),
     [
-        (FOCUS, -0.001, "focus -0.001 is no number from 0 up"),
-        (FOCUS, math.inf, "focus inf is no number from 0 up"),
-        (FOCUS, "1", "focus '1' is no number from 0 up"),
-        (FOCUS, 10**400, "is no number from 0 up"),
-        (Diagnostic("tilt"), -math.inf, "tilt -inf is no finite number"),
-        (Diagnostic("tilt", least=-5, most=5), -6, "tilt -6 is no number from -5 to 5"),
-        (POSTERIOR, {"anna": 1.01}, "posterior of 'anna': 1.01 is no probability"),
-        (POSTERIOR, [1.0], "posterior is not an object of names and numbers"),
-        (SPREAD, [0.5], "spread is not a list of 2 numbers"),
-        (SPREAD, 0.5, "spread is not a list of 2 numbers"),
+        (FOCUS, -0.001, "focus -0.001 is not a number from 0 to inf"),
+        (FOCUS, math.inf, "focus inf is not a number"),
+        (FOCUS, "1", "focus '1' is not a number"),
+        (FOCUS, 10**400, "is not a number from 0 to inf"),
+        (Diagnostic("tilt"), -math.inf, "tilt -inf is not a number"),
+        (Diagnostic("tilt", least=-5, most=5), -6, "tilt -6 is not a number from -5 to 5"),
+        (POSTERIOR, {"anna": 1.01}, "posterior {'anna': 1.01} is not an object of names and numbers from 0 to 1"),
+        (POSTERIOR, [1.0], "posterior [1.0] is not an object of names and numbers"),
+        (SPREAD, [0.5], "spread [0.5] is not a list of 2 numbers"),
+        (SPREAD, 0.5, "spread 0.5 is not a list of 2 numbers"),
     ],
 )
 def test_a_value_that_does_not_fit_is_refused_with_its_place(one, value, why):
@@ -228,10 +228,10 @@ def file(folder, *targets, **header):
 @pytest.mark.parametrize(
     ("wrong", "why"),
     [
-        ({"scale": "1"}, "scale '1' is no number from 0 up"),
-        ({"error": 10**400}, "is no number"),
-        ({"posterior": {"": 0.2}}, "posterior of '': 0.2 is no probability"),
-        ({"affine": [1, 0, 0, 1, 5, "x"]}, "affine is not a list of 6 numbers"),
+        ({"scale": "1"}, "scale '1' is not a number"),
+        ({"error": 10**400}, "is not a number"),
+        ({"posterior": {"": 0.2}}, "posterior {'': 0.2} is not an object of names and numbers"),
+        ({"affine": [1, 0, 0, 1, 5, "x"]}, "is not a list of 6 numbers"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(tmp_path, wrong, why):

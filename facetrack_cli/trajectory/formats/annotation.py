@@ -20,13 +20,12 @@ interpolated: nobody has put them there.
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import shown_angle
@@ -285,36 +284,24 @@ def _frames_of(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:
     return numbers, frames[first]
 
 
-class _Place(BaseModel):
-    frame: Annotated[int, Field(ge=1, le=MAX_FRAME)]
-    enabled: bool = True
-    auto: bool = False
-    time: float | None = None
-    x: float
-    y: float
-    width: float
-    height: float
-    rotation: float = 0
+class _Place(NamedTuple):
+    """A rectangle in a frame of Label Studio, in percent of the image."""
+
+    frame: int
+    enabled: bool
+    auto: bool
+    time: float | None
+    sides: tuple[float, ...]
+    rotation: float
 
 
-class _Value(BaseModel):
-    sequence: tuple[_Place, ...]
-    labels: tuple[str, ...] = ()
-
-
-class _Region(BaseModel):
-    id: str = ""
-    type: Literal["videorectangle"]
-    value: _Value
-
-
-class _Annotation(BaseModel):
-    result: tuple[dict[str, Any], ...]
-    was_cancelled: bool = False
-
-
-class _Task(BaseModel):
-    annotations: tuple[_Annotation, ...]
+def _place(record: Mapping[str, Any]) -> _Place:
+    """Raises KeyError, TypeError or ValueError for what is none."""
+    if type(frame := record["frame"]) is not int or not 1 <= frame <= MAX_FRAME:
+        raise ValueError(f"{frame!r} is no frame")
+    sides, time = tuple(float(record[name]) for name in ("x", "y", "width", "height")), record.get("time")
+    enabled, auto = bool(record.get("enabled", True)), bool(record.get("auto"))
+    return _Place(frame, enabled, auto, None if time is None else float(time), sides, float(record.get("rotation", 0)))
 
 
 def read_labelstudio(
@@ -336,30 +323,29 @@ def read_labelstudio(
     ------
     InputError : for more than one task or annotation, regions without a label, or two of one label in a frame.
     """
+    sequences: dict[str, dict[int, tuple[str, _Place]]] = {}
     try:
         content = json.loads(read_text(path))
-        tasks = TypeAdapter(tuple[_Task, ...]).validate_python(content if isinstance(content, list) else [content])
-        annotations = [annotation for task in tasks for annotation in task.annotations if not annotation.was_cancelled]
+        tasks = content if isinstance(content, list) else [content]
+        annotations = [each for task in tasks for each in task["annotations"] if not each.get("was_cancelled")]
         if len(tasks) != 1 or len(annotations) != 1:
             count = f"{len(tasks)} tasks with {len(annotations)} annotations"
             raise InputError(f"{path}: has {count}; export the one task of the clip, and keep one annotation of it")
-        regions = [_Region.model_validate(region) for region in annotations[0].result if region.get("type") == _REGION]
-    except (ValueError, RecursionError) as e:
-        why = "it is no JSON"
-        if isinstance(e, ValidationError):
-            first = e.errors()[0]
-            why = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}"
+        for region in (region for region in annotations[0]["result"] if region.get("type") == _REGION):
+            labels, ident = region["value"].get("labels", []), region.get("id", "")
+            if len(labels) != 1:
+                raise InputError(f"{path}: region {ident} has {len(labels)} labels; give it one")
+            sequence = sequences.setdefault(labels[0], {})
+            for place in map(_place, region["value"]["sequence"]):
+                where = f"{path}: region {ident} ({labels[0]}), frame {place.frame}"
+                if place.frame in sequence:
+                    raise InputError(
+                        f"{where}: is there twice, here or in another region of the same label; remove one"
+                    )
+                sequence[place.frame] = where, place
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as e:
+        why = f"it has no {e}" if isinstance(e, KeyError) else f"{e!s:.60}"
         raise InputError(f"{path}: is not Label Studio's JSON of a video ({why}); export it again, as JSON") from None
-    sequences: dict[str, dict[int, tuple[str, _Place]]] = {}
-    for region in regions:
-        if len(region.value.labels) != 1:
-            raise InputError(f"{path}: region {region.id} has {len(region.value.labels)} labels; give it one")
-        sequence = sequences.setdefault(label := region.value.labels[0], {})
-        for place in region.value.sequence:
-            where = f"{path}: region {region.id} ({label}), frame {place.frame}"
-            if place.frame in sequence:
-                raise InputError(f"{where}: is there twice, here or in another region of the same label; remove one")
-            sequence[place.frame] = where, place
     picture = _pictures([place for sequence in sequences.values() for _, place in sequence.values()], clock, fps)
     marks: _Marks = {}
     for name, sequence in sequences.items():
@@ -387,8 +373,8 @@ def _pictures(places: Sequence[_Place], clock: tuple[Whole, Array] | None, fps: 
 
 def _placed(where: str, place: _Place, size: tuple[int, int]) -> _Mark:
     (width, height), turn = size, math.radians(place.rotation)
-    w, h = place.width * width / 100, place.height * height / 100
+    x, y, w, h = np.array(place.sides) * [width, height, width, height] / 100
     # a rectangle is turned about its left top corner: the upright one of its size has the same centre
-    left = place.x * width / 100 + (w * math.cos(turn) - h * math.sin(turn) - w) / 2
-    top = place.y * height / 100 + (w * math.sin(turn) + h * math.cos(turn) - h) / 2
+    left = x + (w * math.cos(turn) - h * math.sin(turn) - w) / 2
+    top = y + (w * math.sin(turn) + h * math.cos(turn) - h) / 2
     return _box(where, left, top, w, h, status="visible" if place.enabled else "absent", by_hand=not place.auto)

@@ -29,8 +29,8 @@ from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX
-from facetrack_cli.trajectory.face_events import events_of
-from facetrack_cli.trajectory.head import head_motion, kinds_of
+from facetrack_cli.trajectory.face_events import KINDS, events_of
+from facetrack_cli.trajectory.head import LABELS, head_motion, kinds_of
 from facetrack_cli.trajectory.measures import Measured
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 from facetrack_cli.trajectory.views import frame_milliseconds
@@ -39,34 +39,11 @@ XSI = "http://www.w3.org/2001/XMLSchema-instance"
 SCHEMA = "http://www.mpi.nl/tools/elan/EAFv3.0.xsd"
 MIME = {".mp4": "mp4", ".m4v": "mp4", ".mpeg": "mpeg", ".mpg": "mpeg", ".webm": "webm"}
 MIME |= {".mov": "quicktime", ".avi": "x-msvideo", ".mkv": "x-matroska"}
-CONSTRAINTS = {
-    "Time_Subdivision": "Time subdivision of parent annotation's time interval, no time gaps allowed within this "
-    "interval",
-    "Symbolic_Subdivision": "Symbolic subdivision of a parent annotation. Annotations refering to the same parent are "
-    "ordered",
-    "Symbolic_Association": "1-1 association with a parent annotation",
-    "Included_In": "Time alignable annotations within the parent annotation's time interval, gaps are allowed",
-}
-"""The four that ELAN itself writes into every file, in its own words."""
-VOCABULARIES = {
-    "seen": {"seen": "is followed in the picture"},
-    "horizontal": {"left": "moves to the left of the image", "right": "moves to the right of the image"},
-    "vertical": {"up": "moves up in the image", "down": "moves down in the image"},
-    "tilt": {label: f"turns {label} in the image plane" for label in ("clockwise", "counterclockwise")},
-    "size": {"approach": "grows in the image", "recede": "shrinks in the image"},
-    "nods": {"nod": "swings up and down, three times or more", "shake": "swings left and right, three times or more"},
-    "still": {"still": "none of the motions of the other tiers for a second or more"},
-    "mouth": {"open": "the mouth is open"},
-    "smile": {"smile": "the mouth is wide, for half a second or more"},
-    "blinks": {"blink": "the eyes are shut, for half a second at most", "shut": "the eyes are shut for longer"},
-    "dips": {"nod": "the head goes down and back, by its pitch"},
-    "shakes": {"shake": "the head turns to one side and to the other, by its yaw"},
-    **{f"wink_{side}": {"wink": f"the {side} eye alone is shut"} for side in ("left", "right")},
-    "speech": {"talks": "the mouth moves as in talking"},
-    "phases": {"hold": "the hand is held still", "movement": "the hand moves"},
-    "hand_contact": {"hand": "meets the other hand in the image"},
-    "face_contact": {"face": "meets the face in the image"},
-}
+VOCABULARIES: Final[Mapping[str, Sequence[str]]] = {
+    "seen": ("seen",), **LABELS, "nods": ("nod", "shake"), "still": ("still",),
+    **{tier: [*filter(None, (kind.value, kind.longer, kind.other))] for tier, kind in KINDS.items()},
+}  # fmt: skip
+"""The values of each tier that has a vocabulary."""
 QUOTES = str.maketrans({"'": "\N{RIGHT SINGLE QUOTATION MARK}", '"': "\N{RIGHT DOUBLE QUOTATION MARK}"})
 ORDER: Final = (
     "LICENSE", "HEADER", "TIME_ORDER", "TIER", "LINGUISTIC_TYPE", "LOCALE", "LANGUAGE", "CONSTRAINT",
@@ -178,22 +155,20 @@ def _header(root: ET.Element, media: Path, folder: Path, annotations: int) -> No
 
 
 def _types(root: ET.Element, kinds: Sequence[str]) -> None:
-    """What stands below the tiers, in the schema's order: types, language, constraints, vocabularies."""
+    """What stands below the tiers, in the schema's order: types, language, vocabularies."""
     for kind in kinds:
         about = {"GRAPHIC_REFERENCES": "false", "LINGUISTIC_TYPE_ID": kind, "TIME_ALIGNABLE": "true"}
         vocabulary = {"CONTROLLED_VOCABULARY_REF": kind} if kind in VOCABULARIES else {}
         ET.SubElement(root, "LINGUISTIC_TYPE", {**vocabulary, **about})
     language = {"LANG_DEF": "http://cdb.iso.org/lg/CDB-00138502-001", "LANG_ID": "eng", "LANG_LABEL": "English (eng)"}
     ET.SubElement(root, "LANGUAGE", language)
-    for stereotype, description in CONSTRAINTS.items():
-        ET.SubElement(root, "CONSTRAINT", DESCRIPTION=description, STEREOTYPE=stereotype)
     for kind in kinds:
         if kind in VOCABULARIES:
             group = ET.SubElement(root, "CONTROLLED_VOCABULARY", CV_ID=kind)
             ET.SubElement(group, "DESCRIPTION", LANG_REF="eng").text = "motion of the target in the image plane"
-            for label, description in VOCABULARIES[kind].items():
+            for label in VOCABULARIES[kind]:
                 entry = ET.SubElement(group, "CV_ENTRY_ML", CVE_ID=_entry(kind, label))
-                ET.SubElement(entry, "CVE_VALUE", DESCRIPTION=description, LANG_REF="eng").text = label
+                ET.SubElement(entry, "CVE_VALUE", LANG_REF="eng").text = label
 
 
 def _entry(kind: str, label: str) -> str:
