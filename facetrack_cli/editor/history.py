@@ -21,14 +21,15 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, OutputError, reason
 from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
+from facetrack_cli.editor.pick_session import fitted
 from facetrack_cli.engine.corrected import CorrectedTarget, all_or, completed, is_complete, with_confirmed
 from facetrack_cli.engine.loop import Footprint, Target, stream
 from facetrack_cli.recipe.model import ParticlesRecipe
 from facetrack_cli.run_folder.finished import Run, stamp
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
-from facetrack_cli.start.assembly import build_tracker, name_targets, tracker_for
-from facetrack_cli.start.init_file import TARGET, read_init
+from facetrack_cli.start.assembly import build_tracker, tracker_for
+from facetrack_cli.start.init_file import read_init
 from facetrack_cli.start.presence import among_others
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.views import choose
@@ -384,7 +385,10 @@ def merged(new: Correction, before: Correction | None, parts: tuple[str, ...]) -
 
 def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
     """The corrections of an init file that begins as the run does. InputError if it does not."""
-    start = _named(read_init(path), run)
+    whole = read_init(path)
+    start = fitted(whole, run.recipe)
+    if len(start.corrections) < len(whole.corrections):
+        raise InputError(f"{path}: corrects what the run does not follow, which is {', '.join(run.parts)}")
     if start.frame != run.start.frame:
         begins = f"begins at frame {start.frame}, and the run at {run.start.frame}"
         raise InputError(f"{path}: {begins}; run the clip again with it")
@@ -394,20 +398,3 @@ def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
         if target.box not in (None, theirs.box) or points != target.points:
             raise InputError(f"{path}: {name} does not begin where it does in the run; run the clip again with it")
     return start.corrections
-
-
-def _named(start: Start, run: Run) -> Start:
-    """The start with the targets that the recipe follows; the run gives the targets that the file does not have."""
-    names, out = run.recipe.followed, run.recipe.left_out
-    targets = {name: target for name, target in start.targets.items() if name not in out}
-    if not names or not targets:
-        return start
-    if len(targets) == 1 and not targets.keys() & set(names):
-        [called] = targets
-        targets = {TARGET: targets[called]}
-        ours = (correction for correction in start.corrections if correction.target == called)
-        start = replace(start, corrections=tuple(replace(correction, target=TARGET) for correction in ours))
-    rest = {name: target for name, target in run.start.targets.items() if name not in targets and name != names[0]}
-    if not targets.keys() & {names[0], TARGET}:
-        rest[names[0]] = run.start.targets[names[0]]
-    return name_targets(replace(start, targets={**targets, **rest}), names, None, left_out=out, later=run.recipe.later)

@@ -60,25 +60,37 @@ def imported_corrections(
                 kept = kept.between(run.first, run.last + 1)
             for frame, place in _moves(kept, row):
                 changes[frame, part.target][part.part] = place
-        beside |= _taken_out(changes, run)
+        beside |= _taken_out(changes, run, rows, annotated)
     if beside:
         note(f"{path}: {', '.join(beside)}: no correction places {'these' if len(beside) > 1 else 'this'}; left out")
     return tuple(_correction(*key, parts, run) for key, parts in sorted(changes.items()))
 
 
-def _taken_out(changes: Changes, run: Run) -> dict[str, None]:
-    """Takes the parts that no correction places out of the changes; their names, where they changed by themselves."""
+def _taken_out(changes: Changes, run: Run, rows: Trajectory, annotated: Trajectory) -> dict[str, None]:
+    """Takes the parts that no correction places out of the changes; the names of those that changed by themselves."""
     beside: dict[str, None] = {}
     for (frame, target), parts in [*changes.items()]:
         can = correctable_parts(run.parts[target])
-        whole = all(part in parts for part in can)  # the whole target comes or goes
+        gone = all(_is_absent(annotated.find(target, part), frame) for part in can)  # the whole target
         for name in [name for name in parts if name not in (*can, BOX)]:
-            parts.pop(name)
-            if not whole:
+            row, place = rows.find(target, name), parts.pop(name)
+            at = None if row is None else row.row(frame)
+            if place is None:
+                changed = not gone
+            else:  # one that comes back where it was has not changed
+                there = np.array([row.x[at], row.y[at]]) if row is not None and at is not None else np.array(np.nan)
+                changed = not np.abs(there - place).max() <= MOVED
+            if changed:
                 beside[f"{target}/{name}"] = None
         if not parts:
             del changes[frame, target]
     return beside
+
+
+def _is_absent(part: Trajectory | None, frame: int) -> bool:
+    """Whether a part is absent in a frame, by its last row up to there."""
+    at = -1 if part is None else int(np.searchsorted(part.frame, frame, "right")) - 1
+    return part is not None and at >= 0 and bool(part.status[at] == "absent")
 
 
 def renames(path: Path, names: Sequence[str], clip: str) -> dict[str, str]:

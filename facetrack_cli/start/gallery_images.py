@@ -75,10 +75,7 @@ def find_people(folder: Path, warn: Warn) -> list[Person]:
         warn(f"{beside[0]}{more}: in no person's folder; passed over")
     people = [_person(entry, warn) for entry in entries if entry.is_dir()]
     if len(people) < 2:
-        example = folder / "anna"
-        raise InputError(
-            f"{folder}: has {len(people)} folders of people; make one for each of two or more, as {example}"
-        )
+        raise InputError(f"{folder}: has no folders of two people; make one for each of them, as {folder / 'anna'}")
     by_name: dict[str, Person] = {}
     for person in people:
         if (other := by_name.setdefault(person.name.casefold(), person)) is not person:

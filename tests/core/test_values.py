@@ -71,13 +71,6 @@ def test_grey_is_that_of_the_whole_picture_whatever_was_asked_before(calls):
     assert frame.bgr is picture
 
 
-def test_factor_one_is_the_picture_itself():
-    picture = np.zeros((5, 7, 3), np.uint8)
-    small, left, top = Frame(0, 0.0, picture).reduced(1, (0, 0, 3, 3))
-    assert small is picture
-    assert (left, top) == (0, 0)
-
-
 @pytest.mark.parametrize("shape", [(1, 1, 3), (3, 2, 3), (2, 9, 3)])
 def test_a_picture_smaller_than_a_block_is_one_block(shape):
     small, _, _ = Frame(0, 0.0, np.full(shape, 77, np.uint8)).reduced(8, (0, 0, 1, 1))

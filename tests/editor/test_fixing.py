@@ -2,12 +2,9 @@
 
 import contextlib
 import errno
-import gc
 import json
-import pickle
 import shutil
 import tempfile
-import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +17,7 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import history
 from facetrack_cli.editor.fix_session import overview
-from facetrack_cli.editor.history import Fixer, Task, corrections_of, recorded_footprint, spans_of
+from facetrack_cli.editor.history import Fixer, corrections_of, recorded_footprint
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.runs.signals import StoppedError
@@ -201,19 +198,6 @@ def test_rows_before_a_correction_and_of_other_targets_stay_to_the_byte(fixed, r
     assert hand == [(9, "ben", "nose", "init"), (16, "ben", "nose", "init")]
 
 
-def test_only_the_corrected_target_changes_where_targets_keep_off_each_other(fixed, runs):
-    one = fixed("hands")
-    assert one.run.recipe.exclusion is not None
-    one.put(box("left_hand", 10, 95, 120, 40, 46))
-    save(one.fixer)
-
-    def others(frame, target):
-        return target != "left_hand" or frame < 10
-
-    assert rows_of(one.folder, others) == rows_of(runs / "hands", others)
-    assert rows_of(one.folder, lambda *at: not others(*at)) != rows_of(runs / "hands", lambda *at: not others(*at))
-
-
 def test_what_is_not_given_stays_where_the_rows_have_it(fixed):
     one = fixed("face")
 
@@ -364,22 +348,6 @@ def test_a_disk_that_is_full_for_a_while_leaves_the_rows_as_they_were(fixed, mon
     assert one.text() == before
 
 
-@pytest.mark.nightly
-def test_steps_that_can_be_taken_back_hold_nothing_of_every_frame(fixed):
-    """The overview is asked for after each of them, and there may be a thousand."""
-    one = fixed("late")
-    for frame in (8, 9, 10):
-        before = one.fixer.rows
-        overview(before, 5, (), {"face": 0.5})
-        one.put(nose(frame, 159, 140))
-    gone, past = weakref.ref(one.fixer.rows), one.fixer._past
-    assert len(past) == 3 and len(pickle.dumps(past)) < 5_000 and len(pickle.dumps(before)) > 10_000
-    one.fixer.undo()
-    gc.collect()
-    assert gone() is None  # it lies in the temporary file
-    assert [*csv_frames(one.fixer.rows)] == [*csv_frames(before)] != [*csv_frames(one.run.rows)]
-
-
 def test_a_frame_that_is_corrected_again_has_one_correction_and_the_same_again_is_no_step(fixed):
     one = fixed("late")
     one.put(*(nose(8, x, 140) for x in (159, 157, 157)))
@@ -494,15 +462,6 @@ def test_what_is_dragged_goes_over_what_its_frame_has():
 
 
 # --- what is tracked again -------------------------------------------------------------------------------------------
-
-
-def test_frames_that_several_tasks_want_are_read_once():
-    def frames(*wanted):
-        return spans_of([Task("a", None, first, stop) for first, stop in wanted])
-
-    assert frames((5, 20), (6, 10)) == frames((6, 10), (5, 20)) == [(5, 20)]
-    assert frames((5, 8), (8, 10)) == frames((5, 9), (7, 10)) == [(5, 10)]
-    assert frames((9, 12), (1, 3), (1, 2)) == [(1, 3), (9, 12)] and frames() == []
 
 
 def test_targets_that_are_tracked_together_see_each_other_as_they_are_now(fixed, monkeypatch):

@@ -205,39 +205,6 @@ def test_drags_and_corrections_are_undone_and_removed(page):
     assert window.here("undo").is_disabled() and not window.get("canUndo") and session.first_error is None
 
 
-@pytest.mark.nightly
-def test_the_slower_of_two_windows_shows_the_draft_of_the_other(page, windows):
-    _, session, url, one = page()
-    other = windows(url)
-    for window in (one, other):
-        go_to(window, 12)
-    move(one, "nose", (10, 5))
-    other.until("window.facetrack.draft.targets.face")
-    assert other.text("message") == "Changed in another window." and other.get("draft") == one.get("draft")
-
-    release = other.hold("api/state")  # until then, the other one receives no state
-    move(one, "nose", (3, 0))
-    one.until_sent()
-    other.expected = ["409"]
-    move(other, "lip_lower", (0, 12))
-    other.until_message("Another window was faster")
-    assert other.get("draft") == one.get("draft") == session.state()["draft"]
-    assert set(other.face()["points"]) == {"nose"}
-
-    move(one, "nose", (0, 4))
-    one.until_sent()
-    other.press("t")  # while its draft is out of date
-    release()
-    other.until_visible("problem")
-    assert session.rows_revision == 0 and other.get("corrections") == []
-    other.until("!window.facetrack.busy")
-    assert other.get("draft") == one.get("draft") == session.state()["draft"]
-    other.press("t")
-    for window in (one, other):
-        idle(window, 1)
-    assert one.get("rows") == other.get("rows") and one.get("corrections") == other.get("corrections")
-
-
 def test_the_timeline_leads_to_frames_and_keys_to_what_is_corrected(page):
     *_, window = page()
     for revision, frame in enumerate((18, 5), 1):

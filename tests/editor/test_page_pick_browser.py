@@ -78,23 +78,6 @@ def test_a_box_and_five_points_are_picked_and_saved(pick, windows, tmp_path):
     near(face.points, POINTS, 0.6)
 
 
-def test_arrows_nudge_by_exact_steps(clips, page):
-    session, window = page(clips / "face", frame=1, previous=BEGUN)
-    window.click(160, 138)
-    for key, step in [("ArrowRight", (1, 0)), ("Shift+ArrowDown", (0, 10)), ("Alt+ArrowLeft", (-0.25, 0)),
-                      ("Alt+ArrowUp", (0, -0.25)), ("Shift+ArrowLeft", (-10, 0)), ("ArrowUp", (0, -1))]:  # fmt: skip
-        before = window.face()
-        window.press(key)
-        assert window.face() == {**before, "points": {"nose": list(np.add(before["points"]["nose"], step))}}
-    window.click_on("part-face-box")
-    for key, step in [("Shift+ArrowRight", (10, 0, 0, 0)), ("Alt+ArrowUp", (0, -0.25, 0, 0)),
-                      ("Control+ArrowLeft", (0, 0, -1, 0)), ("Control+Shift+ArrowDown", (0, 0, 0, 10))]:  # fmt: skip
-        before = window.face()
-        window.press(key)
-        assert window.face() == {**before, "box": list(np.add(before["box"], step))}
-    assert window.get("frame") == session.draft.frame, "no arrow went through the clip, or back in the history"
-
-
 def test_a_proposal_is_taken_corrected_and_saved(clips, page, tmp_path):
     _, window = page(clips / "face", tmp_path / "a.yaml", frame=1)
     window.until("window.facetrack.proposals.length")
@@ -375,30 +358,6 @@ def test_fingers_draw_place_move_and_zoom(clips, page, tmp_path):
     assert set(read_init(tmp_path / "a.yaml").targets["face"].points) == set(POINTS)
 
 
-def test_a_4k_frame_is_sent_as_small_as_it_is_shown(clips, page):
-    session, window = page(clips / "large")
-    window.until("!window.facetrack.proposals.length")
-    frames = [one.partition("/frame/")[2] for one in window.requests() if "/frame/" in one]
-    assert frames == ["0.jpg?reduce=4"] and window.scale() < 0.26
-    # the magnifier has the exact pixels all the same; each of the grains is ten by ten of them
-    window.mouse.move(*window.at(1003, 998))
-    truth = session.frames.read(0).bgr
-    side = window.evaluate("document.getElementById('magnifier').width")
-
-    def magnified():
-        """Whether the upper left and right show the exact pixels, eight times as large."""
-        pointed = window.evaluate("(at) => window.facetrack.toImage(...at)", list(window.at(1003, 998)))
-        places = np.array([(0.2, 0.2), (0.8, 0.2)]) * side
-        spots = np.round(pointed + (places - side / 2) / 8).astype(int)
-        return np.array_equal(window.pixels("magnifier", places), [truth[spot[1], spot[0]] for spot in spots])
-
-    until(magnified, "the exact pixels", window.page.wait_for_timeout)
-    window.mouse.wheel(0, -1500)
-    window.until("window.facetrack.image.reduce === 1")
-    window.click(1003, 998)
-    assert np.abs(np.subtract(window.face()["points"]["nose"], (1003, 998))).max() <= 0.6
-
-
 # --- how it looks ----------------------------------------------------------------------------------------------------
 
 
@@ -439,21 +398,3 @@ def test_all_is_in_the_window_large_enough_and_legible(clips, page, tmp_path, sc
     window.expected = ["422"]
     found = [(face, *one) for face in through(window) for one in wrong_looks(window, screens)]
     assert found == []
-
-
-@pytest.mark.nightly
-def test_a_command_that_was_stopped_is_reported(command, windows, tmp_path):
-    running = command("init", CLIP, "--pick", "-o", tmp_path / "a.init.yaml")
-    window = windows(running.url)
-    window.expected = ["net::ERR_"]  # of any kind, by what the process was about to send
-    window.click(160, 138)
-    window.until_sent()
-    running.process.terminate()
-    code, _, err = running.ended()
-    assert code == 143 and not running.said and "a.init.unsaved.yaml" in err
-    window.until("window.facetrack.offline")
-    assert window.visible("offline") and "No answer" in window.text("offline")
-    window.click(137, 154)
-    window.click_on("save")
-    window.until_message("Not saved")
-    assert len(window.face()["points"]) == 2, "the marks stay in the window"

@@ -323,7 +323,7 @@ def test_corrections_that_the_recipe_cannot_follow_are_refused(config, says, tho
 
 def test_colours_are_not_learned_anew():
     anew = given(5, "left_hand", box=(80.0, 120.0, 33.0, 71.0), learn=True)
-    with pytest.raises(InputError, match="left_hand at frame 5: colours are learned in the first frame alone"):
+    with pytest.raises(InputError, match="left_hand at frame 5: what it looks like cannot be learned"):
         run("head_hands_cloud", Clip("signing", 1), anew)
 
 

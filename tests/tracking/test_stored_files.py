@@ -56,7 +56,7 @@ def test_what_is_written_is_read_back_and_equal_objects_give_equal_bytes(kind, t
 @KINDS
 def test_a_file_of_another_kind_or_without_an_array_is_refused(kind, tmp_path):
     path = tmp_path / "x.npz"
-    assert f"no such {kind}" in refused(kind, path)
+    assert "No such file" in refused(kind, path)
     assert "cannot be read" in refused(kind, tmp_path)
     arrays = stored(kind)[1]
     name = next(name for name, one in arrays.items() if name not in OPTIONAL and one.dtype.kind == "f" and one.ndim)

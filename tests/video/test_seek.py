@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.video.decode import LostError, _is_hidden, read_index
 from facetrack_cli.video.seek import Frames
@@ -229,12 +229,6 @@ def test_a_far_frame_is_not_decoded_from_the_start(long: Path) -> None:
         assert len(list(source)) == 70 and decoded <= 101 + 1
 
 
-def test_a_clip_that_does_not_say_how_long_it_is_has_its_packets_counted(folder: Path) -> None:
-    path, expected = made(folder, "no_length.webm")
-    with indexed(path) as frames:
-        assert frames._claimed == 0 and frames.count == len(expected) == 100 and not frames.exact
-
-
 # doubt
 
 
@@ -338,10 +332,3 @@ def test_a_folder_of_images(tmp_path: Path) -> None:
         for index in (12, -1):
             with pytest.raises(InputError, match=r"no frame -?\d+, the clip has 12 frames \(0 to 11\); choose"):
                 frames.read(index)
-
-
-def test_refusals_are_those_of_the_source(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        Frames(tmp_path / "missing.mp4")
-    with pytest.raises(UsageError, match="keeps its own frame rate"):
-        Frames(media.write_video(tmp_path / "clip.mp4", frames=3), fps=Fraction(30))
