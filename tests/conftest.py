@@ -53,10 +53,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # images of containers often set this: every process that a test starts would compile all modules anew
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-# the processes that run the tests, and those that tests start, share the cores: threads of their own only wait
-for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
-    os.environ.setdefault(variable, "1")
-
 hide_models()
 
 # property tests try the same examples each time; HYPOTHESIS_PROFILE=nightly tries ten times as many, new ones each time

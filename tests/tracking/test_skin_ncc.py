@@ -212,14 +212,15 @@ def test_ncc_with_means_is_that_of_area_means_wherever_boxes_lie(boxes, size, pi
     factor, (th, tw) = template.factor, template.first.shape
     height, width = (side // factor for side in picture)
     seen = values.grey(factor, (0, 0, picture[1] - 1, picture[0] - 1))[0][:height, :width]
-    level = float(np.sum(template.first.astype(float) ** 2))
+    centred, mean, variance = template.moments
     for n, (cx, cy, s) in enumerate(boxes):
         u = (cx - (factor - 1) / 2) / factor + s * (template.offset[0] - (tw - 1) / 2)
         v = (cy - (factor - 1) / 2) / factor + s * (template.offset[1] - (th - 1) / 2)
-        square = naive.area_sum(seen, u - s / 2, v - s / 2, u + s * (tw - 0.5), v + s * (th - 0.5), power=2)
-        if s * min(th, tw) >= 1 and square > 0:
-            cross = naive.cross(seen, template.first, u, v, s)
-            expected = min(cross / np.sqrt(level * square / (s * s)), 1.0)
+        edges, area = (u - s / 2, v - s / 2, u + s * (tw - 0.5), v + s * (th - 0.5)), s * s * tw * th
+        square = naive.area_sum(seen, *edges, power=2) if s * min(th, tw) >= 1 else 0
+        if square > 0:
+            cross = naive.cross(seen, centred, u, v, s) / centred.size + mean * naive.area_sum(seen, *edges) / area
+            expected = np.clip(cross / np.sqrt((variance + mean**2) * square / area), -1, 1)
             assert found[n] == pytest.approx(expected, abs=1e-3)
         else:
             assert found[n] == 0
