@@ -24,7 +24,7 @@ _COLOURS = "likelihood=colour_ratio"
 # one; any of the settings that call it: `key=type`, or the key of a section without types
 KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.regions.region_kernels.patch_distances": (
-        "u1:2 i8x4 u1:2 i8x4 i8 f8:2 f8:2 f8x2 i8 i8 f8 f8 f8:1",
+        "u1:2 i8x4 u1:2 i8x4 i8 f8:2 f8:2 f8x2 i8 i8 f8 b1 f8 f8:1",
         "correlation",
     ),
     "trackers.regions.region_kernels.nearest_edges": ("u2:2 f8:2 i8 i8 i8 f8:2 f8:2 f8 f8", "contour"),

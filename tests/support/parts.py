@@ -51,7 +51,7 @@ def histogram(size, **settings):
 
 
 def correlation(size, distance="l2", **settings):
-    plain = {"sigma": 100.0, "saturation": None if distance == "l2" else 20.0}
+    plain = {"sigma": 100.0, "saturation": 20.0 if distance == "saturated_l1" else None}
     return Correlation(section(CorrelationSettings, distance=distance, **{**plain, **settings}), size)
 
 

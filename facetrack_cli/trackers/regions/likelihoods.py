@@ -42,12 +42,14 @@ centres of equal cells of the box, read bilinearly from the grey frame. The dist
 
     l2            rho(x) = x^2, lambda_c = 1 / (2 sigma^2)            as published
     saturated_l1  rho(x) = min(|x|, saturation), lambda_c = 1 / sigma
+    hausdorff     lambda_c = 1 / sigma; no formula in the paper. The modified distance (Dubuisson & Jain 1994): for each
+                  point the least |difference| from the 3x3 points of the other patch around it, summed over the grid,
+                  and of both directions the larger sum.
 
-The third of figure 5, a Hausdorff distance, has no formula in the paper. d_c is a sum, so sigma belongs to one grid:
-with n points in place of 16x16, times sqrt(n / 256) for l2, and n / 256 for the other. Of 200 particles that are
-scattered by 5 % of the region's size, sigma = 100 (l2) or 400 (saturated_l1 at 20) leaves some tens. The recipes take
-60 and 120, which leave two to five: a flatter likelihood has a truer spread, but lets a region drift
-(`docs/decisions.md` has the figures).
+d_c is a sum, so sigma belongs to one grid: with n points in place of 16x16, times sqrt(n / 256) for l2, and n / 256 for
+the others. Of 200 particles that are scattered by 5 % of the region's size, sigma = 100 (l2), 400 (saturated_l1 at 20)
+or 100 (hausdorff) leaves some tens. The recipes take 60 (l2) and 120 (saturated_l1), which leave two to five: a flatter
+likelihood has a truer spread, but lets a region drift (`docs/decisions.md` has the figures).
 
 Chosen here: the frame is reduced by the largest power of two that leaves a pixel for each step of the grid at the start
 (area means). A point beyond the frame's border, now or before, differs by `OUTSIDE`, at most by `saturation`.
@@ -341,11 +343,13 @@ class Correlation:
         """log p_c of x (N, 1, 6) in `frame` given its parents (N, 1, 6) in the frame before -> (N, 1), at most 0."""
         here, there = (np.ascontiguousarray(boxes[:, 0, :3]) for boxes in (x, parents))
         images = *self._image(frame, learned.factor, here), *self._image(learned.frame, learned.factor, there)
-        sigma, most = self.settings.sigma, self.settings.saturation or 0.0
-        rate, outside = (1.0 / sigma, min(OUTSIDE, most)) if most else (0.5 / sigma**2, OUTSIDE**2)
+        sigma, most, nearest = self.settings.sigma, self.settings.saturation, self.settings.distance == "hausdorff"
+        rate, outside = 1.0 / sigma, min(OUTSIDE, most or OUTSIDE)
+        if self.settings.distance == "l2":
+            rate, outside = 0.5 / sigma**2, OUTSIDE**2
         sums = np.empty((len(x), 1))  # d_c of eq. 13
         boxes = here, there, self.size, *self.settings.grid
-        kernel.patch_distances(*images, learned.factor, *boxes, most, outside, sums[:, 0])
+        kernel.patch_distances(*images, learned.factor, *boxes, most or 0.0, nearest, outside, sums[:, 0])
         return -rate * learned.share * sums
 
     def learn(self, learned: Previous, frame: Frame, state: Array, particles: Particles | None = None) -> Previous:

@@ -214,7 +214,7 @@ def match_integral(codes, ex, ey, area, root):
 
 # --- correlation
 
-NOTHING = np.float32(1e9)  # grey level of what is not there
+NOTHING = np.float32(1e9)  # grey level of what is not there: so far from all others that it is nobody's nearest
 
 
 @fast_part
@@ -270,6 +270,24 @@ def _read_patch(image, view, factor, box, size, columns, across, lines, down, li
 
 
 @fast_part
+def _nearest(a, b, stride, n):
+    """Sum over the points of patch `a` of the least difference from the 3x3 points of patch `b` around each."""
+    first = stride + 1
+    row = a[first : first + n]
+    b00, b01, b02 = b[:n], b[1 : n + 1], b[2 : n + 2]
+    b10, b11, b12 = b[stride : stride + n], b[first : first + n], b[first + 1 : first + 1 + n]
+    b20, b21, b22 = b[2 * stride : 2 * stride + n], b[2 * stride + 1 : 2 * stride + 1 + n], b[2 * stride + 2 :]
+    total = np.float32(0.0)
+    for j in range(n):
+        v = row[j]
+        above = min(min(abs(v - b00[j]), abs(v - b01[j])), abs(v - b02[j]))
+        level = min(min(abs(v - b10[j]), abs(v - b11[j])), abs(v - b12[j]))
+        below = min(min(abs(v - b20[j]), abs(v - b21[j])), abs(v - b22[j]))
+        total += min(min(above, level), below)
+    return total
+
+
+@fast_part
 def _cut(patch, r0, r1, c0, c1, stride, out):
     """`patch` with NOTHING outside rows r0..r1 and columns c0..c1, into `out`."""
     out[:] = NOTHING
@@ -279,18 +297,21 @@ def _cut(patch, r0, r1, c0, c1, stride, out):
 
 
 @fast
-def patch_distances(now, now_view, before, before_view, factor, x, parents, size, cols, rows, saturation, outside, out):
+def patch_distances(
+    now, now_view, before, before_view, factor, x, parents, size, cols, rows, saturation, nearest, outside, out
+):
     """Distances `out` (N,) of the patches of x (N, 3) in `now` from those of parents (N, 3) in `before` (eq. 13).
 
     x and parents are (cx, cy, s), boxes of `size` (w, h) times s; pixels of the whole image, centres at whole
     numbers. Both images are grey (H, W) uint8, reduced by `factor`; a view is (left, top, width, height): where in
     the whole image it begins, and how large that is. The patch is the grid of cols x rows cell centres of the box.
     A point adds rho, which is the least of |difference| and `saturation`, or the square of the difference where that
-    is 0; one that lies beyond the whole image in either of the two adds `outside`.
+    is 0; one that lies beyond the whole image in either of the two adds `outside`. With `nearest` it is the Hausdorff
+    distance instead.
     """
     # a border of NOTHING runs around a patch; what ends a row begins the next
     stride = cols + 1
-    length = (rows + 2) * stride + 1
+    length, n = (rows + 2) * stride + 1, rows * stride - 1
     a, b = np.full(length, NOTHING), np.full(length, NOTHING)
     cut_a, cut_b = np.empty(length, np.float32), np.empty(length, np.float32)
     columns, across = np.zeros(cols, np.uint64), np.zeros(cols, np.float32)
@@ -311,7 +332,9 @@ def patch_distances(now, now_view, before, before_view, factor, x, parents, size
             _cut(a, r0, r1, c0, c1, stride, cut_a)
             _cut(b, r0, r1, c0, c1, stride, cut_b)
             u, v = cut_a, cut_b
-        if most > 0.0:
+        if nearest:
+            total = max(_nearest(u, v, stride, n), _nearest(v, u, stride, n))
+        elif most > 0.0:
             for j in range(length):
                 total += min(abs(u[j] - v[j]), most)
         else:

@@ -145,16 +145,18 @@ class CorrelationSettings(Component):
     """[columns, rows] of the reference grid on which both are sampled."""
     region: Annotated[float, Field(gt=0, le=1)] = 1.0
     """R of eq. 6 as a share of the box's sides: less leaves out what is not the target at the borders of its box."""
-    distance: Literal["l2", "saturated_l1"] = "l2"
-    """d_c of eq. 12; the paper takes l2, and compares it with others in figure 5."""
+    distance: Literal["l2", "saturated_l1", "hausdorff"] = "l2"
+    """d_c of eq. 12; the paper takes l2, and compares it with the others in figure 5."""
     sigma: Annotated[float, Field(ge=1e-3, le=1e6)]
-    """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2) for l2, 1 / sigma_c for the other."""
+    """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2) for l2, 1 / sigma_c for the others."""
     saturation: Annotated[float, Field(gt=0, le=255)] | None = None
     """Where saturated_l1 stops to grow, in grey levels."""
     independent: Literal["all", "estimated"] = "all"
     """Beyond the paper: how many points count as independent is estimated from their autocorrelation, or all do."""
 
     def mistakes(self) -> Iterable[Refusal]:
+        if self.distance == "hausdorff" and self.independent != "all":
+            yield Refusal(("independent",), "hausdorff is no sum over points alone; leave independent out")
         if self.distance == "saturated_l1" and self.saturation is None:
             yield Refusal(("distance",), "distance: saturated_l1 needs saturation; add one, as in saturation: 20")
         if self.distance != "saturated_l1" and self.saturation is not None:
