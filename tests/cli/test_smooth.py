@@ -76,6 +76,16 @@ def test_the_same_command_again_smooths_what_was_not_and_leaves_what_was(run, tm
     done("export", run, "--to", "mot", "-o", "-")
 
 
+def test_an_error_of_smoothing_leaves_what_was_tracked_and_is_the_command_s(tmp_path, monkeypatch):
+    def damaged(*_):
+        raise InputError("posterior.npz: odd")
+
+    monkeypatch.setattr("facetrack_cli.runs.smooth.save_smoothed", damaged)
+    result = invoke(*RUN[:-1], "--smooth", "--no-video", "-o", tmp_path / "out")
+    assert isinstance(result.exception, InputError) and "30 frames" in result.output
+    assert (tmp_path / "out" / "posterior.npz").is_file() and len(read_trajectory(tmp_path / "out").frames) == 30
+
+
 @pytest.mark.parametrize("how", [("--smooth",), ("--lag", "4")])
 def test_a_smoothed_run_is_corrected_as_a_run_that_begins_with_the_corrections(how, tmp_path):
     run, again = tmp_path / "run", tmp_path / "again"
