@@ -14,6 +14,7 @@ from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.engine.corrected import restored
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.model import to_dict
+from facetrack_cli.run_folder.manifest import POSTERIOR, VIDEO
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, resolve, silent
 from facetrack_cli.runs.record import (
     ClipFacts,
@@ -76,8 +77,9 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
         return ended
     if job.out is None:
         return track_clip(plan, None, stop, report, looked)
-    if (job.smooth or plan.names) and plan.tracked is not None:
-        done = replace(Outcome.of(job, plan.tracked), again=None)
+    tracked, kept = plan.tracked, {POSTERIOR, VIDEO} if job.video else {POSTERIOR}
+    if tracked is not None and (plan.names or kept <= {*tracked.files}):  # only named or smoothed it is not
+        done = replace(Outcome.of(job, tracked), again=None)
     else:
         with RunFolder(plan, stop) as folder:
             plan = folder.plan
