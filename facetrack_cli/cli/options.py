@@ -119,13 +119,11 @@ def _recipes(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
 
 def _box(value: str) -> Box:
     """`left,top,width,height` in pixels."""
-    try:
+    with contextlib.suppress(ValueError):
         x, y, w, h = (float(part) for part in value.split(","))
-    except ValueError:
-        raise click.BadParameter(f"{value!r}: give four numbers with commas: left,top,width,height") from None
-    if not (abs(x) < 1e6 and abs(y) < 1e6 and 0 < w < 1e6 and 0 < h < 1e6):
-        raise click.BadParameter(f"{value!r}: give pixels of the frame, width and height above 0")
-    return (x, y, w, h)
+        if abs(x) < 1e6 and abs(y) < 1e6 and 0 < w < 1e6 and 0 < h < 1e6:
+            return (x, y, w, h)
+    raise click.BadParameter(f"{value!r}: give four numbers with commas, in pixels: left,top,width,height")
 
 
 def _rate(value: str) -> Fraction:

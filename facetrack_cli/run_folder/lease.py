@@ -18,7 +18,6 @@ import re
 import secrets
 import socket
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, timezone
@@ -60,7 +59,7 @@ class FolderLease:
         self._token = secrets.token_hex(8)
         self._note: dict[str, Any] = {}
         self._began = self._noted = time.monotonic()
-        self._bytes, self._writing = _NOTE_BYTES, threading.Lock()
+        self._bytes = _NOTE_BYTES
 
     def __enter__(self) -> FolderLease:
         check_plain(self._folder / LOCK, self._path)
@@ -84,7 +83,7 @@ class FolderLease:
 
     def note(self, record: Mapping[str, Any], *, on_disk: bool = False) -> None:
         """Note what is being done, for others and for after a kill; `on_disk`: or a power loss. Raises OutputError."""
-        with self._writing, writing(self._path, IN_A_COPY):
+        with writing(self._path, IN_A_COPY):
             self._note |= record
             self._file.seek(0)
             self._file.write(self._text())
@@ -127,11 +126,10 @@ class FolderLease:
         self.note({"replace": None})
 
     def __exit__(self, *_: object) -> None:
-        with self._writing:
-            self._file.close()
-            if self._is_ours() and not self._note.get("replace"):  # with files left to be replaced the note stays
-                self._path.unlink(missing_ok=True)
-            self._lease.release()
+        self._file.close()
+        if self._is_ours() and not self._note.get("replace"):  # with files left to be replaced the note stays
+            self._path.unlink(missing_ok=True)
+        self._lease.release()
 
     def _acquired(self) -> SoftFileLease:
         """The lease of the folder, which is made. Raises BusyError, OutputError, OSError."""

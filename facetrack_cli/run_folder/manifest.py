@@ -300,19 +300,14 @@ def _check_written(folder: Path) -> None:
 def trajectory_of(run: Path) -> Path:
     """The trajectory of a run's folder that has a header. InputError if there is none."""
     remedy = "name the folder of a run, which facetrack run wrote"
-    if run.is_file():
-        raise InputError(f"{run}: is a file; {remedy}")
     if not run.is_dir():
-        raise InputError(f"{run}: no such folder; {remedy}")
+        raise InputError(f"{run}: is no folder; {remedy}")
     recover_interrupted(run)
     _check_written(run)
     for form in ("json", "jsonl"):
         if (path := run / f"trajectory.{form}").is_file():
             return path
-    if (run / "trajectory.csv").is_file():
-        missing = "has trajectory.csv alone, without recipe and clip"
-        raise InputError(f"{run}: {missing}; run again with --format csv,json")
-    raise InputError(f"{run}: has no trajectory.json; {remedy}")
+    raise InputError(f"{run}: has no trajectory.json, with recipe and clip; {remedy} with --format csv,json")
 
 
 def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: False) -> int:

@@ -194,9 +194,6 @@ def survey(folder: Path) -> Status:
     Raises InputError for any other path.
     """
     with reading(folder):
-        if not folder.is_dir():
-            what = "is a file" if folder.exists() else "no such folder"
-            raise InputError(f"{folder}: {what}; name the folder that --out named")
         if _is_run(folder):
             return Status(folder, (clip_status(folder, ".", ""),))
         if chunks := _chunks_in(folder):
@@ -204,7 +201,8 @@ def survey(folder: Path) -> Status:
         named: dict[str, str] = {}
         for batch in batches(folder):
             named |= {name: clip for clip, name in batch.clips if name not in named}
-        there = sorted(sub.name for sub in folder.iterdir() if sub.name not in named and sub.is_dir() and _is_run(sub))
+        below = folder.iterdir() if folder.is_dir() else ()
+        there = sorted(sub.name for sub in below if sub.name not in named and sub.is_dir() and _is_run(sub))
     if not named and not there:
         raise InputError(f"{folder}: holds no results of facetrack run; name the folder that --out named")
     named |= dict.fromkeys(map(as_text, there), "")

@@ -273,12 +273,6 @@ def _init(init: Init | None, start: int) -> Path | DetectorName | Start | None:
     return Start(start, {"face": TargetStart(box=(left, top, width, height))}, "init")
 
 
-def chosen_start(init: Init | None) -> Start | DetectorName | None:
-    """Where a track of images begins: at a start, or at the first face that a detector finds."""
-    begin = _init(init, 0)
-    return read_init(begin) if isinstance(begin, Path) else begin
-
-
 def frames_of_images(images: Iterable[Image], clock: Callable[[int], float]) -> Iterator[Frame]:
     size: tuple[int, int] | None = None
     for index, image in enumerate(images):
@@ -338,9 +332,10 @@ class Tracker:
     ) -> None:
         _rate(fps)  # may refuse it
         self.recipe, self.fps = chosen_recipe(recipe, seed, init), fps
-        begin = chosen_start(init)
-        self.start: Start | None = begin if isinstance(begin, Start) else None
-        self._by: DetectorName | None = None if isinstance(begin, Start) else begin
+        begin = _init(init, 0)
+        if isinstance(begin, Path):
+            begin = read_init(begin)
+        self.start, self._by = (begin, None) if isinstance(begin, Start) else (None, begin)
         self._size: tuple[int, int] | None = None
         self._next, self._last_s = 0, -1.0
         self._search: _Search | None = None

@@ -19,6 +19,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -39,7 +40,6 @@ from facetrack_cli.video.source import check_local, is_clip, is_image
 
 TRIES: Final = 2  # of a clip whose process a signal ends
 LOOK_S: Final = 0.5  # between two looks whether a clip of somebody else is free
-SETTLE_S: Final = 10.0  # between two looks whether its claim is stale
 _LONGEST: Final = 60  # characters of settings in the name of a folder
 
 
@@ -99,11 +99,7 @@ def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
 
 def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[Outcome]:
     """Run `jobs`, `workers` at a time in processes of this machine; as `run_shared`."""
-
-    def turn(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
-        return _turn(jobs, min(workers, len(jobs)), stop, progress)
-
-    return run_shared(jobs, turn, stop, progress)
+    return run_shared(jobs, partial(_turn, workers=workers, stop=stop, progress=progress), stop, progress)
 
 
 def run_shared(
@@ -134,6 +130,7 @@ def run_shared(
 
 
 def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[tuple[Job, Outcome]]:
+    workers = min(workers, len(jobs))
     if workers <= 1:
         for i, job in enumerate(jobs, 1):
             if stop():
@@ -158,32 +155,29 @@ def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> 
 
 def _wait(busy: Sequence[Job], stop: Stop) -> tuple[list[Job], list[Job]]:
     """The clips of others, once one of them at least is not being tracked any more: those, and the rest."""
-    settled = time.monotonic()
     while busy and not stop():
-        held = [job for job in busy if job.out is not None and is_held(job.out)]
+        held = []
+        for job in busy:
+            if job.out is not None:
+                recover_interrupted(job.out, stop)  # which ends a claim that is stale
+                held += [job] if is_held(job.out) else []
         if len(held) < len(busy):
             return [job for job in busy if job not in held], held
         time.sleep(LOOK_S)
-        if time.monotonic() - settled > SETTLE_S:  # which removes a claim that is stale
-            settled = time.monotonic()
-            for job in busy:
-                if job.out is not None:
-                    recover_interrupted(job.out, stop)
     return [], []
 
 
 def outcome_of_crash(job: Job, error: Exception) -> Outcome:
     """What becomes of a clip whose process ended by itself."""
-    frames, plan = 0 if job.out is None else recover_interrupted(job.out), None
+    frames, asked = 0, ""
     with contextlib.suppress(FacetrackError):
-        plan = resolve(job)
-    if plan is not None and plan.previous is not None:  # an earlier turn may have come farther
-        frames = max(frames, plan.previous.frames)
+        plan = resolve(job)  # which ends what it has left
+        frames, asked = 0 if plan.previous is None else plan.previous.frames, plan.asked
     kept = f"the frames that it had tracked are kept ({frames})" if frames else "nothing was kept"
     error_line = FacetrackError(f"{job.clip}: {error}; {kept}")
-    if plan is not None and job.out is not None and job.batch:
+    if job.out is not None and job.batch:
         with contextlib.suppress(FacetrackError), FolderLease(job.out) as lease:
-            note_failure(lease, job.out, Manifest(asked=plan.asked, host=here()[0]), job.clip, error_line)
+            note_failure(lease, job.out, Manifest(asked=asked, host=here()[0]), job.clip, error_line)
     return Outcome(clip=job.clip, error=error_line)
 
 
@@ -236,8 +230,7 @@ def _listed(path: Path) -> list[Path]:
     lines = [line.rstrip("\r") for line in os.fsdecode(data.removeprefix(b"\xef\xbb\xbf")).split("\n")]
     clips = [Path(line) for line in lines if line.strip() and not line.startswith("#")]
     if b"\0" in data or not clips:
-        what = "names no clip" if b"\0" not in data else "is not a list of clips"
-        raise InputError(f"{'standard input' if is_pipe else name}: {what}; it has a path a line")
+        raise InputError(f"{'standard input' if is_pipe else name}: names no clip; a list has a path a line")
     return clips
 
 

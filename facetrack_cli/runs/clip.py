@@ -14,7 +14,7 @@ from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.engine.corrected import restored
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.checkpoint import remove_checkpoints
+from facetrack_cli.run_folder.manifest import POSTERIOR, VIDEO
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, resolve, silent
 from facetrack_cli.runs.record import (
     ClipFacts,
@@ -74,13 +74,12 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
     if plan.names:  # imported where a run asks for it, as below: a short run takes as long as its imports
         from facetrack_cli.runs.people import name_run
     if (ended := plan.ended()) is not None:
-        if job.out is not None:
-            remove_checkpoints(job.out)  # a kill may leave checkpoints of a run that is done
         return ended
     if job.out is None:
         return track_clip(plan, None, stop, report, looked)
-    if (job.smooth or plan.names) and plan.tracked is not None:
-        done = replace(Outcome.of(job, plan.tracked), again=None)
+    tracked, kept = plan.tracked, {POSTERIOR, VIDEO} if job.video else {POSTERIOR}
+    if tracked is not None and (plan.names or kept <= {*tracked.files}):  # only named or smoothed it is not
+        done = replace(Outcome.of(job, tracked), again=None)
     else:
         with RunFolder(plan, stop) as folder:
             plan = folder.plan
@@ -107,7 +106,7 @@ def _smoothed(job: Job, done: Outcome, stop: Stop, looked: Report) -> Outcome:
         done.error = e
     else:
         done.smoothed, done.files = True, files
-        done.warnings = (*done.warnings, *(note for note in notes if note not in done.warnings))
+        done.warnings = (*done.warnings, *notes)
     return done
 
 

@@ -122,8 +122,6 @@ def _outcome(job: Job, future: Any, killed: set[Path]) -> Outcome | None:
             return None
         last = e.last_worker.address
         error = FacetrackError(f"it ended worker after worker, as by taking all of the memory, at last {last}")
-    except ModuleNotFoundError as e:
-        error = FacetrackError(f"{reason(e)}; install facetrack {__version__} on the workers, as it is here")
     except Exception as e:
         if future.status in ("cancelled", "lost", "pending"):  # with the worker
             return None
@@ -201,20 +199,13 @@ def check_cluster(where: str) -> int | None:
 
 def address_of(where: str) -> str:
     """The address of a scheduler, which may stand in a file. UsageError for what is neither."""
-    forms = "give local:N, tcp://HOST:PORT, or the scheduler file of `dask scheduler --scheduler-file`"
     if re.fullmatch(r"(tcp|tls)://[^\s/]+:\d{1,5}", where):
         return where
-    if where.startswith("local") or "://" in where or re.fullmatch(r"[^/]*:\d+", where):
-        raise UsageError(f"--cluster {where}: names no scheduler; {forms}")
-    try:
-        address = json.loads(read_bounded(Path(where), what="scheduler file"))["address"]
-        if not isinstance(address, str):
-            raise TypeError
-    except OSError as e:
-        raise UsageError(f"--cluster {where}: cannot be read: {e.strerror or e}; {forms}") from None
-    except (ValueError, TypeError, KeyError):
-        raise UsageError(f"--cluster {where}: is no scheduler file: it has no address; {forms}") from None
-    return address
+    with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+        if isinstance(address := json.loads(read_bounded(Path(where), what="scheduler file"))["address"], str):
+            return address
+    forms = "give local:N, tcp://HOST:PORT, or the scheduler file of `dask scheduler --scheduler-file`"
+    raise UsageError(f"--cluster {where}: names no scheduler; {forms}")
 
 
 def _is_here(address: str) -> bool:

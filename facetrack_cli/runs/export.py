@@ -67,14 +67,18 @@ def export(
     if path is not None:
         inputs = (trajectory.path, clip, clip_of(trajectory))
         check_new(path, overwrite=overwrite, inputs=[file for file in inputs if file != Path()])
-    clip_path = clip_of(trajectory)
-    name = clip_path.name if clip_path else trajectory.path.parent.name
-    rows = Clip(name, blank_lost(trajectory) if drop_lost else trajectory)
-    made = content([rows], form, path, media=clip, into=None if into is None else Path(into))
+    into = None if into is None else Path(into)
+    made = content([named(trajectory, drop_lost=drop_lost)], form, path, media=clip, into=into)
     if path is None:
         return made
     write_new(path, encoded(made), overwrite=overwrite)
     return path
+
+
+def named(table: Trajectory, *, drop_lost: bool) -> Clip:
+    """A trajectory under the name of its clip, else of its folder."""
+    clip = clip_of(table)
+    return Clip(clip.name if clip else table.path.parent.name, blank_lost(table) if drop_lost else table)
 
 
 def encoded(made: str | bytes) -> bytes:
@@ -146,8 +150,6 @@ def _playable(table: Trajectory, media: Path | None, say: Callable[[str], None])
     if is_there(clip) and clip.is_dir():
         raise InputError(f"{clip} is a folder of images, which ELAN cannot play; name a video of it with --media")
     if not is_there(clip):
-        if media is not None:
-            raise InputError(f"{clip}: no such file; correct --media")
         say(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media")
     return clip
 

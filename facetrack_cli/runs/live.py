@@ -45,8 +45,7 @@ FPS: Final = 25.0  # where images do not say theirs
 _PIPE: Final = "standard input"
 _FORMATS: Final = f"{FORMATS},jpeg_pipe"
 _PROTOCOLS: Final = "rtsp,rtsps,rtp,udp,tcp,tls,srt,http,https,crypto"
-_OF_PIPE: Final = "give what ffmpeg reads, as from ffmpeg -i ... -f yuv4mpegpipe -pix_fmt yuv420p -"
-_OF_OTHERS: Final = "check the name, and whether ffplay shows it"
+_REMEDY: Final = "check the name, and whether ffplay shows it; a pipe takes what ffmpeg reads, as -f yuv4mpegpipe"
 
 
 def images_of(clip: Path, say: Callable[[str], None]) -> Iterator[Image | Frame]:
@@ -215,13 +214,12 @@ def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
     import av
 
     silence()
-    remedy = _OF_PIPE if name == _PIPE else _OF_OTHERS
     device = "v4l2" if isinstance(file, str) and file.startswith("/dev/") else None
     options = options if device else {**options, "probesize": "1000000"}
     try:
         with av.open(file, "r", format=device, options=options, timeout=(OPEN_S, READ_S)) as container:
             if not container.streams.video:
-                raise InputError(f"{name}: has no video; {remedy}")
+                raise InputError(f"{name}: has no video; {_REMEDY}")
             video = container.streams.video[0]
             timed, began = container.format.name not in ("mjpeg", "jpeg_pipe"), None
             video.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
@@ -231,7 +229,7 @@ def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
                 time_s = (raw.time or 0.0) - (began or 0.0)
                 yield Frame(index, time_s if timed else math.nan, pixels(raw))
     except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{name}: {reason(error)}; {remedy}") from None
+        raise InputError(f"{name}: {reason(error)}; {_REMEDY}") from None
 
 
 def everybody(frames: Iterator[Frame], recipe: Recipe, by: DetectorName | None) -> Iterator[FrameResult]:

@@ -276,9 +276,8 @@ def hands_moved(frames: Sequence[Trajectory]) -> float:
         at = {name: complex(x, y) for name, x, y in zip(targets, rows.x, rows.y, strict=True) if math.isfinite(x)}
         head = next(i for i, name in enumerate(targets) if name not in HANDS)
         side = math.sqrt(rows.w[head] * rows.h[head])
-        total += float(
-            np.nansum([abs(at[name] - before[name]) / side for name in HANDS if {name} <= {*at} & {*before}])
-        )
+        steps = (abs(at[name] - before[name]) / side for name in HANDS if name in at and name in before)
+        total += sum(step for step in steps if math.isfinite(step))
         before = at
     return total
 
@@ -298,10 +297,9 @@ class Job(ClipRequest):
     """What is asked of one clip. `out` None streams the one format to standard output.
 
     `lag`: by how many frames rows come later, given the frames up to then. `smooth`: whether they are smoothed at the
-    end, given the whole clip. `strict`:
-    whether a damaged clip is an error; its rows are kept. `resume`: whether a run that was
-    ended goes on from its last checkpoint. `batch`: whether a clip that fails has a run.json that says so; it is not
-    tried again then, but with `retry_failed`. `split`: the length of chunks that are tracked apart and joined.
+    end, given the whole clip. `strict`: whether a damaged clip is an error; its rows are kept. `resume`: whether a run
+    that was ended goes on from its last checkpoint. `batch`: whether a clip that fails has a run.json that says so; it
+    is not tried again then, but with `retry_failed`. `split`: the length of chunks that are tracked apart and joined.
     """
 
     recipe: Recipe

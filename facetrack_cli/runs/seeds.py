@@ -24,12 +24,10 @@ from facetrack_cli.recipe.load import OVERRIDES, load_recipe, with_gallery
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.workers import DiedError, cores, side_by_side
+from facetrack_cli.runs.workers import cores, side_by_side
 from facetrack_cli.start.assembly import check_gallery, tracker_for
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, joined, one_part
 from facetrack_cli.video.source import FOLDER_FPS, open_source
-
-_ENDED = "a process of -j ended by itself (too little memory?); run without -j"
 
 
 def variant(config: str) -> tuple[str, tuple[str, ...]]:
@@ -64,12 +62,6 @@ def load_recipes(asked: Sequence[tuple[str, Sequence[str]]], gallery: str | None
     for recipe in recipes if gallery is not None or len(recipes) == 1 else ():
         check_gallery(recipe)
     return recipes
-
-
-def refuse_seed(overrides: Sequence[str]) -> None:
-    """UsageError for an override that would have no effect: a recipe's own seed gives way to those of --seeds."""
-    if any(override.partition("=")[0].strip() == "seed" for override in overrides):
-        raise UsageError("the recipe's seed has no effect here: every recipe runs with the seeds 0 to --seeds - 1")
 
 
 @dataclass(frozen=True)
@@ -135,8 +127,6 @@ def run_plans(
                 return
             values = [done.pop(i) for i in own if i in done]
             error = next((value for value in values if isinstance(value, Exception)), None)
-            if isinstance(error, DiedError):
-                error = FacetrackError(_ENDED)
             if error is not None and not isinstance(error, FacetrackError):
                 raise error
             yield PlanResult(plan, tuple(run for value in values if isinstance(value, list) for run in value), error)

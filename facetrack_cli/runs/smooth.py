@@ -21,7 +21,7 @@ from facetrack_cli.core.numbers import dumps
 from facetrack_cli.engine.protocols import Linear
 from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.run_folder.checkpoint import FOLDER
-from facetrack_cli.run_folder.finished import Painted, open_run, read_files, run_files
+from facetrack_cli.run_folder.finished import Painted, read_files, run_files
 from facetrack_cli.run_folder.lease import FolderLease, sweep
 from facetrack_cli.run_folder.manifest import (
     FILTERED,
@@ -30,9 +30,7 @@ from facetrack_cli.run_folder.manifest import (
     Manifest,
     check_belongs,
     commit,
-    outdated,
     read_manifest,
-    trajectory_of,
     write_rows,
 )
 from facetrack_cli.runs.plan import Report
@@ -49,25 +47,22 @@ from facetrack_cli.video.writer import VideoWriter
 Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
 
 
-def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> tuple[list[Path], tuple[str, ...]]:
-    """Smooth a run of `clip` in its folder, with its video; the files, and warnings, also on outdated files.
+def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> tuple[list[Path], list[str]]:
+    """Smooth a run of `clip` in its folder, with its video; the files, and warnings.
 
     The filter's rows are kept in trajectory.filtered.csv, and the posterior is removed. Raises OutputError or
     InputError, StoppedError once `stop` says so; nothing is written then.
     """
-    trajectory_of(folder)  # a save that was interrupted is finished first
     rows = read_files(run_files(folder))
     after = given_all(rows, read_posterior(folder / POSTERIOR, rows))
     files = {folder / FILTERED: partial(write_rows, "csv", rows=rows)}
     files |= {path: partial(write_rows, form, rows=after) for form, path in run_files(folder).items()}
-    run = read_manifest(folder)
+    run, paint = read_manifest(folder), None
     kept = {name: file for name, file in run.files.items() if name != POSTERIOR} if run else {}
-    ended = run and replace(run, smoothed=True, files=kept)
-    paint = None
     if (folder / VIDEO).is_file():
-        paint = partial(repaint, open_run(folder, clip).painted, rows=after, report=report, stop=stop)
-    written, notes = replace_files(folder, files, ended, [folder / POSTERIOR], paint)
-    return written, (*notes, *outdated(folder))
+        on = Painted.of(rows, clip, int(rows.frames[0]), int(rows.frames[-1]))
+        paint = partial(repaint, on, rows=after, report=report, stop=stop)
+    return replace_files(folder, files, run and replace(run, smoothed=True, files=kept), [folder / POSTERIOR], paint)
 
 
 def given_all(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> Trajectory:

@@ -250,7 +250,7 @@ class _Process:
         if self._process is None:  # it ended before it was looked at
             return DiedError("its process ended as it began"), False
         code = self._process.exitcode
-        return DiedError(f"its process ended with code {code}"), (code or 0) < 0
+        return DiedError(f"its process ended with code {code} (too little memory?)"), (code or 0) < 0
 
 
 # --- in the processes ------------------------------------------------------------------------------------------------

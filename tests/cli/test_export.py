@@ -355,7 +355,6 @@ def test_every_format_goes_to_standard_output_and_beside_the_trajectory(track, t
         (["--to", "eaf", "--drop-lost"], 2, "--drop-lost is not for eaf"),
         (["--to", "eaf"], 3, "trajectory.csv: does not name its video"),
         (["--to", "coco"], 3, "trajectory.csv: does not say how large and how fast its frames are"),
-        (["--to", "eaf", "--media", "nowhere.mp4"], 3, "nowhere.mp4: no such file; correct --media"),
         (["--to", "mot", "-o", ""], 2, "--out is empty"),
         (["--to", "dlc-h5", "-o", "-"], 2, "dlc-h5 is not text"),
     ],

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
-from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
 from facetrack_cli.runs.plan import silent
 from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.runs.smooth import save_smoothed
@@ -74,6 +74,29 @@ def test_the_same_command_again_smooths_what_was_not_and_leaves_what_was(run, tm
     done("eval", run, "--truth", CLIP.with_suffix(".truth.csv"), "--partial")
     done("report", run)
     done("export", run, "--to", "mot", "-o", "-")
+
+
+def test_an_error_of_smoothing_leaves_what_was_tracked_and_is_the_command_s(tmp_path, monkeypatch):
+    def damaged(*_):
+        raise InputError("posterior.npz: odd")
+
+    monkeypatch.setattr("facetrack_cli.runs.smooth.save_smoothed", damaged)
+    result = invoke(*RUN[:-1], "--smooth", "--no-video", "-o", tmp_path / "out")
+    assert isinstance(result.exception, InputError) and "30 frames" in result.output
+    assert (tmp_path / "out" / "posterior.npz").is_file() and len(read_trajectory(tmp_path / "out").frames) == 30
+
+
+def test_a_run_without_its_video_is_tracked_again(tmp_path, monkeypatch):
+    def full(*_):
+        raise OutputError("annotated.mp4: the disk is full")
+
+    command = (*RUN[:3], "factorized", "--stop", "8", "-q", "--smooth", "-o", tmp_path / "out")
+    with monkeypatch.context() as patched:
+        patched.setattr("facetrack_cli.video.writer.VideoWriter.write", full)
+        assert refused(*command) == (2, "annotated.mp4: the disk is full")
+    done(*command)
+    assert {"annotated.mp4", "trajectory.filtered.csv"} <= {path.name for path in (tmp_path / "out").iterdir()}
+    assert "done before" in done(*(word for word in command if word != "-q")).output
 
 
 @pytest.mark.parametrize("how", [("--smooth",), ("--lag", "4")])

@@ -269,10 +269,10 @@ def test_a_file_that_was_edited_is_refused(out, form, change, said):
 
 def test_what_is_no_run_and_a_clip_of_another_size_are_refused(out, tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="file: is a file; name the folder of a run"):
+    with pytest.raises(InputError, match="file: is no folder; name the folder of a run"):
         open_run(tmp_path / "file")
     (tmp_path / "trajectory.csv").write_text("x")
-    with pytest.raises(InputError, match=r"has trajectory.csv alone"):
+    with pytest.raises(InputError, match=r"has no trajectory.json, with recipe and clip"):
         open_run(tmp_path)
     with pytest.raises(InputError, match="is 64x48, not 320x240 pixels as in the run; name its clip with --clip"):
         check_size(open_run(out), (64, 48))

@@ -343,7 +343,7 @@ def test_an_init_file_is_applied_without_a_page(facetrack, out):
 def test_what_is_wrong_is_said_in_one_line(facetrack, out):
     Path("late.yaml").write_text(f"{INIT}corrections:\n- {{frame: 9, points: {{nose: [950, 130]}}}}\n")
     for words, code, said in (
-        (["nowhere"], 3, "no such folder"),
+        (["nowhere"], 3, "is no folder"),
         ([out, "--clip", "gone.mp4"], 3, "gone.mp4: no such file"),
         ([out, "--init", "i.yaml"], 3, "i.yaml"),
         ([out, "--init", "i.yaml", "--port", 9000], 2, "--port is for the page"),

@@ -482,8 +482,8 @@ def test_folder_names_are_told_apart_by_where_the_clips_lie(tmp_path):
     assert named("a/s/clip.mp4", "b/s/clip.mp4") == ["a-s-clip-r", "b-s-clip-r"]
     assert named("a/clip.mp4", "a/clip.avi") == ["a-clip-mp4-r", "a-clip-avi-r"]
     assert named("a/Clip.mp4", "b/clip.mp4") == ["a-Clip-r", "b-clip-r"]
-    both = named("a-clip.mp4", "a/clip.mp4", "b/clip.mp4")
-    assert len(set(both)) == 3 and both == named("a-clip.mp4", "a/clip.mp4", "b/clip.mp4")
+    both = named("A-clip.mp4", "a/clip.mp4", "b/clip.mp4")
+    assert len({one.casefold() for one in both}) == 3 and both == named("A-clip.mp4", "a/clip.mp4", "b/clip.mp4")
 
 
 def test_runs_of_other_settings_have_folders_of_their_own(run, clip):

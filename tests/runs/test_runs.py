@@ -125,7 +125,7 @@ def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch, tmp_path
     alive = [replace(one, label=str(tmp_path / str(i))) for i in range(3)]
     ended = list(run_plans([*alive, replace(dead, label=f"late {tmp_path}")], 2))
     assert [len(one.runs) for one in ended] == [1, 1, 1, 0]
-    assert "ended by itself" in str(ended[-1].error)
+    assert "its process ended with code 9" in str(ended[-1].error)
 
     stop = Stop()
     monkeypatch.setattr(workers, "LOOK_S", 0.1)

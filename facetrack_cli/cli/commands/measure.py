@@ -235,7 +235,7 @@ def compare_command(
     from facetrack_cli.runs.batch import title
     from facetrack_cli.runs.plan import ClipRequest
     from facetrack_cli.runs.progress import progress
-    from facetrack_cli.runs.seeds import labels, load_recipes, refuse_seed, variant
+    from facetrack_cli.runs.seeds import labels, load_recipes, variant
     from facetrack_cli.runs.signals import Stop
 
     extent.check(clip)
@@ -243,7 +243,6 @@ def compare_command(
     if rank_by is not None:
         compare.check_measure(rank_by)
     asked = [(name, (*overrides, *own)) for name, own in map(variant, config)]
-    refuse_seed([key for _, keys in asked for key in keys])
     recipes = dict(zip(labels(config), load_recipes(asked, gallery), strict=True))
     file = truth or compare.default_truth(clip)
     rows = reference.read(file)

@@ -111,9 +111,8 @@ def export_command(
 def _clips(trajectory: Path, to: str, target: str | None, drop_lost: bool) -> tuple[list[Clip], bool]:
     """The trajectory, or those of the many runs in a folder, less what cannot be read; whether there are many."""
     from facetrack_cli.run_folder.manifest import read_run
-    from facetrack_cli.trajectory.formats.tables import Clip
-    from facetrack_cli.trajectory.reader import clip_of
-    from facetrack_cli.trajectory.views import blank_lost, choose
+    from facetrack_cli.runs.export import named
+    from facetrack_cli.trajectory.views import choose
 
     paths = [] if any(trajectory.glob("trajectory.*")) else trajectory.glob("*/trajectory.*")
     folders = sorted({path.parent for path in paths})
@@ -128,8 +127,7 @@ def _clips(trajectory: Path, to: str, target: str | None, drop_lost: bool) -> tu
                 raise
             say(f"facetrack: warning: {e}; it is left out")
             continue
-        clip = clip_of(table)
-        clips.append(Clip(clip.name if clip else table.path.parent.name, blank_lost(table) if drop_lost else table))
+        clips.append(named(table, drop_lost=drop_lost))
     if not clips:
         raise InputError(f"{trajectory}: none of its runs can be read; look at facetrack status")
     return clips, many
@@ -151,7 +149,7 @@ export_command.help = inspect.cleandoc(str(export_command.help)).replace("FORMAT
 def report_command(
     folder: Path, truth: Path | None, reference: TruthOptions, out: Path | None, clip: Path | None,
     overwrite: bool, quiet: bool,
-) -> int:  # fmt: skip
+) -> None:  # fmt: skip
     """Write one HTML page about a run, or about a batch.
 
     RUN_DIR is the folder that facetrack run wrote. The page shows when each part was lost and found again, with
@@ -175,7 +173,6 @@ def report_command(
     from facetrack_cli.run_folder.manifest import REPORT, trajectory_of
     from facetrack_cli.run_folder.status import is_batch
     from facetrack_cli.runs.progress import progress
-    from facetrack_cli.runs.signals import Stop
 
     if truth is None:
         reference.refuse(target=True)
@@ -194,12 +191,10 @@ def report_command(
             page = make_batch_report(folder, to, report=shown.update)
         else:
             page = make_report(folder, truth=measured, clip=clip, report=shown.update)
-        with Stop().listening() as stop:  # a Ctrl-C before this ends us with nothing written, from here on with all
-            write_new(to, page.html, overwrite=overwrite)
+        write_new(to, page.html, overwrite=overwrite)
         for note in page.notes:
             shown.say(f"facetrack: warning: {note}")
         shown.say(f"{folder} -> {to} ({len(page.html) / 1e6:.1f} MB)")
-    return stop.code or 0
 
 
 @click.command()
