@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 import contextlib
 import hashlib
-import json
 import math
 import os
 import re
@@ -23,6 +22,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
+import yaml
 
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import FacetrackError, InputError, needed
@@ -59,28 +59,11 @@ from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import given_rate, open_source
 
-# texts that YAML reads as such without quotes, also within brackets; but for words that it reads as something else
-_PLAIN = re.compile("(?!(?:null|true|false|yes|no|on|off|y|n)$)[a-z_][a-z0-9_./-]*", re.IGNORECASE)
-
 
 def recipe_yaml(recipe: Mapping[str, Any]) -> str:
-    """A recipe file of these settings; lists and inner mappings stand on one line each."""
-    lines = []
-    for key, value in recipe.items():
-        if isinstance(value, Mapping) and value:
-            lines += [f"{key}:", *(f"  {_flow(inner)}: {_flow(each)}" for inner, each in value.items())]
-        elif key != "name":
-            lines.append(f"{key}: {_flow(value)}")
-    return "\n".join(lines) + "\n"
-
-
-def _flow(value: Any) -> str:
-    """A value as YAML on one line."""
-    if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{_flow(key)}: {_flow(inner)}' for key, inner in value.items())}}}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_flow, value))}]"
-    return value if isinstance(value, str) and _PLAIN.fullmatch(value) else json.dumps(value, ensure_ascii=False)
+    """A recipe file of these settings."""
+    settings = {key: value for key, value in recipe.items() if key != "name"}
+    return str(yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120))
 
 
 def init_yaml(header: Header) -> str:

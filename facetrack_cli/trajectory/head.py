@@ -26,16 +26,13 @@ logarithm of its size (medians over the pairs of points); of a box its centre, i
 area. A part that gets lost or is found again makes no step in them. Lengths are in units of the target's size.
 
 A span of moving, tilting or growing (`RATES`) begins where a rate is exceeded, lasts while a lower one is, and has a
-least change. A nod is a run of swings up and down, a shake of swings left and right: at least 3, each of at least 0.03
-sizes, 0.05 to 0.6 s long, and 1.5 times larger than what the target does across it meanwhile. Still is none of these
-for 1 s. All last at least 0.2 s. Signals are smoothed by a Gaussian. Where a track is so noisy that noise alone would
-pass a threshold, the threshold is raised to 4 standard deviations of the noise, which is measured on second
-differences. Nothing is said of frames in which the target is lost. The size of points that belong to a mouth also
-changes when it opens wide.
+least change. Still is none of these for 1 s. All last at least 0.2 s. Signals are smoothed by a Gaussian. Where a track
+is so noisy that noise alone would pass a threshold, the threshold is raised to 4 standard deviations of the noise,
+which is measured on second differences. Nothing is said of frames in which the target is lost. The size of points that
+belong to a mouth also changes when it opens wide. Nods and shakes are told by the pose (face_events.py).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -284,11 +281,9 @@ def _of(table: Mapping[str, tuple[float, float, float]], parts: Sequence[Traject
     return np.array([table[part.part] for part in parts], dtype=np.float64).reshape(-1, 3)
 
 
-LIGHT_S = 0.04  # smoothing of swings: a nod of 6 Hz keeps a third of its height
 GAP_S = 0.25  # a pause between rows that ends a stretch
 NORMAL: Final = 0.6745  # median absolute deviation of a standard normal number
 NOISE, KEPT = 4.0, 0.5  # deviations of noise that a threshold stands above; what of it stays from frame to frame
-SWING, SWINGS, SWING_S, ACROSS = 0.03, 3, (0.05, 0.6), 1.5
 STILL_S, MIN_SPAN_S = 1.0, 0.2
 POINTS_TO_FACE = 2.0
 """The size of a target of points, in largest distances between two: nose and mouth, or eyes and mouth, span about half
@@ -296,7 +291,7 @@ a face, so that the thresholds mean about the same for points and for a face's b
 # kind: labels of a falling and a rising signal (y points down, angles turn clockwise in the image)
 LABELS = {"horizontal": ("left", "right"), "vertical": ("up", "down")}
 LABELS |= {"tilt": ("counterclockwise", "clockwise"), "size": ("recede", "approach")}
-KINDS = (*LABELS, "nods", "still")
+KINDS = (*LABELS, "still")
 
 
 class Rate(NamedTuple):
@@ -453,9 +448,6 @@ def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
         for begin, end, label in _moving(signal, dt, RATES[kind], LABELS[kind]):
             busy[begin:end] = True
             yield from of_kind(kind, label, begin, end)
-    for begin, end, label in _swinging(signals["horizontal"], signals["vertical"], dt):
-        busy[begin:end] = True
-        yield from of_kind("nods", label, begin, end)
     for begin, end in spans(~busy):
         if (end - begin) * dt >= STILL_S:
             yield from of_kind("still", "still", begin, end)
@@ -472,32 +464,6 @@ def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> It
             change = abs(smooth[end - 1] - smooth[begin])
             if fast and (end - begin) * dt >= MIN_SPAN_S and change >= rate.change:
                 yield begin, end, label
-
-
-def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
-    """Nods and shakes, in order of time: runs of quick swings between turning points."""
-    swings: list[tuple[int, int, str]] = []
-    for main, across, label in ((y, x, "nod"), (x, y, "shake")):
-        light, side = gauss(main, LIGHT_S / dt), gauss(across, LIGHT_S / dt)
-        least = max(SWING, NOISE * noise_of(main) * _left_by(_kernel(LIGHT_S / dt)))
-        turns = turning_points(light, least)
-        quick = np.zeros(max(0, len(turns) - 1), dtype=bool)
-        for n, (a, b) in enumerate(pairwise(turns)):
-            # half a swing more at both ends: a circle is as wide as it is high, but not within half of its way
-            more = (b - a + 1) // 2
-            width = np.ptp(side[max(0, a - more) : b + more + 1])
-            quick[n] = SWING_S[0] <= (b - a) * dt <= SWING_S[1] and abs(light[b] - light[a]) >= ACROSS * width
-        for a, b in spans(quick):
-            if b - a >= SWINGS:
-                # from the last place near the first turning point to the first place near the last one
-                first, last = (_near(light, turns[i], turns[j]) for i, j in ((a, a + 1), (b, b - 1)))
-                swings.append((int(first.max()), int(last.min()), label))
-    after = 0
-    for begin, end, label in sorted(swings):
-        # the last swing of one may still be going on in the first of the other
-        if (end - max(begin, after)) * dt >= MIN_SPAN_S:
-            yield max(begin, after), end, label
-            after = end
 
 
 def turning_points(signal: Array, least: float) -> list[int]:
@@ -519,13 +485,6 @@ def turning_points(signal: Array, least: float) -> list[int]:
     if up is not None:  # the last swing ends where it got farthest
         turns.append(high if up else low)
     return turns
-
-
-def _near(signal: Array, turn: int, other: int) -> Whole:
-    """The places between two turning points where the signal is within a fifth of the swing's height of the first."""
-    first = min(turn, other)
-    swing = signal[first : max(turn, other) + 1]
-    return first + np.flatnonzero(np.abs(swing - signal[turn]) <= 0.2 * abs(signal[other] - signal[turn]))
 
 
 def _kernel(sigma: float) -> Array:

@@ -11,7 +11,6 @@ import pytest
 
 from facetrack_cli.trajectory.formats.eaf import write_eaf
 from facetrack_cli.trajectory.formats.tables import Clip, write_measures
-from facetrack_cli.trajectory.head import head_motion
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
 N, SIDE = 60, 100.0  # a face of 100 pixels, at 25 frames/s
@@ -118,11 +117,3 @@ def test_hands_without_one_head_have_no_measures():
     assert all(not found for found in two.measures.values())
     lost = joined([hand, one("head", 300, 100, lost=range(N))])
     assert lost.measures["left_hand"] == {} and lost.events == ()
-
-
-def test_a_hand_that_waves_does_not_nod():
-    waves = 260 + 40 * np.sin(2 * np.pi * np.arange(N) / 12)
-    rows = joined([one("head", 300, 100), one("left_hand", 100, waves, 40.0)])
-    assert any(span.kind == "nods" for span in head_motion(rows.of_target("left_hand")))
-    text = write_eaf(rows, Path("/videos/clip.mp4"), Path("/videos"), written=datetime(2024, 1, 1, tzinfo=UTC))
-    assert "vertical@left_hand" in text and "nods@left_hand" not in text

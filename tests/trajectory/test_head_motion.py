@@ -71,30 +71,6 @@ def test_what_stands_still_is_still_throughout(make):
 
 
 @MAKE
-@pytest.mark.parametrize(("axis", "label"), [("y", "nod"), ("x", "shake")])
-@pytest.mark.parametrize("fps", [25.0, 30.0, 60.0])
-def test_swings_of_3_hz_are_nods_and_shakes(make, axis, label, fps):
-    t = clock(6, fps)
-    swing = np.where((t >= 2) & (t < 4), 0.08 * np.sin(2 * np.pi * 3 * (t - 2)), 0)
-    (span,) = [s for s in head_motion(make(t, **{axis: swing}, noise=0.7)) if s.kind == "nods"]
-    assert span.label == label
-    assert span.first / fps == pytest.approx(2, abs=0.2) and span.last / fps == pytest.approx(4, abs=0.2)
-
-
-@MAKE
-def test_a_circle_is_neither_nod_nor_shake(make):
-    t = clock(6)
-    turn = 2 * np.pi * 2 * t
-    assert labels(make(t, x=0.08 * np.cos(turn), y=0.08 * np.sin(turn), noise=0.3), "nods") == []
-
-
-def test_two_swings_are_no_nod():
-    t = clock(6)
-    once = np.where((t >= 2) & (t < 2.4), 0.04 * (1 - np.cos(2 * np.pi * 2.5 * (t - 2))), 0)
-    assert labels(points(t, y=once), "nods") == []
-
-
-@MAKE
 @pytest.mark.parametrize(
     ("axis", "speed", "label"), [("x", 0.3, "right"), ("x", -0.3, "left"), ("y", 0.3, "down"), ("y", -0.3, "up")]
 )
@@ -138,16 +114,6 @@ def test_parts_that_get_lost_and_return_make_no_motion():
     assert labels(points(t, degrees=8, noise=0.5, lost=away)) == []
 
 
-def test_a_nod_that_turns_into_a_shake_is_one_after_the_other():
-    t = clock(8)
-    swing = 0.1 * np.sin(2 * np.pi * 2.5 * t)
-    for late in np.arange(3.5, 4.5, 0.08):
-        x, y = (np.where((t >= begin) & (t < end), swing, 0) for begin, end in ((late, 6), (2, 4)))
-        nods = [span for span in head_motion(box(t, x=x, y=y)) if span.kind == "nods"]
-        assert [span.label for span in nods] == ["nod", "shake"]
-        assert nods[0].last < nods[1].first
-
-
 def test_nothing_is_said_of_what_is_lost():
     t = clock(10)
     gone = dict.fromkeys(POINTS, slice(100, 150))
@@ -181,7 +147,7 @@ def test_spans_of_a_kind_never_overlap(seed):
 def test_a_single_point_has_neither_tilt_nor_size_nor_speed():
     t = clock(6)
     point = [one_part("face", "nose", np.arange(len(t)), time_s=t, x=200 + 40 * np.clip(t - 2, 0, 1), y=t * 0)]
-    assert kinds_of(point) == ("horizontal", "vertical", "nods", "still")
+    assert kinds_of(point) == ("horizontal", "vertical", "still")
     assert head_motion(point) == []  # without a size, nobody knows how fast it is
 
 

@@ -57,7 +57,7 @@ def export_command(
     cvat and labelstudio go to the annotation tool, and what is corrected there comes back by facetrack fix --import.
     A lost row is occluded in cvat, and not enabled in labelstudio; with --drop-lost it is outside in cvat, too.
 
-    eaf has tiers for lost parts, motion to the left, right, up and down, tilt, size, nods and shakes, as seen in the
+    eaf has tiers for lost parts, motion to the left, right, up and down, tilt and size, as seen in the
     image plane; for open mouths, blinks and nods of the pose. It needs the video; coco and openface's pose_T the size
     of the frames: both stand in a trajectory.json, else give --media.
 

@@ -40,7 +40,7 @@ SCHEMA = "http://www.mpi.nl/tools/elan/EAFv3.0.xsd"
 MIME = {".mp4": "mp4", ".m4v": "mp4", ".mpeg": "mpeg", ".mpg": "mpeg", ".webm": "webm"}
 MIME |= {".mov": "quicktime", ".avi": "x-msvideo", ".mkv": "x-matroska"}
 VOCABULARIES: Final[Mapping[str, Sequence[str]]] = {
-    "seen": ("seen",), **LABELS, "nods": ("nod", "shake"), "still": ("still",),
+    "seen": ("seen",), **LABELS, "still": ("still",),
     **{tier: [*filter(None, (kind.value, kind.longer, kind.other))] for tier, kind in KINDS.items()},
 }  # fmt: skip
 """The values of each tier that has a vocabulary."""
@@ -134,8 +134,7 @@ def _tiers(
     yield "absent", name, spans_of([part.take(~part.vanished) for part in parts], "absent")  # as corrections say
     moved = head_motion(parts)
     for kind in kinds_of(parts):
-        if kind != "nods" or target not in HANDS:
-            yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
+        yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
     for kind, events in events_of(name, measures).items():
         yield kind, name, [(event.first_frame, event.last_frame, event.value) for event in events]
 
