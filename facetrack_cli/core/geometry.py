@@ -30,7 +30,8 @@ def iou(a: Array, b: Array, size: tuple[int, int] | None = None) -> Array:
 
 def overlap(a: Box, b: Box) -> float:
     """Intersection over union of two boxes, 0..1."""
-    return float(iou(np.array([a], np.float64), np.array([b], np.float64))[0])
+    shared = common_area(a, b)
+    return shared / (a[2] * a[3] + b[2] * b[3] - shared) if shared else 0.0
 
 
 def common_area(a: Box, b: Box) -> float:

@@ -190,14 +190,13 @@ class YuNet:
         factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
         image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
         rows = sorted(self._detect(image), key=lambda row: -row[2] * row[3] * row[14])
-        return [self._face(factor * (row[4:14].reshape(5, 2) + 0.5) - 0.5, row[14]) for row in rows]
+        return [self._face(factor * (row[4:14] + 0.5) - 0.5, row[14]) for row in rows]
 
     def measure(self, image: Image, box: Box) -> Detection | None:
         # on faces of 60 to 70 pixels it is faster and more exact than on larger ones
         k = MEASURED_PX / box[2]
-        small = cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA)
-        rows = self._detect(np.asarray(small, np.uint8))
-        faces = [self._face((row[4:14].reshape(5, 2) + 0.5) / k - 0.5, row[14]) for row in rows]
+        small = cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA if k < 0.5 else cv2.INTER_LINEAR)
+        faces = [self._face((row[4:14] + 0.5) / k - 0.5, row[14]) for row in self._detect(np.asarray(small, np.uint8))]
         best = max(faces, key=lambda face: overlap(face.box, box), default=None)
         return None if best is None or overlap(best.box, box) < MIN_OVERLAP else best
 
@@ -222,18 +221,17 @@ class YuNet:
         return np.asarray(np.rint(rows * _STEPS) / _STEPS, np.float32)
 
     def _face(self, marks: NDArray[np.float32], score: np.float32) -> Detection:
-        """A face with the eyes, the nose and the corners of the mouth at `marks` (5, 2)."""
-        left, right = sorted(map(tuple, marks[:2].tolist()))
-        middle = marks[:2].mean(axis=0)
+        """A face with the eyes, the nose and the corners of the mouth at `marks` (10,)."""
+        eye, other, nose, *mouth = [(x, y) for x, y in marks.reshape(5, 2).tolist()]
+        (left, right), corners = sorted((eye, other)), sorted(mouth)
+        (u, v), below = (((a + x) / 2, (b + y) / 2) for (a, b), (x, y) in ((left, right), corners))
         # seen from the side, eyes are closer together than a face's height says
-        apart = max(math.dist(left, right), math.dist(middle, marks[3:].mean(axis=0)) / MOUTH_Y)
+        apart = max(math.dist(left, right), math.dist((u, v), below) / MOUTH_Y)
         side = apart / (EYES_IN_BOX[1][0] - EYES_IN_BOX[0][0])
-        down = np.array([0.0, (0.5 - EYES_IN_BOX[0][1]) * side])
         # to 0.01 px, as in an init file: a run from that file begins in the same place
-        x, y, side = (round(value, 2) for value in (*(middle + down - (side - 1) / 2).tolist(), side))
-        corners = sorted(map(tuple, marks[3:].tolist()))
-        points = dict(zip(("nose", "mouth_left", "mouth_right"), (tuple(marks[2].tolist()), *corners), strict=True))
-        return Detection((x, y, side, side), (left, right), points, True, float(score))
+        x, y = round(u - (side - 1) / 2, 2), round(v + (0.5 - EYES_IN_BOX[0][1]) * side - (side - 1) / 2, 2)
+        points = {"nose": nose, "mouth_left": corners[0], "mouth_right": corners[1]}
+        return Detection((x, y, round(side, 2), round(side, 2)), (left, right), points, True, float(score))
 
 
 @lru_cache(maxsize=16)

@@ -14,6 +14,7 @@ All matrices are ridge regressions, trained on real faces by `tools/eye_descent.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -39,7 +40,6 @@ CORNERS: Final = [0, 1, 4, 5]
 SIDES: Final = ([0, 1, 2, 3], [5, 4, 6, 7])
 """Of the left and the right eye: outer and inner corner, upper and lower lid."""
 _BOTH: Final = np.array(SIDES)
-_WAYS: Final = np.array([1, -1])  # in which patches show them
 ZOOM: Final = 2.0  # of a patch
 SIDE: Final = 48  # of a patch, pixels
 CELL: Final = 4  # pixels between the points of its grid
@@ -75,17 +75,18 @@ class EyeRegression(NamedTuple):
 
         Both are in the stabilized image.
         """
-        middles = self.corners(seen, parts).reshape(2, 2, 2).mean(axis=1)
-        patches = [view.read_grey(frame, SIDE)[:, ::way] for view, way in zip(views(head, middles), _WAYS, strict=True)]
-        outputs = np.array([phi(patch) @ self.lids for patch in patches], np.float64)
-        off, odds = outputs[:, :-1].reshape(2, -1, 2), outputs[:, -1]
-        narrow = np.hypot(*(off[:, 0] - off[:, 1]).T) / (ZOOM * EYES) - NARROW  # turned away
-        small = head.scale * EYES / SMALL - 1
-        odds = odds + np.minimum(STEEP * narrow, 0.0) + min(STEEP * small, 0.0)
-        off[..., 0] *= _WAYS[:, None]
-        at, turned = np.empty((len(POINTS), 2)), Similarity(np.zeros(2), 1 / ZOOM, slope(middles)).matrix
-        at[_BOTH] = middles[:, None] + (off.reshape(-1, 2) @ turned.T).reshape(off.shape)
-        return PlacedPoints(at, odds.repeat(off.shape[1]))
+        corners = self.corners(seen, parts)
+        middles = 0.5 * (corners[::2] + corners[1::2])
+        small = min(STEEP * (head.scale * EYES / SMALL - 1), 0.0)
+        at, odds = np.empty((len(POINTS), 2)), np.empty(len(POINTS))
+        (a, b), _ = Similarity(middles, 1 / ZOOM, -slope(middles)).matrix.tolist()
+        for index, middle, view, way in zip(_BOTH, middles, views(head, middles), (1, -1), strict=True):
+            output = phi(view.read_grey(frame, SIDE)[:, ::way]) @ self.lids
+            off = output[:-1].reshape(-1, 2)
+            narrow = math.dist(*off[:2].tolist()) / (ZOOM * EYES) - NARROW  # turned away
+            odds[index] = float(output[-1]) + min(STEEP * narrow, 0.0) + small
+            at[index] = middle + off @ np.array([[way * a, way * b], [-b, a]])
+        return PlacedPoints(at, odds)
 
     def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
         """The corners (4, 2), as the cascade has them."""
