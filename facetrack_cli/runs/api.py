@@ -335,7 +335,8 @@ class Tracker:
         begin = _init(init, 0)
         if isinstance(begin, Path):
             begin = read_init(begin)
-        self.start, self._by = (begin, None) if isinstance(begin, Start) else (None, begin)
+        self.start: Start | None = begin if isinstance(begin, Start) else None
+        self._by: DetectorName | None = None if isinstance(begin, Start) else begin
         self._size: tuple[int, int] | None = None
         self._next, self._last_s = 0, -1.0
         self._search: _Search | None = None

@@ -17,6 +17,7 @@ import faulthandler
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections import deque
@@ -250,7 +251,7 @@ class _Process:
         if self._process is None:  # it ended before it was looked at
             return DiedError("its process ended as it began"), False
         code = self._process.exitcode
-        return DiedError(f"its process ended with code {code} (too little memory?)"), (code or 0) < 0
+        return DiedError(f"its process ended with code {code}{' (too little memory?)' * (code == -9)}"), (code or 0) < 0
 
 
 # --- in the processes ------------------------------------------------------------------------------------------------
@@ -264,8 +265,9 @@ def _begin(ending: Any, frames: Any, threads: int) -> None:
     _ending, _frames = ending, frames
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal; the parent acts on it
-    with contextlib.suppress(OSError, ValueError):  # without standard error
-        faulthandler.enable()
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115, PTH123 -- for as long as the process lives
+    faulthandler.enable()
     share_threads(threads)
 
 

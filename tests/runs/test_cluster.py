@@ -217,8 +217,6 @@ def clips(tmp_path_factory):
     ("where", "said"),
     [
         ("local", "--cluster local: names no scheduler; give local:N, tcp://HOST:PORT, or the scheduler file of"),
-        ("local:0", "names no scheduler"),
-        ("http://here:80", "names no scheduler"),
         ("head:8786", "names no scheduler"),
         ("none.json", "--cluster none.json: names no scheduler"),
         ("odd.json", "--cluster odd.json: names no scheduler"),

@@ -149,12 +149,9 @@ def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, monkeypat
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--split", "30"), "is no length"),
         (("--split", "m"), "is no length"),
         (("--split", "8s"), "overlap by 5 s; give --split 10s or more"),
-        (("--split", "40f"), "give --split 50f or more"),
         ((*SPLIT, "--smooth"), "--smooth goes over the whole clip"),
-        ((*SPLIT, "--lag", "5"), "--lag goes over the whole clip"),
         ((*SPLIT, "-o", "-"), "name one with --out"),
         ((*SPLIT, "IN/dark.mp4"), "--split cuts one clip"),
         ((*SPLIT, "--overwrite", "--shard", "1/2"), "remove the folder before them"),

@@ -50,20 +50,11 @@ def export_command(
     In mot, otb, got10k, vot and coco, a target of several points has the box around the windows that the tracker
     compares; with --box points, around the points alone.
 
-    Lost rows hold the tracker's estimate. mot, coco and dlc give its confidence, coco also the visibility 1 (2 is
-    tracked). With --drop-lost they are as if nothing was found: no row in mot, no keypoint in coco, an empty cell in
-    dlc and csv-wide, nan in otb, zeros in got10k, a failure in vot.
+    Lost rows hold the tracker's estimate, and say so as far as a format can; with --drop-lost they are as if nothing
+    was found. docs/export.md has the table of all formats, and what the tiers of eaf are.
 
-    cvat and labelstudio go to the annotation tool, and what is corrected there comes back by facetrack fix --import.
-    A lost row is occluded in cvat, and not enabled in labelstudio; with --drop-lost it is outside in cvat, too.
-
-    eaf has tiers for lost parts, motion to the left, right, up and down, tilt and size, as seen in the
-    image plane; for open mouths, blinks and nods of the pose. It needs the video; coco and openface's pose_T the size
-    of the frames: both stand in a trajectory.json, else give --media.
-
-    With --into an .eaf that is there gets these tiers: what is in it stays as it is, and a tier whose name is taken
-    gets another. The result goes to -o, or with --overwrite into that file itself. What people change in the tiers
-    seen and absent comes back by facetrack fix --import.
+    What is corrected in CVAT, Label Studio or ELAN comes back by facetrack fix --import. With --into an .eaf that is
+    there gets the tiers beside its own; the result goes to -o, or with --overwrite into that file itself.
 
     \b
     Examples:
