@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import hashlib
+import io
 import math
 import os
 import re
@@ -22,7 +23,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
-import yaml
+from ruamel.yaml import YAML
 
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import FacetrackError, InputError, needed
@@ -61,8 +62,11 @@ from facetrack_cli.video.source import given_rate, open_source
 
 def recipe_yaml(recipe: Mapping[str, Any]) -> str:
     """A recipe file of these settings."""
-    settings = {key: value for key, value in recipe.items() if key != "name"}
-    return str(yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120))
+    text = io.StringIO()
+    writer: Any = YAML(typ="safe", pure=True)
+    writer.default_flow_style, writer.sort_base_mapping_type_on_output, writer.width = None, False, 120
+    writer.dump({key: value for key, value in recipe.items() if key != "name"}, text)
+    return text.getvalue()
 
 
 def init_yaml(header: Header) -> str:
