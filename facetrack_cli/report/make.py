@@ -144,8 +144,10 @@ class _Maker:
         marked = [replace(part, by_hand=part.corrected) for part in table.parts]
         self._marked = joined(marked, diagnostics=table.diagnostics)
         self._clock = Clock(table, header.source.fps)
-        boxes = [target.box for target in header.init.targets.values() if target.box]
-        self._unit = max((max(width, height) for _, _, width, height in boxes), default=0) or self._typical()
+        targets = header.init.targets.values()
+        sides = [side for target in targets for side in (target.box or ())[2:]]
+        sides += [2 * float(np.ptp([*target.points.values()], axis=0).max()) for target in targets if target.points]
+        self._unit = max(sides, default=0.0) or max(self._clip.size)
 
     def image(self, frame: Frame) -> Image:
         """The image of a frame of the clip."""
@@ -175,17 +177,6 @@ class _Maker:
         # without diagnostics: their numbers stand in the plots
         targets = (each._replace(rows=replace(each.rows, diagnostics={})) for each in recorded(frame.index, shown))
         return FrameResult(frame, tuple(targets))
-
-    def _typical(self) -> float:
-        """The size of targets without a box: the median span of their windows."""
-        parts = [part for part in self._table.parts if len(part) == len(self._table.parts[0])]
-        spans = []
-        for at, side in (("x", "w"), ("y", "h")):
-            middle = np.stack([getattr(part, at) for part in parts])
-            half = np.nan_to_num(np.stack([getattr(part, side) for part in parts])) / 2
-            span = (middle + half).max(axis=0) - (middle - half).min(axis=0)
-            spans += [float(np.median(span[np.isfinite(span)]))] if np.isfinite(span).any() else []
-        return max(spans, default=0.0) or max(self._clip.size)
 
     def _layout(self, frame: int) -> tuple[View, tuple[int, int]]:
         """The part of the clip to show, and the size of its image."""
