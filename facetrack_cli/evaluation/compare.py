@@ -302,11 +302,7 @@ def run_recipes(
                     break  # what is wrong with the ground truth is wrong for every other run too
     failed = {entry.label: entry.error for entry in entries.values() if entry.error is not None}
     if failed and not any(entry.scores for entry in entries.values()) and stop.code is None:
-        first = next(iter(failed.values()))
-        for label, error in failed.items():
-            if str(error) != str(first):
-                shown.error(f"facetrack: error: {label}: {error}")
-        raise first
+        raise next(iter(failed.values()))
     warnings = [line for entry in entries.values() for line in entry.warnings]
     for kind, lines in (("warning", warnings), ("note", notes)):
         for line in dict.fromkeys(lines):
@@ -389,22 +385,18 @@ class Comparison:
     def notes(self) -> list[str]:
         """Notes below the table: how to read it, and why recipes did not run."""
         several = any(len(entry.scores) > 1 for entry in self.entries)
-        lines = [f"One run each; ranked by {self.measure}."]
-        if several:
-            better = "less" if less_is_better(self.measure) else "more"
-            over = f"Mean ± standard deviation over {self.seeds} seeds"
-            lines = [f"{over}; ranked by {self.measure}, {better} is better."]
+        over = f"Mean ± standard deviation over {self.seeds} seeds" if several else "One run each"
+        lines = [f"{over}; ranked by {self.measure}, {'less' if less_is_better(self.measure) else 'more'} is better."]
         if any(place.first != place.last for place in self.places):
-            more = "." if several else "; one seed tells nothing of a difference, give --seeds."
+            more = "" if several else "; one seed tells nothing of a difference, give --seeds"
             overlap = "not distinguishable, the means ± 2 standard errors overlap"
-            lines.append(f"A rank such as 1\N{EN DASH}2: {overlap}{more}")
+            lines.append(f"A rank such as 1\N{EN DASH}2: {overlap}{more}.")
         failed = "a part's median error over its last 25 visible frames exceeds a quarter of the target's size"
         if kind_of(self.entries) == "boxes":
             failed = "the median IoU over the last tenth of the frames is below 0.1"
         lines.append(f"Failed: runs at whose end {failed}.")
         shared = f" by {self.workers} processes, which slow each other down" if self.workers > 1 else ""
-        rate = f"Frames/s: the tracker alone, decoding apart, all timed in the same run{shared}"
-        lines.append(f"{rate}; only ratios between rows mean anything. Time a frame: over that of the fastest.")
+        lines.append(f"Frames/s: the tracker alone{shared}; only ratios between rows mean anything.")
         if once := [entry.label for entry in self.entries if entry.deterministic and entry.scores]:
             lines.append(f"Deterministic, run once: {', '.join(once)}.")
         if not self.complete:

@@ -10,7 +10,7 @@
 import math
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, get_args, get_type_hints
@@ -328,7 +328,6 @@ def _why_undefined(evaluation: Evaluation) -> list[str]:
 
 CURVES: Final = ("success", "precision", "normalised_precision")
 MAX_PARTS: Final = 12  # in tables of status, confidence, spread and jitter
-MAX_OCCLUSIONS: Final = 20  # in their table
 
 
 @dataclass(frozen=True)
@@ -436,6 +435,10 @@ def facts(evaluation: Evaluation) -> Iterator[str]:
     if evaluation.all.points:
         failed = f"it has failed above {100 * evaluation.options.failure:g} % of it"
         yield f"a point is near if its error is less than 1/6 of the length; {failed}"
+    if (over := evaluation.all.occlusions) is not None:
+        after = "" if over.frames_median is None else f", the median after {HALVES(over.frames_median)} frames"
+        back = f"{over.returned} of {over.decided} come back" if over.decided else "none can be decided"
+        yield f"occlusions: {over.occlusions}, of which {back}{after}: all parts near for {errors.HELD} rows in a row"
     if evaluation.all.boxes:
         yield f"a box is near if its IoU with the ground truth is more than {NEAR_IOU:g}"
     if evaluation.all.confidence:
@@ -454,8 +457,6 @@ def sheets(evaluation: Evaluation) -> Iterator[Sheet]:
 
     every = [*evaluation.parts, *([evaluation.all] if len(evaluation.parts) > 1 else [])]
     for group, title in _TABLES.items():
-        if group == "lost" and evaluation.all.occlusions is not None:
-            yield _occlusions(evaluation, name)
         few = group in ("points", "boxes") or len(evaluation.parts) <= MAX_PARTS
         parts = [part for part in (every if few else every[-1:]) if getattr(part, group) is not None]
         if parts:
@@ -470,27 +471,3 @@ def sheets(evaluation: Evaluation) -> Iterator[Sheet]:
                 cells = [NO_FIGURE if (v := own[key]) is None else measure.write(v) for key, measure in shown.items()]
                 rows.append((name(part.target, part.part), *cells))
             yield Sheet(": ".join(title), ("part", *(measure.title for measure in shown.values())), tuple(rows))
-
-
-def _occlusions(evaluation: Evaluation, name: Callable[[str, str], str]) -> Sheet:
-    whole = evaluation.all.occlusions
-    assert whole is not None
-    back = f"{whole.returned} of {whole.decided} come back" if whole.decided else "none can be decided"
-    median = "" if whole.frames_median is None else f", the median after {HALVES(whole.frames_median)}"
-    rows = []
-    for span in evaluation.occlusions[:MAX_OCCLUSIONS]:
-        never = span.frames_to_return is None
-        if span.decided:
-            after = "never" if never else str(span.frames_to_return)
-        else:
-            after = "cannot be decided" if never else "by hand"
-        parts = [name(span.target, part) for part in span.parts[:MAX_PARTS]] + ["..."] * (len(span.parts) > MAX_PARTS)
-        rows.append((f"{span.first}-{span.last}", ", ".join(parts), after))
-    more = len(evaluation.occlusions) - MAX_OCCLUSIONS
-    return Sheet(
-        f"Occlusions: frames until all covered parts are near for {errors.HELD} rows in a row; {back}{median}",
-        ("frames", "parts", "back after"),
-        tuple(rows),
-        (f"... and {more} more; --json has them all",) if more > 0 else (),
-        left=(0, 1),
-    )

@@ -1,6 +1,6 @@
 """HTML pages: one of a finished run, what happened in it, with images, and how it was made; and one of a batch.
 
-Images of key frames are decoded in one pass: the clip's frames with the overlay drawn on them, else annotated.mp4's.
+Images of key frames are decoded in one pass: the clip's frames with the overlay drawn on them.
 How the run was made is its recipe and start as YAML, and the command that repeats it. Each page is a
 single file that fetches nothing and runs no script; that of a batch links to the files of its runs.
 """
@@ -10,19 +10,20 @@ from __future__ import annotations
 import base64
 import contextlib
 import hashlib
+import io
 import math
 import os
 import re
 import shlex
 import urllib.parse
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
-import yaml
+from ruamel.yaml import YAML
 
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import FacetrackError, InputError, needed
@@ -41,7 +42,6 @@ from facetrack_cli.report.story import LostSpan, Stretch, history_of, key_frames
 from facetrack_cli.run_folder.manifest import (
     REPORT,
     VIDEO,
-    check_belongs,
     other_clip,
     read_manifest,
     read_run,
@@ -62,8 +62,11 @@ from facetrack_cli.video.source import given_rate, open_source
 
 def recipe_yaml(recipe: Mapping[str, Any]) -> str:
     """A recipe file of these settings."""
-    settings = {key: value for key, value in recipe.items() if key != "name"}
-    return str(yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120))
+    text = io.StringIO()
+    writer: Any = YAML(typ="safe", pure=True)
+    writer.default_flow_style, writer.sort_base_mapping_type_on_output, writer.width = None, False, 120
+    writer.dump({key: value for key, value in recipe.items() if key != "name"}, text)
+    return text.getvalue()
 
 
 def init_yaml(header: Header) -> str:
@@ -95,7 +98,6 @@ MAX_BYTES: Final = 220_000  # of one JPEG: twelve stay below 4 MB as text
 _VIEW = 3.5  # an image shows this many times the target's size; larger clips are cut out around it
 _TRAIL_S = 1.0
 _TRAIL = 25  # frames of it that are drawn
-_APART_S = 0.002  # a clip whose frames have other times than the run's is another clip
 View: TypeAlias = tuple[int, int, int, int]  # left, top, width, height in the clip's pixels
 
 
@@ -112,32 +114,26 @@ class Image(NamedTuple):
         return f"data:{self.mime};base64,{base64.b64encode(self.data).decode('ascii')}"
 
 
-@dataclass
-class KeyImages:
-    """The images that could be made, by frame, their origin, clip or annotated, and notes on what is missing."""
-
-    by_frame: dict[int, Image] = field(default_factory=dict)
-    origin: str = ""
-    notes: list[str] = field(default_factory=list)
-
-
 def key_images(
-    table: Trajectory, header: Header, wanted: Sequence[int], clip: Path | None, annotated: Path | None, report: Report
-) -> KeyImages:
-    """Images of the `wanted` frames, from `clip` or the header's, else from the MP4 `annotated`. Raises
-    InputError if `clip` is not the run's; what is wrong with the header's becomes a note.
+    table: Trajectory, header: Header, wanted: Sequence[int], clip: Path | None, report: Report
+) -> tuple[dict[int, Image], list[str]]:
+    """Images of the `wanted` frames that could be made, from `clip` or the header's; notes on what is missing.
+
+    Raises InputError if `clip` is not the run's.
     """
-    maker = _Maker(table, header)
-    best = maker.read(clip or Path(header.source.path), wanted, report)
-    if len(best.by_frame) == len(wanted):
-        return best
-    if clip is not None:
-        raise InputError(best.notes[-1])
-    if annotated is None:
-        return best
-    other = maker.read(annotated, wanted, report, annotated=True)
-    first, second = (best, other) if len(best.by_frame) > len(other.by_frame) else (other, best)
-    return KeyImages(first.by_frame, first.origin, second.notes + first.notes)
+    path, maker, done, notes = clip or Path(header.source.path), _Maker(table, header), dict[int, Image](), list[str]()
+    try:
+        if (other := other_clip(table, path)) is not None:
+            raise InputError(other)
+        for frame in _frames(path, header.source.size, header.source.fps, sorted(wanted), report, header.source.stream):
+            done[frame.index] = maker.image(frame)
+        if missing := [index for index in wanted if index not in done]:
+            raise InputError(f"{path}: has no frame {missing[0]}, which the run has")
+    except InputError as e:
+        notes.append(str(e) if "--clip" in str(e) else f"{e}; name its clip with --clip")
+        if clip is not None:
+            raise InputError(notes[0]) from None
+    return done, notes
 
 
 class _Maker:
@@ -148,40 +144,17 @@ class _Maker:
         marked = [replace(part, by_hand=part.corrected) for part in table.parts]
         self._marked = joined(marked, diagnostics=table.diagnostics)
         self._clock = Clock(table, header.source.fps)
-        boxes = [target.box for target in header.init.targets.values() if target.box]
-        self._unit = max((max(width, height) for _, _, width, height in boxes), default=0) or self._typical()
+        targets = header.init.targets.values()
+        sides = [side for target in targets for side in (target.box or ())[2:]]
+        sides += [2 * float(np.ptp([*target.points.values()], axis=0).max()) for target in targets if target.points]
+        self._unit = max(sides, default=0.0) or max(self._clip.size)
 
-    def read(self, path: Path, wanted: Sequence[int], report: Report, *, annotated: bool = False) -> KeyImages:
-        """The images of one source. An `annotated` video counts from the run's first frame, and pads odd sizes."""
-        done = KeyImages(origin="annotated" if annotated else "clip")
-        if not annotated and (other := other_clip(self._table, path)) is not None:
-            done.notes.append(f"{other}; name its clip with --clip")
-            return done
-        frames, (width, height) = self._clock.frames, self._clip.size
-        place = {int(np.searchsorted(frames, index)) if annotated else index: index for index in wanted}
-        size = (width + width % 2, height + height % 2) if annotated else (width, height)
-        try:
-            if annotated:
-                check_belongs(path)
-            stream = None if annotated else self._clip.stream
-            for frame in _frames(path, size, self._clip.fps, sorted(place), report, stream):
-                index = place[frame.index]
-                then = self._clock.at(index)
-                late = abs(frame.time_s - then) > _APART_S + 0.05 / self._clip.fps
-                if late and not annotated and not done.notes:
-                    times = f"is at {frame.time_s:.3f} s, in the run it was at {then:.3f} s"
-                    done.notes.append(f"{path}: frame {index} {times}; is it the same clip?")
-                view, out = self._layout(index)
-                whole = _scaled(frame.bgr, view, out)
-                drawn = whole if annotated else self.draw(Frame(index, then, whole, aspect=frame.aspect), view)
-                done.by_frame[index] = Image(_jpeg(drawn), out, view=view)
-            missing = [index for index in wanted if index not in done.by_frame]
-            if missing:
-                done.notes.append(f"{path}: has no frame {missing[0]}, which the run has; name its clip with --clip")
-        except InputError as e:
-            said = str(e)
-            done.notes.append(said if annotated or "--clip" in said else f"{said}, or name the clip with --clip")
-        return done
+    def image(self, frame: Frame) -> Image:
+        """The image of a frame of the clip."""
+        view, out = self._layout(frame.index)
+        whole = _scaled(frame.bgr, view, out)
+        then = self._clock.at(frame.index)
+        return Image(_jpeg(self.draw(Frame(frame.index, then, whole, aspect=frame.aspect), view)), out, view=view)
 
     def draw(self, frame: Frame, view: View) -> Pixels:
         """A scaled frame with the overlay of `facetrack run`."""
@@ -204,17 +177,6 @@ class _Maker:
         # without diagnostics: their numbers stand in the plots
         targets = (each._replace(rows=replace(each.rows, diagnostics={})) for each in recorded(frame.index, shown))
         return FrameResult(frame, tuple(targets))
-
-    def _typical(self) -> float:
-        """The size of targets without a box: the median span of their windows."""
-        parts = [part for part in self._table.parts if len(part) == len(self._table.parts[0])]
-        spans = []
-        for at, side in (("x", "w"), ("y", "h")):
-            middle = np.stack([getattr(part, at) for part in parts])
-            half = np.nan_to_num(np.stack([getattr(part, side) for part in parts])) / 2
-            span = (middle + half).max(axis=0) - (middle - half).min(axis=0)
-            spans += [float(np.median(span[np.isfinite(span)]))] if np.isfinite(span).any() else []
-        return max(spans, default=0.0) or max(self._clip.size)
 
     def _layout(self, frame: int) -> tuple[View, tuple[int, int]]:
         """The part of the clip to show, and the size of its image."""
@@ -333,7 +295,7 @@ def make_report(
     first, last = int(clock.frames[0]), int(clock.frames[-1])
     keys = key_frames(history, first, last)
     shown = [key.frame for key in keys]
-    images = key_images(table, header, shown, clip, _video(run), report)
+    images, notes = key_images(table, header, shown, clip, report)
     mean, looks = story.confidence_of(table), story.to_look_at(followed, history, clock)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last)
@@ -356,18 +318,17 @@ def make_report(
         pictures={} if people is None else {person.name: picture(person) for person in people.people},
         parts=[part for part in history.parts if part.spans or part.hidings or part.absences],
         looks=looks,
-        leading=next((frame for frame in (*(at for at, _ in looks), *shown) if frame in images.by_frame), None),
+        leading=next((frame for frame in (*(at for at, _ in looks), *shown) if frame in images), None),
         identities=list(story.identities(table, clock)),
         mean=mean,
         calibrated=calibrated(header.recipe),
-        warnings=[*story.doubts(header, mean), *header.warnings, *images.notes],
+        warnings=[*story.doubts(header, mean), *header.warnings, *notes],
         bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
         events=sorted(sorted(table.events, key=lambda event: -event.probability)[:MAX_SPANS]),
         several=len(table.targets) > 1,
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
         keys=keys,
-        images=images.by_frame,
-        from_clip=images.origin == "clip",
+        images=images,
         some_left_out=not {frame for frame, _ in history.events} <= {*shown},
         reasons={key.frame: story.reasons(key, followed, history, header.init.origin) for key in keys},
         plot=_plot(table, pairs, title),
@@ -379,7 +340,7 @@ def make_report(
         words=shlex.split(again),
         relative=not Path(header.source.path).is_absolute(),
     )
-    return ReportPage(encoded(document), tuple(images.notes))
+    return ReportPage(encoded(document), tuple(notes))
 
 
 def make_batch_report(batch: Path, to: Path, title: str | None = None, report: Report = silent) -> ReportPage:
@@ -409,18 +370,14 @@ def make_batch_report(batch: Path, to: Path, title: str | None = None, report: R
     return ReportPage(encoded(template.render(title=title, rows=rows, counts=progress.counts)), tuple(notes))
 
 
-def _video(run: Path) -> Path | None:
-    return run / VIDEO if (run / VIDEO).is_file() else None
-
-
 def _still(folder: Path, clip: ClipStatus) -> Image | None:
     """The frame to look at first, or else the middle one, reduced."""
     table = read_run(trajectory_of(folder))
     at = int(table.frames[len(table.frames) // 2]) if clip.still is None else clip.still
-    images = key_images(table, read_header(table), [at], None, _video(folder), silent)
-    if at not in images.by_frame:
+    images, _ = key_images(table, read_header(table), [at], None, silent)
+    if at not in images:
         return None
-    image = cv2.imdecode(np.frombuffer(images.by_frame[at].data, np.uint8), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(np.frombuffer(images[at].data, np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     size = (_STILL_PX, max(round(_STILL_PX * image.shape[0] / image.shape[1]), 1))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)

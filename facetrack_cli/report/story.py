@@ -22,15 +22,12 @@ from facetrack_cli.trajectory.reader import Header, SeamHeader
 from facetrack_cli.trajectory.trajectory import Trajectory, mean_confidence
 from facetrack_cli.trajectory.views import Clock
 
-Kind: TypeAlias = Literal[
-    "start", "corrected", "seam", "lost", "hidden", "back", "opening", "smile", "blink", "worst", "end"
-]
+Kind: TypeAlias = Literal["start", "corrected", "seam", "lost", "hidden", "back", "worst", "end"]
 """Why a frame is shown, in the order in which the reasons of one frame stand."""
 MAX_KEY_FRAMES: Final = 12
 _HEADINGS: Final[Mapping[Kind, tuple[str, str]]] = {
     "start": ("Start", ""), "corrected": ("Corrected by hand", ""), "seam": ("Two chunks differ", ""),
     "lost": ("Called lost", ""), "hidden": ("Hidden", " for {}"), "back": ("No longer called lost", " after {}"),
-    "opening": ("Mouth open widest", ""), "smile": ("Widest smile", ""), "blink": ("Blink", ""),
     "worst": ("Lowest confidence", ""), "end": ("End", ""),
 }  # fmt: skip
 """The heading of each kind, and what follows a part that was lost or hidden so long."""
@@ -84,13 +81,12 @@ class PartHistory:
 
 
 class Event(NamedTuple):
-    """Why a frame is shown: the spans that begin or end in it, its correction, chunks that meet, what is measured."""
+    """Why a frame is shown: the spans that begin or end in it, its correction, chunks that meet."""
 
     kind: Kind
     spans: tuple[LostSpan, ...] = ()
     corrected: CorrectedFrame | None = None
     seam: SeamHeader | None = None
-    words: str = ""
 
 
 class KeyFrame(NamedTuple):
@@ -110,7 +106,6 @@ class RunHistory:
     worst: int | None
     corrections: tuple[CorrectedFrame, ...]
     seams: tuple[SeamHeader, ...] = ()
-    peaks: tuple[tuple[int, Event], ...] = ()
 
     @property
     def spans(self) -> list[LostSpan]:
@@ -159,21 +154,7 @@ def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = 
             fixed, absent = corrected.setdefault(int(rows.frame[at]), ([], []))
             (absent if rows.status[at] == "absent" else fixed).append(part.name)
     fixes = tuple(CorrectedFrame(at, tuple(fixed), tuple(absent)) for at, (fixed, absent) in sorted(corrected.items()))
-    return RunHistory(parts, episodes, int(any_lost.sum()), worst, fixes, seams, tuple(_peaks(table)))
-
-
-def _peaks(table: Trajectory) -> Iterator[tuple[int, Event]]:
-    """Where the mouth of the first face is open widest, and wide, and its eyes shut in a blink, as the spread tells."""
-    kinds: tuple[tuple[Kind, str, int], ...] = (
-        ("opening", "mouth_opening", 1), ("smile", "mouth_width", 1), ("blink", "eye_opening", -1),
-    )  # fmt: skip
-    for kind, name, sign in kinds:
-        for measure in [measures[name] for measures in table.measures.values() if name in measures][:1]:
-            sure = sign * measure.value - np.nan_to_num(measure.std)
-            if np.isfinite(sure).any() and (kind != "blink" or any(event.value == kind for event in table.events)):
-                row = int(np.nanargmax(sure))
-                words = f"{name.replace('_', ' ')} {measure.value[row]:.2f} ± {measure.std[row]:.2f} {measure.unit}"
-                yield int(measure.frame[row]), Event(kind, words=words)
+    return RunHistory(parts, episodes, int(any_lost.sum()), worst, fixes, seams)
 
 
 def _part(rows: Trajectory, name: str, clock: Clock) -> PartHistory:
@@ -208,13 +189,13 @@ def _least(values: Array) -> float:
 
 
 def key_frames(history: RunHistory, first: int, last: int, most: int = MAX_KEY_FRAMES) -> list[KeyFrame]:
-    """At most `most` frames: the first, the last, that of the lowest mean confidence, the peaks, and of events. Of too
-    many events that where the longest episode begins, then, one by one, that furthest in time from all taken.
+    """At most `most` frames: the first, the last, that of the lowest mean confidence, and of events. Of too many
+    events that where the longest episode begins, then, one by one, that furthest in time from all taken.
     """
     by_frame = history.events
     events = np.array(sorted({frame for frame, _ in by_frame}), dtype=np.int64)
     worst = [] if history.worst is None else [(history.worst, Event("worst"))]
-    fixed = [(first, Event("start")), *worst, *history.peaks, (last, Event("end"))]
+    fixed = [(first, Event("start")), *worst, (last, Event("end"))]
     by_frame |= {(frame, event.kind): event for frame, event in fixed}
     taken = {frame for frame, _ in fixed}
     taken |= {span.first for span in sorted(history.episodes, key=lambda e: e.first - e.last)[:1]}
@@ -387,12 +368,10 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
                 ], 5)  # fmt: skip
             case "worst":
                 text = mean + (f", the mean over {len(parts):,} parts" if len(parts) > 1 else "")
-            case "end":
+            case _:
                 ends = [(kind, [parts[i] for i in np.flatnonzero(rows.status == kind)]) for kind in ("lost", "absent")]
                 text = "; ".join(f"called {kind}: {names(gone, 5)}" for kind, gone in ends if gone)
                 text = text or "nothing is called lost"
-            case _:
-                text = event.words
         return heading, text
 
     return [(event.kind, *words(event)) for event in key.events]

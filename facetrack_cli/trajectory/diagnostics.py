@@ -6,7 +6,7 @@ Likelihoods, state spaces and velocity predictions declare it in `diagnostics`, 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -150,17 +150,14 @@ def outlines(rows: Trajectory) -> Array | None:
 
 def _checked(kind: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:
     """The numbers of a value, nan where there are none."""
+    each: Iterable[Any] = (value,)
+    fits, what = True, "a number"
     if kind.shape is None:
-        fits, each = (
-            isinstance(value, Mapping) and "" not in value,
-            value.values() if isinstance(value, Mapping) else (),
-        )
-        what = "an object of names and numbers"
+        fits, what = isinstance(value, Mapping) and "" not in value, "an object of names and numbers"
+        each = value.values() if fits else ()
     elif kind.shape:
-        fits, each = isinstance(value, Sequence | np.ndarray) and len(value) == kind.shape[0], value
-        what = f"a list of {kind.shape[0]} numbers"
-    else:
-        fits, each, what = True, (value,), "a number"
+        fits = isinstance(value, Sequence | np.ndarray) and len(value) == kind.shape[0]
+        each, what = value, f"a list of {kind.shape[0]} numbers"
     if not fits or not all(_fits(kind, number) for number in each):
         raise ValueError(at, f"{kind.name} {value!r:.60} is not {what} from {kind.least:g} to {kind.most:g}")
     return [float(value.get(name, math.nan)) for name in labels] if kind.shape is None else np.float64(value)

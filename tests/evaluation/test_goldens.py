@@ -184,13 +184,6 @@ def test_every_recipe_has_a_golden_of_each_clip_that_it_is_made_for() -> None:
 # --- the command ---
 
 Runner = Callable[..., tuple[int, str, str]]
-# elements, their attributes and what they may hold, as in the xunit plugin of Jenkins, junit-10.xsd
-SCHEMA = {
-    "testsuites": (set(), {"testsuite"}),
-    "testsuite": ({"name", "tests", "failures", "errors"}, {"testcase"}),
-    "testcase": ({"name", "time", "classname"}, {"failure"}),
-    "failure": ({"message"}, set()),
-}
 
 
 @pytest.fixture
@@ -234,15 +227,12 @@ def elsewhere(path: Path) -> None:
 
 
 def check_junit(path: Path) -> ElementTree.Element:
+    """The root, whose counts are those of its test cases."""
     root = ElementTree.parse(path).getroot()
-    assert root.tag == "testsuites"
-    for element in root.iter():
-        attributes, children = SCHEMA[element.tag]
-        assert set(element.attrib) <= attributes and {child.tag for child in element} <= children
-    for suite in root.iter("testsuite"):
-        cases = suite.findall("testcase")
-        assert suite.get("tests") == str(len(cases)) and all(case.get("name") for case in cases)
-        assert suite.get("failures") == str(len(suite.findall("testcase/failure")))
+    (suite,) = root.iter("testsuite")
+    cases = suite.findall("testcase")
+    assert suite.get("tests") == str(len(cases)) and all(case.get("name") and case.get("time") for case in cases)
+    assert suite.get("failures") == str(len(suite.findall("testcase/failure")))
     return root
 
 

@@ -30,7 +30,7 @@ from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.trajectory.writers import RunSummary
 from tests.runs.test_run import SMALL, make_clip
-from tests.support.media import number, numbered, write_pictures, write_video
+from tests.support.media import number, write_pictures, write_video
 from tests.support.report_run import KEYS, LOST, write_run
 
 PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII=")
@@ -52,7 +52,7 @@ def clip(tmp_path_factory):
 def image_of(run, frame):
     """The image of a frame of a run, and its pixels."""
     table = read_trajectory(run)
-    found = key_images(table, read_header(table), [frame], None, None, lambda *_: None).by_frame[frame]
+    found = key_images(table, read_header(table), [frame], None, lambda *_: None)[0][frame]
     return found, cv2.imdecode(np.frombuffer(found.data, np.uint8), cv2.IMREAD_COLOR)
 
 
@@ -115,20 +115,6 @@ def test_key_frames_are_drawn_from_the_clip(tmp_path, clip):
 
 
 @pytest.mark.usefixtures("no_plot")
-def test_the_annotated_video_stands_in_for_the_clip_at_any_rate(tmp_path):
-    steps = np.random.default_rng(1).integers(10, 90, 25) / 1000
-    times = [round(float(t), 3) for t in np.cumsum(steps)]
-    run = write_run(tmp_path / "run", tmp_path / "gone.mp4", times=times)
-    part = [t - times[5] for t in times[5:]]
-    write_video(run / "annotated.mp4", frames=[numbered(i) for i in range(5, 25)], times=part)
-    page = make_report(run)
-    assert seen(page.html) == {frame: frame for frame in KEYS}
-    assert len(page.notes) == 1
-    assert "gone.mp4: no such file" in page.notes[0]
-    assert "Frames of annotated.mp4" in Reader(page.html).text
-
-
-@pytest.mark.usefixtures("no_plot")
 def test_folders_of_images_give_their_frames_and_are_not_read_whole(tmp_path, monkeypatch):
     from facetrack_cli.video import images
 
@@ -138,15 +124,6 @@ def test_folders_of_images_give_their_frames_and_are_not_read_whole(tmp_path, mo
     page = make_report(write_run(tmp_path / "run", clip))
     assert seen(page.html) == {frame: frame for frame in KEYS}
     assert set(opened) == {f"{frame}.png" for frame in KEYS}
-
-
-@pytest.mark.usefixtures("no_plot")
-def test_odd_sizes_lose_the_line_that_the_video_was_padded_by(tmp_path):
-    run = write_run(tmp_path / "run", tmp_path / "gone", size=(63, 47))
-    write_video(run / "annotated.mp4", frames=[numbered(i) for i in range(5, 25)])
-    found = shown(make_report(run).html)
-    assert sorted(found) == KEYS and next(iter(found)) == 8, "what is to be looked at first comes first"
-    assert found[5].shape == (477, 640, 3)  # 63x47 enlarged, not 64x48
 
 
 def test_large_clips_are_cut_out_around_the_target_and_windows_stay_in_place(tmp_path):
@@ -311,15 +288,13 @@ def test_bad_input_gets_one_line(tmp_path, capsys, clip):
     assert [path.name for path in run.iterdir()] == ["trajectory.csv"]
 
 
-def test_a_clip_that_changed_is_passed_over_with_a_warning(tmp_path, capsys, no_plot):
+def test_a_clip_that_changed_gives_no_images(tmp_path, capsys, no_plot):
     clip = write_video(tmp_path / "clip.mp4", frames=30, size=(32, 24))
     run = write_run(tmp_path / "run", clip)
-    write_video(run / "annotated.mp4", frames=[numbered(i) for i in range(5, 25)])
     assert main(["report", str(run)]) == 0
     assert "warning: " + str(clip) + ": is 32x24" in capsys.readouterr().err
-    page = (run / "report.html").read_bytes()
-    assert seen(page) == {frame: frame for frame in KEYS}
-    assert "is 32x24" in Reader(page).text
+    text = Reader((run / "report.html").read_bytes()).text
+    assert "is 32x24" in text and "There are no images" in text
 
 
 def test_an_interrupt_leaves_nothing(tmp_path, capsys, monkeypatch, no_plot, clip):

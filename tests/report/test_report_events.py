@@ -13,12 +13,11 @@ from facetrack_cli.core.types import Start
 from facetrack_cli.recipe.load import _shipped, calibrated, load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report.make import command, init_yaml, recipe_yaml
-from facetrack_cli.report.story import _trust, doubts, history_of, key_frames, number, reasons, to_look_at
+from facetrack_cli.report.story import _trust, doubts, history_of, key_frames, number, to_look_at
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, mean_confidence
 from facetrack_cli.trajectory.views import Clock
-from tests.support.face_shape import moving_face
 from tests.support.report_run import LOST, write_run
 from tests.support.samples import FOLDER
 
@@ -40,26 +39,6 @@ def test_the_history_of_each_part(tmp_path):
     assert history.worst == 6, "of the frames in which nothing is lost, as the run says"
     kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(history, 5, 24)}
     assert kinds == {5: ["start"], 6: ["worst"], 8: ["lost"], 12: ["back"], 14: ["lost"], 24: ["end"]}
-
-
-def test_an_open_mouth_a_smile_and_a_blink_are_shown():
-    t = np.arange(150)
-    moves = {
-        "open": np.where((t >= 50) & (t < 70), 0.3 + 0.01 * (t == 60), 0.0),
-        "shut": (t % 60 >= 28) & (t % 60 < 32),
-    }
-    table = moving_face(150, std=0.5, **moves)
-    history = history_of(table, Clock(table, 25.0))
-    (opening, wide), (_, smile), (_, blink) = history.peaks
-    assert (opening, wide.kind, wide.words) == (60, "opening", "mouth opening 0.56 ± 0.01 eye distances")
-    assert smile.kind == "smile" and smile.words.startswith("mouth width 0.80 ± 0.01")
-    assert blink.kind == "blink" and blink.words.startswith("eye opening 0.00")
-    keys = {key.frame: key for key in key_frames(history, 0, 149)}
-    said = [row for key in keys.values() for row in reasons(key, table, history, "haar")]
-    assert [heading for _, heading, _ in said].count("Mouth open widest") == 1
-    assert {"Widest smile", "Blink"} <= {heading for _, heading, _ in said}
-    quiet = moving_face(150)
-    assert [event.kind for _, event in history_of(quiet, Clock(quiet, 25.0)).peaks] == ["opening", "smile"]
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -150,7 +150,7 @@ def report_command(
     Of a folder with the runs of a batch the page is batch.html: a table of the clips, the worst first, with a still of
     each and links to its files.
 
-    The images are drawn from the clip, or taken from annotated.mp4 where the clip cannot be read.
+    The images are drawn from the clip.
 
     \b
     Examples:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 
@@ -68,16 +68,14 @@ def error_over_time_figure(
     """Median over seeds of `errors` (S, T) in pixels by label, in a band of 10 to 90 % of them; `hidden` is shaded."""
     names = [style.clean(label, 40) for label in errors]
     columns, rows = columns_for(names, WIDE_INCHES[0])
-    top = 0.1 + 0.2 * rows
     pen = Pen(BINS, float(frames[-1] - frames[0] + 1) / BINS)
     with style.style():
         from matplotlib.lines import Line2D
 
-        figure = style.new_figure(WIDE_INCHES[0], WIDE_INCHES[1] + top)
-        head, body = cast("Any", figure.subfigures(2, 1, height_ratios=[top, WIDE_INCHES[1]]))
+        figure = style.new_figure(WIDE_INCHES[0], WIDE_INCHES[1] + 0.1 + 0.2 * rows)
         handles = [Line2D([], [], linewidth=1.5, **style.line_style(number)) for number in range(len(names))]
-        head.legend(handles, names, loc="center left", ncols=columns, handlelength=2.8, borderaxespad=0.3)
-        axes = body.subplots()
+        figure.legend(handles, names, loc="outside upper left", ncols=columns, handlelength=2.8, borderaxespad=0.3)
+        axes = figure.subplots()
         style.frame_axis(axes, frames)
         pen.shade(axes, frames, hidden, "hidden", 0.2)
         drawn = [quantiles(e.astype(np.float64), (0.1, 0.5, 0.9)) for e in errors.values()]
