@@ -265,7 +265,6 @@ COLUMNS = ("x", "y", "w", "h", "angle", "ess", "particles")
     ("recipe", "clip"),
     [
         ("factorized_robust", "occlusion"),
-        ("correlation_filter", "passerby"),
         ("adaptive_robust", "lamp"),
         ("face", "occlusion"),
     ],
