@@ -166,8 +166,8 @@ def isotonic(score, *knots):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"format": "facetrack-gallery"}, '"format" is not facetrack-calibration'),
-        ({"version": 2}, "another version than 1"),
+        ({"format": "facetrack-gallery"}, "format: input should be"),
+        ({"version": 2}, "version: input should be 1"),
         ({"maps": {"points": {"method": "logistic", "intercept": "1", "coefficients": {}}}}, "points.logistic.int"),
         ({"maps": {"points": {"method": "tree"}}}, "maps.points"),
         (isotonic("confidence"), "knots"),
