@@ -67,17 +67,6 @@ def test_confidence_falls_from_what_was_good_to_what_is_not_the_part():
     np.testing.assert_allclose(seen.confidence, 0.0)
 
 
-def test_a_lower_quantile_of_the_windows_beside_is_stricter():
-    class Uneven(Ring):
-        def distances(self, learned, frame, x):
-            seen = super().distances(learned, frame, x)
-            return seen * np.linspace(0.5, 1.5, len(x))[:, None] if len(x) > 1 else seen
-
-    frame = Frame(0, 0.0, np.arange(300, dtype=np.uint8).reshape(10, 10, 3))
-    low, median = (confidence_of(beside=q).begin(Uneven(), None, frame, X0, WINDOWS).bad for q in (0.125, 0.5))
-    assert np.all(low < median)
-
-
 def test_a_part_that_looks_like_all_around_it_is_never_sure():
     confidence, judgement = begin()
     same = replace(judgement, good=judgement.bad)

@@ -22,10 +22,9 @@ from facetrack_cli.report.make import Image, command, init_yaml
 from facetrack_cli.report.story import history_of, key_frames
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
-from facetrack_cli.trajectory.formats.eaf import spans_of
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
-from facetrack_cli.trajectory.trajectory import joined, one_part
+from facetrack_cli.trajectory.trajectory import one_part
 from facetrack_cli.trajectory.views import Clock, enclose
 from facetrack_cli.trajectory.writers import WRITERS, RunSummary
 from tests.evaluation.test_points import rows, statuses
@@ -176,11 +175,6 @@ def test_what_is_absent_has_no_row_or_no_place_in_other_formats(table):
     assert frames[5]["keypoints"][3:6] == [0, 0, 0] and frames[5]["num_keypoints"] == 1
 
 
-def test_elan_gets_a_tier_of_what_is_absent(table):
-    assert spans_of(table.parts, "absent") == [(5, 7, "lip"), (10, 12, "nose, lip")]
-    assert spans_of(table.parts) == [(3, 4, "lip")]
-
-
 # --- plots and reports -------------------------------------------------------------------------------------------
 
 
@@ -215,15 +209,6 @@ def test_a_report_says_what_was_corrected(table):
     assert kinds == {
         0: ["start"], 1: ["worst"], 3: ["lost"], 5: ["corrected"], 8: ["corrected"], 10: ["corrected"], 12: ["end"]
     }  # fmt: skip
-
-
-def test_a_lost_part_that_is_given_is_not_tracked_again_by_itself(table):
-    nose, lip = table.parts
-    status = lip.status.copy()
-    status[5:8] = "lost"
-    history = history_of(joined([nose, replace(lip, status=status)], header=table.header), Clock(table, 25.0))
-    assert [(span.back, span.by_hand) for span in history.parts[1].spans] == [(8, True)]
-    assert "back" not in {kind for _, kind in history.events}
 
 
 def test_the_command_takes_the_init_file_that_has_the_corrections(table, tmp_path, monkeypatch):
