@@ -191,22 +191,14 @@ def load_calibration(path: Path) -> Calibration:
     """The calibration in a file. Raises InputError for anything else."""
     remedy = "make it with tools/calibrations.py, or take confidence.calibration=null"
     try:
-        stored = json.loads(read_bounded(path, what="calibration"))
+        return Calibration.model_validate_json(read_bounded(path, what="calibration"))
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror}; check the file's permissions") from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: is no calibration, which is JSON; {remedy}") from None
-    if not isinstance(stored, dict) or stored.get("format") != FORMAT:
-        raise InputError(f'{path}: is no calibration: its "format" is not {FORMAT}; {remedy}')
-    if stored.get("version") != 1:
-        raise InputError(f"{path}: is of another version than 1, the only one that is known; {remedy}")
-    try:
-        return Calibration.model_validate(stored)
     except ValidationError as e:
         first = e.errors()[0]
         place = ".".join(str(key) for key in first["loc"] if not str(key).startswith("literal["))
         message = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{path}: {place}: {message[:1].lower()}{message[1:]}; {remedy}") from None
+        raise InputError(f"{path}: is no calibration: {place}: {message[:1].lower()}{message[1:]}; {remedy}") from None
 
 
 @dataclass(frozen=True)

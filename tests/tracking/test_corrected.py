@@ -169,7 +169,7 @@ def made(tmp_path_factory):
 
 
 @examples(those=corrections(most=4), order=st.randoms(use_true_random=False))
-@settings(max_examples=settings().max_examples // 5)
+@settings(max_examples=settings().max_examples // 10)
 def test_a_run_put_right_is_a_whole_run_from_the_init_file_that_is_written(made, those, order):
     """Also that file, read, begins as it says; and of complete corrections the order of making does not matter."""
     with tempfile.TemporaryDirectory() as name:
@@ -191,8 +191,8 @@ def test_a_run_put_right_is_a_whole_run_from_the_init_file_that_is_written(made,
 
 
 RESUMED = [
-    ("histogram", None), ("histogram", True), ("histogram", False), ("contour_correlation", None), ("skin_ncc", None),
-    ("mil", None), ("adaptive", True), ("adaptive", False), ("adaptive_robust", None),
+    ("histogram", None), ("contour_correlation", False), ("skin_ncc", True), ("mil", None), ("adaptive", False),
+    ("adaptive_robust", None),
 ]  # fmt: skip
 
 

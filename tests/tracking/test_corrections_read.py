@@ -22,10 +22,9 @@ from facetrack_cli.report.make import Image, command, init_yaml, recipe_yaml
 from facetrack_cli.report.story import history_of, key_frames
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
-from facetrack_cli.trajectory.formats.eaf import spans_of
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
-from facetrack_cli.trajectory.trajectory import joined, one_part
+from facetrack_cli.trajectory.trajectory import one_part
 from facetrack_cli.trajectory.views import Clock, enclose
 from facetrack_cli.trajectory.writers import WRITERS, RunSummary
 from tests.evaluation.test_points import rows, statuses
@@ -168,11 +167,6 @@ def test_what_is_absent_has_no_row_or_no_place_in_other_formats(table):
     frames = {one["image_id"] - 1: one for one in annotations}
     assert sorted(frames) == list(range(10)), "nothing where all is absent"
     assert frames[5]["keypoints"][3:6] == [0, 0, 0] and frames[5]["num_keypoints"] == 1
-
-
-def test_elan_gets_a_tier_of_what_is_absent(table):
-    assert spans_of(table.parts, "absent") == [(5, 7, "lip"), (10, 12, "nose, lip")]
-    assert spans_of(table.parts) == [(3, 4, "lip")]
 
 
 # --- plots and reports -------------------------------------------------------------------------------------------

@@ -135,11 +135,6 @@ def test_it_is_the_same_recipe_when_it_is_read_back(plugged):
     assert completed(old)["likelihood"]["sigma"] == 20.0
 
 
-def test_what_was_recorded_with_a_section_that_is_not_there_is_kept_as_it_is():
-    settings = {**to_dict(load_recipe("sir")), "likelihood": {"type": "grey_difference", "sigma": 8.0}}
-    assert completed(settings) == settings
-
-
 # --- messages, schema and tables know of it
 
 
@@ -177,12 +172,6 @@ def test_the_schema_and_the_tables_know_of_it(plugged):
     tables = from_tools("commands_doc").keys_tables()
     assert "`grey_difference`: Mean squared difference of grey levels" in tables
     assert "| `likelihood.sigma` | number > 0, ≤ 255 | `20.0` | For `grey_difference` only. Standard" in tables
-
-
-def test_the_yaml_of_the_page_is_the_section(plugged):
-    [block] = blocks(PAGE, "yaml")
-    settings = plugged["recipe"].likelihood
-    assert block.split() == ["likelihood:", "type:", settings.type, "sigma:", f"{settings.sigma:g}"]
 
 
 def test_every_engine_that_a_section_names_is_there():

@@ -98,11 +98,6 @@ def test_shorter_forms(tmp_path, text, targets, corrections):
     assert list(start.targets.items()) == list(targets.items()) and start.corrections == corrections
 
 
-def test_json_may_be_indented_by_tabs(tmp_path):
-    text = json.dumps({"frame": 2, "face": {"points": {"nose": [1.5, 2e1]}}}, indent="\t")
-    assert read_init(write(tmp_path, text, "clip.init.json")).targets["face"].points == {"nose": (1.5, 20.0)}
-
-
 MISTAKES = [
     ("frame: 0\nbocks: [1, 2, 3, 4]\n", 2, 'unknown key "bocks"'),
     ("frame: 0\nfarme: 0\nbox: [1, 2, 3, 4]\n", 2, 'did you mean "frame"'),
@@ -273,14 +268,6 @@ def test_written_corrections_are_made_to_be_edited(tmp_path):
     write_init(path, wide, overwrite=True)
     assert max(map(len, path.read_text().splitlines())) <= 120, "more points than a line holds stand below each other"
     assert read_init(path).corrections == (many,)
-
-
-def test_as_many_corrections_as_a_long_clip_wants(tmp_path):
-    box = TargetStart((100.25, 200.5, 30.75, 40.5))
-    start = Start(0, {"face": box}, "", tuple(Correction(n, "face", box) for n in range(1, 1001)))
-    write_init(tmp_path / "clip.init.yaml", start)
-    assert (tmp_path / "clip.init.yaml").stat().st_size > 50_000
-    assert len(read_init(tmp_path / "clip.init.yaml").corrections) == 1000
 
 
 def test_finds_the_file_beside_a_video_or_a_folder(tmp_path):

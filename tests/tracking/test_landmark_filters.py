@@ -16,7 +16,6 @@ from facetrack_cli.trackers.face.landmark_filters import (
     NO_FACE,
     NOISE,
     REGRESSION,
-    SURE,
     BiasFilter,
     Facing,
     LandmarkFilter,
@@ -24,7 +23,7 @@ from facetrack_cli.trackers.face.landmark_filters import (
     fused,
     who_is_right,
 )
-from facetrack_cli.trackers.face.landmark_kernels import BLIND, ENDS, LIMITS, MAX_LOG_ODDS
+from facetrack_cli.trackers.face.landmark_kernels import MAX_LOG_ODDS
 from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity
 from tests.twins import landmark_filters as twin
@@ -56,47 +55,6 @@ def fed(sensor, offset, frames, rng, visible=VISIBLE):
     return sensor
 
 
-@pytest.mark.parametrize("keep", [1.0, FADES])
-def test_the_bias_is_the_kalman_filter_of_an_offset_that_drifts_and_may_fade(keep):
-    """In frames in which it is right, which is a chain of two states."""
-    rng = np.random.default_rng(1)
-    one = begun(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep)
-    mean, var, r2 = AWAY.copy(), np.full(3, 2.5**2), np.full(3, 2.5**2)
-    right, wrong = np.full(3, SURE), np.full(3, 1 - SURE)
-    np.testing.assert_allclose(one.bias[0], mean)
-    for _ in range(25):
-        z = PLACES + AWAY + 1.5 * rng.standard_normal((3, 2))
-        z[rng.random(3) < 0.2] += 14.0
-        said = one.reading(z[None], VISIBLE)
-        np.testing.assert_allclose(said.z[0], z - keep * mean)
-        np.testing.assert_allclose(said.var[0], keep**2 * var + DRIFT**2 + r2)
-        common = np.median(z - keep * mean - PLACES, axis=0)  # the head's, not the sensor's
-        for k in range(3):
-            predicted = keep**2 * var[k] + DRIFT**2
-            mean[k] *= keep
-            off = z[k] - mean[k] - PLACES[k]
-            total = predicted + r2[k] + 0.2
-            own = off - common
-            here, far = (np.exp(-0.5 * own @ own / v) / (2 * np.pi * v) for v in (total, total + ASTRAY**2))
-            ahead = right[k] * (1 - ENDS * wrong[k] / (1 - wrong[k])) + (1 - right[k]) * ENDS
-            odds = ahead / (1 - ahead) * np.clip(here / far, np.exp(-MAX_LOG_ODDS), np.exp(MAX_LOG_ODDS))
-            right[k] = odds / (1 + odds)
-            wrong[k] = np.clip(wrong[k] + 0.01 * (1 - right[k] - wrong[k]), *LIMITS)
-            if off @ off / 2 >= 9 * (predicted + r2[k] + 0.2):
-                var[k] = predicted
-                continue
-            gain = right[k] * predicted / total
-            mean[k] = mean[k] + gain * off
-            var[k] = (1 - gain) * predicted
-            r2[k] = np.clip(r2[k] + 0.02 * right[k] * (off @ off / 2 - r2[k]), REGRESSION**2, MAX_NOISE**2)
-        one = after_frame(one, z)
-    np.testing.assert_allclose(one.bias[0], mean)
-    np.testing.assert_allclose(one.var[0], var)
-    np.testing.assert_allclose(one.noise[0], r2)
-    np.testing.assert_allclose(one.reliability[0], right)
-    np.testing.assert_allclose(one.error_rate[0], wrong)
-
-
 def test_a_bias_of_a_start_that_a_sensor_placed_fades_while_nothing_is_measured_and_that_of_a_hand_stays():
     hand, placed = (begun(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep) for keep in (1.0, FADES))
     for _ in range(60):
@@ -116,28 +74,6 @@ def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
     np.testing.assert_allclose(after.bias, before.bias, atol=1e-9)
     np.testing.assert_allclose(after.noise, before.noise, atol=1e-9)
     assert (after.var > before.var).all(), "meanwhile it is less known"
-
-
-def test_what_it_says_of_a_part_depends_on_how_visible_that_is():
-    one = begun(PLACES, PLACES, 2.0)
-    seen, hidden = (one.reading(PLACES[None], np.array([1.0, 1.0, v])) for v in (1.0, 0.0))
-    np.testing.assert_allclose(seen.sure, SURE)
-    np.testing.assert_allclose(hidden.sure[0], [SURE, SURE, SURE * BLIND])
-    np.testing.assert_allclose(seen.var, one.var + DRIFT**2 + one.noise)
-    np.testing.assert_allclose(hidden.var, seen.var + MISLED**2, err_msg="all are placed together")
-
-
-def test_a_part_that_the_sensor_does_not_know_has_no_bias_and_is_not_measured():
-    z = PLACES.copy()
-    z[1] = np.nan
-    one = begun(z, PLACES - 1.0, 3.0)
-    np.testing.assert_allclose(one.bias[0], [[1, 1], [0, 0], [1, 1]])
-    assert one.var[0, 1] == pytest.approx(MAX_NOISE**2) and one.var[0, 0] == pytest.approx(9.0)
-    said = one.reading(z[None], VISIBLE)
-    assert said.sure[0, 1] == 0 and np.isfinite(said.z).all()
-    after = after_frame(one, z)
-    assert np.isfinite([*after.bias.ravel(), *after.var[0], *after.noise[0]]).all()
-    assert after.noise[0, 1] == one.noise[0, 1]
 
 
 def test_windows_that_see_a_part_elsewhere_speak_against_a_sensor():
@@ -182,35 +118,6 @@ def test_rows_of_a_face_are_those_of_the_plain_twin(shown):
     expected, hows = twin.shown(*given, how_it_was)
     np.testing.assert_allclose(rows, expected, atol=1e-12)
     assert how.tolist() == hows and set(hows) == {0, 1, 2}
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "at", "sure"),
-    [
-        ((0.0, 4.0, 1.0), (1.0, 1.0, 1.0), 0.8, 1.0),  # the product of their normal densities
-        ((0.0, 4.0, 0.9), (1.0, 1.0, 0.0), 0.0, 0.9),  # one that says nothing does not count
-        ((1.0, 1.0, 0.0), (0.0, 4.0, 0.9), 0.0, 0.9),
-        ((0.0, 4.0, 0.9), (FAR_AWAY, 1.0, 0.9), FAR_AWAY, 0.9),  # far apart, the second is believed
-    ],
-)
-def test_two_readings_in_one(first, second, at, sure):
-    """Of regression and network, and of these with the detector."""
-    one, other = (said(PLACES + off, *rest) for off, *rest in (first, second))
-    z, shift, apart = fused(stacked(one, NOTHING, other), PLACES)
-    np.testing.assert_allclose(z, PLACES + at)
-    assert not apart, "the detector says nothing"
-    var = 1 / (1 / 4 + 1) if np.all(at == 0.8) else max(first, second, key=lambda one: one[2])[1]
-    var = second[1] if at is FAR_AWAY else var
-    np.testing.assert_allclose(shift, np.asarray(at) * SLIP**2 / (SLIP**2 + var) * np.ones(2), atol=1e-9)
-    z, shift, apart = fused(stacked(one, other, NOTHING), PLACES)
-    np.testing.assert_allclose(shift, np.asarray(at) * SLIP**2 / (SLIP**2 + var) * np.ones(2), atol=1e-9)
-    assert apart == (at is FAR_AWAY)
-    assert np.isnan(z).all() if first[2] == 0 else (z == one[0]).all()
-
-
-def test_readings_that_say_nothing_say_nothing():
-    z, shift, apart = fused(stacked(NOTHING, NOTHING, NOTHING), PLACES)
-    assert np.isnan(z).all() and (shift == 0).all() and not apart
 
 
 def test_what_all_parts_move_together_is_the_head_s_and_what_one_moves_is_not():
@@ -419,7 +326,7 @@ def any_readings(rng, z, x0):
 
 
 @pytest.mark.parametrize("parts", [1, 2, 3, 14])
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_all_sensors_in_one_call_are_the_plain_twin(seed, parts):
     rng = np.random.default_rng(seed)
     at = MIDDLE + 30 * rng.standard_normal((parts, 2))
@@ -445,13 +352,3 @@ def test_all_sensors_in_one_call_are_the_plain_twin(seed, parts):
         assert mine is not old
     for mine, old in zip(biases[:5], before, strict=True):
         np.testing.assert_array_equal(mine, old, err_msg="a state is not changed")
-
-
-def test_what_a_regression_does_not_know_is_no_distance_from_a_network():
-    unknown = PLACES.copy()
-    unknown[0] = np.nan
-    nothing = np.full((3, 2), np.nan)
-    biases = BiasFilter.begin(np.stack([unknown, nothing, PLACES]), PLACES, np.ones(3), np.ones(3))
-    readings = biases.reading(np.stack([unknown, nothing, PLACES + 1]), VISIBLE)
-    cross = compared(readings, PLACES, EXACT, VISIBLE)[2]
-    np.testing.assert_allclose(cross, [[0, 0.5, 0.5], [0, 0, 0], [0, 0.5, 0.5]])

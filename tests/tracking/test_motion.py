@@ -159,12 +159,6 @@ def test_draws_given_sensors_are_of_the_posterior_by_their_weights(measured):
             assert np.abs(below - np.append(0, w[order].cumsum())[at]).max() < 0.015
 
 
-def test_any_place_that_a_sensor_says_is_drawn_however_far_the_part_would_have_to_jump():
-    far = MEASURED._replace(z=PARENT + 60.0)
-    x, _ = JUMPS.propose(np.random.default_rng(2), PARENT[None].repeat(300, axis=0), stacked([far, MEASURED]))
-    assert ((np.hypot(*(x - far.z).transpose(2, 0, 1)) < 30).sum(axis=0) >= 3).all()
-
-
 @pytest.mark.parametrize("jumps", [0.0, 1.0])
 def test_a_walk_that_never_or_always_jumps_is_a_gaussian_one(jumps):
     walk = replace(JUMPS, jumps=jumps, keep=1.0)

@@ -17,7 +17,6 @@ from facetrack_cli.start.search import (
     ALONE_S,
     MIN_LOOKS,
     SEARCHED_FRAMES,
-    STILL_S,
     _Candidate,
     _change,
     _Search,
@@ -147,19 +146,6 @@ def test_a_face_that_comes_late_is_found_and_few_frames_are_looked_at():
     looks = list(dict.fromkeys(seen))
     assert len(looks) < SEARCHED_FRAMES + 120 and looks[:SEARCHED_FRAMES] == list(range(SEARCHED_FRAMES))
     assert len(seen) < 2 * len(looks), "closer looks, for faces that lie, are fewer"
-
-
-def test_of_images_that_are_all_kept_the_first_alone_are_searched():
-    pulled = []
-
-    def frames():
-        for i, one in enumerate(noise(40) * 10):
-            pulled.append(i)
-            yield Frame(i, i / 25, one.bgr)
-
-    with pytest.raises(InputError, match="no face found in frames 0 to 249"):
-        search_start(frames(), detector=Fake(lambda t: [(60, 30, 40)] * (t > 300)), whole=False)
-    assert len(pulled) == SEARCHED_FRAMES
 
 
 # --- faces that lie, are small, or cut off ------------------------------------------------------------------------
@@ -328,14 +314,6 @@ def test_a_poster_that_a_hand_shakes_is_none_that_lives():
 
     start = search_start(room(25, 4, 0.2, moved), detector=Knowing(moved))
     assert start.targets["face"].box[2] == PERSON.side
-
-
-def test_of_two_posters_the_larger_one_is_taken_and_it_says_so():
-    detector = Knowing()
-    start = search_start(room(25, 5, 9), detector=detector)
-    assert start.targets["face"].box[2] == POSTER.side
-    assert "none of them moves: if another one is meant, name it by --box X,Y,W,H" in start.note
-    assert STILL_S <= max(detector.looks) < STILL_S + 0.5
 
 
 def candidate(side, change=1.0, contrast=50.0):

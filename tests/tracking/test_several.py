@@ -155,10 +155,10 @@ def test_targets_are_built_in_the_recipes_order_and_the_first_keep_off_none():
 def test_a_cloud_begins_over_its_own_box_and_learns_from_whom_the_recipe_names():
     hand = "targets.left_hand.likelihood"
     _, left, right = built(
-        "head_hands", f"{hand}.least_share=0.2", f"{hand}.floor=0.05", f"{hand}.max_size=null",
+        "head_hands", f"{hand}.floor=0.05", f"{hand}.max_size=null",
         "targets.right_hand.likelihood.learn_from=null",
     )  # fmt: skip
-    settings = SkinCloudSettings(type="skin", learn_from="head", least_share=0.2, floor=0.05, max_size=None)
+    settings = SkinCloudSettings(type="skin", learn_from="head", floor=0.05, max_size=None)
     assert (left.likelihood.settings, left.likelihood.size) == (settings, (24.0, 28.0))
     assert left.likelihood.teacher == BOXES["head"]
     assert right.likelihood.teacher == BOXES["right_hand"]

@@ -38,8 +38,10 @@ from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context, Estimate, Placed, Space, box_of, check_size, estimate, size_of_box
 from facetrack_cli.trackers.points.point_kernels import extent
-from facetrack_cli.trackers.skin.settings import LEAST_SHARE, CloudSettings, ExclusionSettings, SkinCloudSettings
+from facetrack_cli.trackers.skin.settings import CloudSettings, ExclusionSettings, SkinCloudSettings
 
+# the rules pass 0.50 to 0.96 of faces that they know, 0.02 to 0.08 of very dark ones, 0.39 of one of a greyish pale
+LEAST_SHARE = 0.4
 # of (Cb, Cr) in any direction, in levels squared: less loses faces as the light changes, more lets in what is near
 MIN_VARIANCE = 9.0
 # grey clips have chroma of 1 or 2 after lossy codecs, faces of 5 to 40 nearly everywhere
@@ -91,17 +93,17 @@ def skin_map(bgr: Image, table: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(table.ravel()[(codes[..., 2] << 8) + codes[..., 1]], np.uint8)
 
 
-def learn_skin(frame: Frame, box: Box, *, least_share: float = LEAST_SHARE) -> SkinModel:
+def learn_skin(frame: Frame, box: Box) -> SkinModel:
     """The colour of the skin in a box (pixels), which may stick out of the frame.
 
-    All of the ellipse in the box is the sample when less than `least_share` of it passes Kovac's rules. Raises
+    All of the ellipse in the box is the sample when less than `LEAST_SHARE` of it passes Kovac's rules. Raises
     InputError if nothing of the box is in the frame, or hardly anything in it has a colour.
     """
     x0, y0, x1, y1 = _inside(frame, box)
     region = frame.bgr[y0:y1, x0:x1]
     passed, ellipse = kovac(region), _ellipse(box, x0, y0, region)
     share = float(passed[ellipse].mean())
-    fallback = share < least_share or not passed.any()
+    fallback = share < LEAST_SHARE or not passed.any()
     colours = cv2.cvtColor(region, cv2.COLOR_BGR2YCrCb)[..., [2, 1]].astype(np.float64)
     sample = colours[ellipse if fallback else passed]
     coloured = float((np.abs(sample - 128).max(axis=1) >= MIN_CHROMA).mean())
@@ -221,7 +223,7 @@ class SkinCloud(Likelihood):
 
     def init(self, frame: Frame, x0: Array) -> SkinModel:
         """The colour of skin in the teacher's box. Raises InputError if nothing of it is in the frame."""
-        return learn_skin(frame, self.teacher, least_share=self.settings.least_share)
+        return learn_skin(frame, self.teacher)
 
     def score(self, learned: SkinModel, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, 1): log p(y | x) of x (N, 1, D), x and y first."""

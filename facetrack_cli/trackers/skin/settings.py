@@ -9,11 +9,9 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import SHARE, LikelihoodSettings, Refusal, Section, Share, TargetSettings
+from facetrack_cli.recipe.sections import SHARE, LikelihoodSettings, Refusal, Section, TargetSettings
 
 MaxSize: TypeAlias = Annotated[int, Field(ge=16)]
-# the rules pass 0.50 to 0.96 of faces that they know, 0.02 to 0.08 of very dark ones, 0.39 of one of a greyish pale
-LEAST_SHARE = 0.4
 
 
 class SkinSettings(Section):
@@ -21,8 +19,6 @@ class SkinSettings(Section):
 
     inner: Annotated[float, Field(ge=0.1, le=4)] = 1.0
     """R_int as a share of the box's sides; R_ext, around it, has the same area."""
-    least_share: Share = LEAST_SHARE
-    """If less of the ellipse in the box passes Kovac's rules for skin, its colours are learned as they are."""
     max_size: MaxSize | None = 64
     """Boxes with a longer side, in pixels, are read from a reduced frame; null: every pixel."""
 
@@ -54,8 +50,6 @@ class SkinNccSettings(LikelihoodSettings):
     """Normalised cross-correlation with a template (eq. 10)."""
     cost: Literal["shifted", "printed", "product"] = "shifted"
     """Eq. 11 compares k with rho / NCC as printed, with (1 + rho) / NCC, or, beyond the paper, with rho * NCC."""
-    k: Annotated[float, Field(ge=-100, le=100)] | None = None
-    """k of eq. 11; null: the value in the first frame."""
     sigma: Annotated[float, Field(ge=1e-4, le=100)]
     """sigma of eq. 11, where rho goes from -1, a box of skin in a frame without, to 1."""
 
@@ -74,8 +68,6 @@ class SkinCloudSettings(LikelihoodSettings):
     type: Literal["skin"]
     learn_from: str | None = None
     """The target whose box in the first frame teaches the colour of skin; null: the target itself."""
-    least_share: Share = LEAST_SHARE
-    """As in skin_ncc."""
     floor: Annotated[float, Field(gt=0, le=1)] = 0.01
     """Likelihood of a pixel that is no skin at all."""
     max_size: MaxSize | None = 32

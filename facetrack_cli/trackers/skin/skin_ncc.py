@@ -82,11 +82,11 @@ class SkinNcc(Likelihood):
         """The skin's colour and the template of the box at x0 (1, 6). InputError if nothing of it is in the frame."""
         table = template = None
         notes: tuple[str, ...] = ()
-        skin, ncc, k = self.settings.skin, self.settings.ncc, self.settings.k
+        skin, ncc = self.settings.skin, self.settings.ncc
         if skin is not None:
             cx, cy, s = x0[0, :3].tolist()
             w, h = (side * s for side in self.size)
-            model = learn_skin(frame, (cx - 0.5 * (w - 1), cy - 0.5 * (h - 1), w, h), least_share=skin.least_share)
+            model = learn_skin(frame, (cx - 0.5 * (w - 1), cy - 0.5 * (h - 1), w, h))
             table, notes = model.table, model.notes
         if ncc is not None:
             template = learn_template(frame, self.size, x0, ncc.max_size)
@@ -94,8 +94,7 @@ class SkinNcc(Likelihood):
                 notes = (*notes, "the face's box is of one grey level throughout, so that no pattern can be matched")
         learned = SkinPattern(table, template, 0.0, 0.0, notes)
         rho = 0.0 if skin is None else float(self.rho(learned, frame, x0[None])[0])
-        k = float(self._values(learned, frame, x0[None])[0]) if k is None else k
-        return replace(learned, rho=rho, k=k)
+        return replace(learned, rho=rho, k=float(self._values(learned, frame, x0[None])[0]))
 
     def score(self, learned: SkinPattern, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """-(k - v)^2 / (2 sigma^2) of boxes x (N, 1, 6) -> (N, 1) (eq. 11); parents do not matter."""
