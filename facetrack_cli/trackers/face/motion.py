@@ -94,7 +94,7 @@ class JumpingWalk(Motion):
         walk, log_p = (self.sigma, self.jump, self.jumps, self.rest, self.keep, ANY), np.empty(x.shape[:2])
         if windows is None:  # each place has a score of 0
             windows = ScoredMaps(np.zeros((x.shape[1], 1, 1), np.float32), 0 * self.rest, 0 * self.sigma, 1.0, 0.0)
-        jump(x, uniform, *modes(measured), *walk, *windows, moved, log_p)
+        jump(x, uniform, *measured, *walk, *windows, moved, log_p)
         return log_p
 
     def log_transition(self, x: Array, parents: Array) -> Array:

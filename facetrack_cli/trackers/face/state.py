@@ -193,7 +193,8 @@ class FaceParts:
         rows = filtered = of_frame(self._names, frame, diagnostics, **self._columns(state, info.ess, face))
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.features.size * self.side / FACE)
-        cloud = face.to_frame(state.features.particles.x)
+        turned = complex(*face.matrix[:, 0])
+        cloud = mapped(state.features.particles.x, turned, complex(*face.centre) - turned * complex(MIDDLE, MIDDLE))
         return TargetResult(rows, cloud, (), notes, lambda: self.beliefs(state, filtered.unseen))
 
     def _columns(self, state: FaceState, head_ess: Array, face: Similarity) -> dict[str, Any]:
