@@ -308,10 +308,10 @@ def judge(
 
 @part
 def _says(sure):
+    says = False
     for k in range(len(sure)):  # any() of an array brings all of SciPy into the process
-        if sure[k] > 0.0:
-            return True
-    return False
+        says |= sure[k] > 0.0
+    return says
 
 
 @exact
