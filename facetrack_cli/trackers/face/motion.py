@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -140,8 +141,5 @@ class MeasuredWalk(JumpingWalk):
             self.draws[id(drawn)] = drawn, log_p
         return drawn
 
-    def weighed(self, x: Array) -> Array | None:
-        return self.draws[id(x)][1] if id(x) in self.draws else None
-
-    def log_importance(self, x: Array, parents: Array) -> Array:
-        return self.log_measured(x, parents, self.measured)
+    def weighed(self, x: Array, parents: Array, score: Callable[[], Array]) -> Array:
+        return self.draws[id(x)][1] if id(x) in self.draws else score() + self.log_measured(x, parents, self.measured)

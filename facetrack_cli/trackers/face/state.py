@@ -116,8 +116,9 @@ def updated(pose: Array, var: Array, offset: Array, std: Array) -> tuple[Array, 
 
 def moved(features: ParticleState, to: Callable[[Array], Array], **others: Any) -> ParticleState:
     """The points' state, with every place x replaced by to(x), and `others` of its values."""
-    (x, log_w), (state, *spread) = features.particles, features.estimated
-    return replace(features, particles=Particles(to(x), log_w), estimated=Estimate(to(state), *spread), **others)
+    (x, log_w), (state, cov, side_std) = features.particles, features.estimated
+    particles, estimated = Particles(to(x), log_w), Estimate(to(state), cov, side_std)
+    return replace(features, particles=particles, estimated=estimated, **others)
 
 
 def mapped(x: Array, turned: complex, shift: complex) -> Array:
