@@ -201,9 +201,11 @@ def probability(fitted: Map, values: Mapping[Feature, Array]) -> Array:
     if isinstance(fitted, Isotonic):
         x, p = np.array(fitted.knots).T
         score = fitted.score
-        return np.interp(probability(score, values) if isinstance(score, Logistic) else values[score], x, p)
+        known = probability(score, values) if isinstance(score, Logistic) else values[score]
+        return np.asarray(np.interp(known, x, p))
     logit = sum((slope * values[name] for name, slope in fitted.coefficients.items()), 0.0 * values["confidence"])
-    return np.clip(1 / (1 + np.exp(-np.clip(logit + fitted.intercept, -700, 700))), fitted.least, 1 - fitted.least)
+    p = 1 / (1 + np.exp(-np.clip(logit + fitted.intercept, -700, 700)))
+    return np.asarray(np.clip(p, fitted.least, 1 - fitted.least))
 
 
 def fit_isotonic(score: Feature | tuple[Feature, ...], sample: Sample) -> Isotonic:

@@ -114,13 +114,9 @@ class Motion(Protocol):
         """The motion around a state (K, D), for the smoother."""
         ...
 
-    def log_importance(self, x: Array, parents: Array) -> Array | None:
-        """(N, K): log of p(x | parents) over the density by which x was drawn; None where these are equal."""
-        return None
-
-    def weighed(self, x: Array) -> Array | None:
-        """(N, K): log p(y | x) plus `log_importance` of draws that were weighed as they were drawn; None of others."""
-        return None
+    def weighed(self, x: Array, parents: Array, score: Callable[[], Array]) -> Array:
+        """(N, K): log p(y | x), which `score` gives, and of p(x | parents) over the density by which x was drawn."""
+        return score()
 
 
 @runtime_checkable  # isinstance is slow: it is asked once per target

@@ -43,10 +43,10 @@ def normalise(log_w: Array) -> Array:
 
 def summed(log_w: Array) -> tuple[Array, Array]:
     """`normalise` and `logsumexp` of log weights (N,) or (N, K), for what neither of them needs to compute twice."""
-    top = np.ascontiguousarray(log_w.T).max(axis=-1)  # along what is contiguous, in half the time
+    top = np.maximum.reduce(np.ascontiguousarray(log_w.T), axis=-1)  # along what is contiguous, in half the time
     if np.isfinite(top).all():
         shifted = log_w - top
-        total = np.log(np.exp(shifted).sum(axis=0))
+        total = np.log(np.add.reduce(np.exp(shifted)))
         return shifted - total, total + top
     hopeless = ~np.isfinite(top)
     usable = np.where(hopeless, 0.0, log_w)

@@ -334,12 +334,8 @@ class Bound:
         return self._of_present(self.motion.log_transition(x, parents))
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
-        if (weighed := self.motion.weighed(x)) is not None:
-            return self._of_present(weighed)
-        log_p = self.target.likelihood.score(self.learned, self.frame, x, parents)
-        if (drawn := self.motion.log_importance(x, parents)) is not None:
-            log_p = log_p + drawn
-        log_p = self._of_present(log_p)
+        score = partial(self.likelihood.score, self.learned, self.frame, x, parents)
+        log_p = self._of_present(self.motion.weighed(x, parents, score))
         exclusion = self.target.exclusion
         return log_p if exclusion is None else log_p + exclusion(x, self.footprints)
 

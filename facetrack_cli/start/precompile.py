@@ -35,7 +35,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.face.window_kernels.greatest": ("f4:3 f4:4 i8:1 i8:2 f8:2 f4:3", "likelihood=window_ncc"),
     "trackers.face.window_kernels.matched": ("f4:3 f4:4 i8:1 i8:2 f8:3 f4:3 f8:3", "likelihood=window_ncc"),
     "trackers.face.landmark_kernels.jump": (
-        "f8:3 f8:2 f8:3 f8:2 f8:2 f8:1 f8:1 f8 f8:2 f8 f8 f4:3 f8:2 f8:1 f8 f8 f8:3 f8:2",
+        "f8:3 f8:2 f8:3 f8:2 f8:2 f8 f8:1 f8:1 f8 f8:2 f8 f8 f4:3 f8:2 f8:1 f8 f8 f8:3 f8:2",
         "motion=jumping_walk",
     ),
     "trackers.face.landmark_kernels.learn": (

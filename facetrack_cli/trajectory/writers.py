@@ -50,9 +50,9 @@ class RunSummary:
         if not len(rows):  # of a film a frame may show nobody
             self.frames, self.lost_at_end = self.frames + 1, ()
             return
-        last = rows.frame.max()
-        self.frames += 1 if rows.frame.min() == last else len(rows.frames)
-        at = np.flatnonzero(rows.status == "lost")
+        frames = set(rows.frame.tolist())
+        self.frames, last = self.frames + len(frames), max(frames)
+        [at] = (rows.status == "lost").nonzero()
         if at.size:
             at = at[np.lexsort((rows.which[at], rows.frame[at]))]
         lost = ["/".join(rows.names[i]) for i in rows.which[at].tolist()]

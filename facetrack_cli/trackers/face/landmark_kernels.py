@@ -306,15 +306,20 @@ def judge(
     return changes
 
 
+@part
+def _says(sure):
+    says = False
+    for k in range(len(sure)):  # any() of an array brings all of SciPy into the process
+        says |= sure[k] > 0.0
+    return says
+
+
 @exact
 def add_up(z, var, sure, area, at, p, w):
     """The modes `at`, p and w of `motion.modes`."""
     at[0], p[0], w[0], m = 0.0, 0.0, 0.0, 1
     for s in range(len(z)):
-        says = False
-        for k in range(z.shape[1]):  # any() of an array brings all of SciPy into the process
-            says |= sure[s, k] > 0.0
-        if not says:
+        if not _says(sure[s]):
             continue
         for k in range(z.shape[1]):
             right, new = min(max(sure[s, k], 1e-6), 1.0 - 1e-6), 1.0 / var[s, k]
@@ -333,15 +338,21 @@ def add_up(z, var, sure, area, at, p, w):
 
 @exact
 def jump(
-    x, uniform, z, p, w, sigma, wide, jumps, rest, keep, anywhere, maps, corner, visible, sharpness, floor, moved, log_p
+    x, uniform, at, var, sure, area, sigma, wide, jumps, rest, keep, anywhere, maps, corner, visible, sharpness, floor,
+    moved, log_p,
 ):  # fmt: skip
     """Particles x (N, K, 2) `moved` by a JumpingWalk given sensors, and their log likelihoods (N, K) with that of maps.
 
-    `uniform` (N, K) and `moved` (N, K, 2) are draws; without the former, `moved` are places to weigh. z, p and
-    w are the modes of what is measured, `anywhere` is the share of draws that is even. `maps`, `corner`, `visible`,
-    `sharpness` and `floor` are those of WindowNcc.
+    `uniform` (N, K) and `moved` (N, K, 2) are draws; without the former, `moved` are places to weigh. `at`,
+    `var`, `sure` and `area` are what is measured, `anywhere` is the share of draws that is even. `maps`, `corner`,
+    `visible`, `sharpness` and `floor` are those of WindowNcc.
     """
-    many = 2 * len(z)
+    many = 1
+    for s in range(len(at)):
+        many *= 2 if _says(sure[s]) else 1
+    z, p, w = np.empty((many, x.shape[1], 2)), np.empty((many, x.shape[1])), np.empty((many, x.shape[1]))
+    add_up(at, var, sure, area, z, p, w)
+    many *= 2
     middle, (above, drawn, target, proposal) = np.empty((2, many)), np.empty((4, many))
     wider, often, nearer, width, fall, scale = np.empty((6, many))
     mx = my = top = 0.0

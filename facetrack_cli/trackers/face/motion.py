@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -94,7 +95,7 @@ class JumpingWalk(Motion):
         walk, log_p = (self.sigma, self.jump, self.jumps, self.rest, self.keep, ANY), np.empty(x.shape[:2])
         if windows is None:  # each place has a score of 0
             windows = ScoredMaps(np.zeros((x.shape[1], 1, 1), np.float32), 0 * self.rest, 0 * self.sigma, 1.0, 0.0)
-        jump(x, uniform, *modes(measured), *walk, *windows, moved, log_p)
+        jump(x, uniform, *measured, *walk, *windows, moved, log_p)
         return log_p
 
     def log_transition(self, x: Array, parents: Array) -> Array:
@@ -140,8 +141,5 @@ class MeasuredWalk(JumpingWalk):
             self.draws[id(drawn)] = drawn, log_p
         return drawn
 
-    def weighed(self, x: Array) -> Array | None:
-        return self.draws[id(x)][1] if id(x) in self.draws else None
-
-    def log_importance(self, x: Array, parents: Array) -> Array:
-        return self.log_measured(x, parents, self.measured)
+    def weighed(self, x: Array, parents: Array, score: Callable[[], Array]) -> Array:
+        return self.draws[id(x)][1] if id(x) in self.draws else score() + self.log_measured(x, parents, self.measured)

@@ -10,10 +10,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask
+from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask, Particles
 from facetrack_cli.engine.confidence import Calibration
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.engine.spaces import Estimate
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face import landmark_kernels as kernels
@@ -27,12 +28,12 @@ from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, Similarity
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
-from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
+from facetrack_cli.trajectory.trajectory import SPREAD, TargetResult, of_frame
 from facetrack_cli.video.shots import Passing
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
 _MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over
-_VALUES: Final = ("x", "y", "std_x", "std_y", "cov_xy", "confidence", "w", "h", "ess", "angle", "std_w", "std_h")
+_VALUES: Final = ("x", "y", *SPREAD[:3], "confidence", "w", "h", "ess", "angle", *SPREAD[3:], "particles")
 _HOW: Final = ("tracked", "hidden", "lost")  # as `landmark_kernels.show` counts them
 
 
@@ -115,8 +116,8 @@ def updated(pose: Array, var: Array, offset: Array, std: Array) -> tuple[Array, 
 
 def moved(features: ParticleState, to: Callable[[Array], Array], **others: Any) -> ParticleState:
     """The points' state, with every place x replaced by to(x), and `others` of its values."""
-    particles = features.particles._replace(x=to(features.particles.x))
-    estimated = features.estimated._replace(state=to(features.estimated.state))
+    (x, log_w), (state, cov, side_std) = features.particles, features.estimated
+    particles, estimated = Particles(to(x), log_w), Estimate(to(state), cov, side_std)
     return replace(features, particles=particles, estimated=estimated, **others)
 
 
@@ -193,7 +194,8 @@ class FaceParts:
         rows = filtered = of_frame(self._names, frame, diagnostics, **self._columns(state, info.ess, face))
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.features.size * self.side / FACE)
-        cloud = face.to_frame(state.features.particles.x)
+        turned = complex(*face.matrix[:, 0])
+        cloud = mapped(state.features.particles.x, turned, complex(*face.centre) - turned * complex(MIDDLE, MIDDLE))
         return TargetResult(rows, cloud, (), notes, lambda: self.beliefs(state, filtered.unseen))
 
     def _columns(self, state: FaceState, head_ess: Array, face: Similarity) -> dict[str, Any]:
@@ -234,15 +236,14 @@ class FaceParts:
         (xx, xy), (_, yy) = box.cov[0].tolist()
         std = math.sqrt(max(xx, 0.0)), math.sqrt(max(yy, 0.0))
         sure = head_confidence(head), wide, high, head_ess[0], math.degrees(roll)
-        values[:, k] = *face.centre, *std, xy, *sure, *spread
+        values[:-1, k] = *face.centre, *std, xy, *sure, *spread
+        values[-1] = len(features.particles.x) + len(head.particles.x)  # of a target one number: both filters' together
         corners = np.full((count, 4, 2), np.nan)
         # the border runs through the middle of the outermost pixels
         ends = np.array([[1 - wide, 1 - high], [wide - 1, 1 - high], [wide - 1, high - 1], [1 - wide, high - 1]]) / 2
         way = [[math.cos(roll), math.sin(roll)], [-math.sin(roll), math.cos(roll)]]
         corners[k] = face.centre + ends @ way
-        # of a target one number: both filters' together
-        particles = np.full(count, float(len(features.particles.x) + len(head.particles.x)))
-        return {**dict(zip(_VALUES, values, strict=True)), "status": status, "corners": corners, "particles": particles}
+        return {**dict(zip(_VALUES, values, strict=True)), "status": status, "corners": corners}
 
     def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
         """For the smoother: of the points in the stabilized image, of the head, and of the points without windows.
