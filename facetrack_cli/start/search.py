@@ -213,7 +213,7 @@ class _Search:
         """
         for frame in frames:
             since = frame.time_s - self.times[-1] if self.times else 0.0
-            if 0 < since < (LOOK_S if self.ready is None else WAITING_S):
+            if 0 < since < (LOOK_S if self.ready is None and not self._dark() else WAITING_S):
                 continue
             self.look(frame)
             if faces := self.faces():
@@ -225,6 +225,14 @@ class _Search:
     def _open(self) -> list[_Candidate]:
         first = self.frames[-MAX_GAP:][0] if self.frames else 0
         return [candidate for candidate in self.candidates if candidate.last >= first]
+
+    def _dark(self) -> bool:
+        """Whether there are only faces to wait for until light falls on them."""
+        open_ = self._open()
+        return bool(open_) and all(
+            candidate.certain and len(candidate.boxes) >= MIN_LOOKS and max(candidate.contrast) < MIN_CONTRAST
+            for candidate in open_
+        )
 
     def look(self, frame: Frame) -> None:
         self.frames.append(frame.index)
