@@ -49,6 +49,7 @@ from facetrack_cli.video.source import Source, given_rate, open_source
 
 ORIGIN: Final = "--faces all"
 MIN_FRAMES: Final = 5  # of a track in which its face is seen; of fewer nothing is kept
+FIRST_VIEWS: Final = 1  # of a track that dlib's network sees, where nothing is in doubt
 STILL_CHANGE: Final = 2.5  # grey levels; a face that changes by less is of a photograph
 
 
@@ -135,10 +136,14 @@ def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> NamedF
             start, stop_frame = int(box.frame[0]), int(box.frame[-1]) + 1
             ends: Any = [tuple(place) for place in box.take(~box.unseen).boxes[[0, -1]].tolist()]
             shot = int(np.searchsorted(begins, start, "right"))
-            tracks.append(TrackSummary(name, start, stop_frame, ends[0], ends[1], shot, readers[name].looks()))
+            looks = readers[name].looks(FIRST_VIEWS)
+            tracks.append(TrackSummary(name, start, stop_frame, ends[0], ends[1], shot, looks))
     if not tracks:
         raise InputError(f"{job.clip}: no face is seen in {MIN_FRAMES} frames of {frames}; is this the right film?")
     cast, names = cast_of(tracks, list(gallery.values()), fps), [*gallery]
+    if cast.doubts:
+        tracks = [track._replace(looks=readers[track.name].looks()) for track in tracks]
+        cast = cast_of(tracks, list(gallery.values()), fps)
     while len(names) <= cast.person.max(initial=-1):
         names.append(new_name(names))
     return _named(tracks, cast, names, readers, shots, Clock(rows, fps))

@@ -29,7 +29,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     ),
     "trackers.regions.region_kernels.nearest_edges": ("u2:2 f8:2 i8 i8 i8 f8:2 f8:2 f8 f8", "contour"),
     "trackers.appearance.appearance_kernels.gain": ("f8:2 f8:2 i8 f8", "velocity"),
-    "trackers.box.box_kernels._of_scales": ("u1:2 f8 f8 f8:2 i8 f4:2 i8:2 f4:1 f4:3 f4:2 f4:2 i4:1 f4:4", _CELLS),
+    "trackers.box.box_kernels._of_scales": ("u1:2 f8 f8 f8:2 i8 f4:2 i8:2 f4:1 f4:3 f4:2 f4:2 i4:2 f4:4", _CELLS),
     "trackers.face.image_kernels._channels": ("f4:3 f4:2 b1 f4:3 f4:3", "head"),
     "trackers.face.image_kernels._run_stages": ("f4:3 f8:2 f8:2 f8:1 f4:3 f4:3 f4:1", "head"),
     "trackers.face.window_kernels.greatest": ("f4:3 f4:4 i8:1 i8:2 f8:2 f4:3", "likelihood=window_ncc"),

@@ -60,8 +60,9 @@ class Track:
     box: Box | None = None  # where it is; None while it is lost
 
     def see(self, rows: TargetResult) -> None:
-        face = rows.rows.parts[[part for _, part in rows.rows.names].index(BOX)]
-        self.box = None if face.status[0] in UNSEEN else tuple(face.boxes[0].tolist())
+        all_parts = rows.rows
+        at = int(np.searchsorted(all_parts.which, [part for _, part in all_parts.names].index(BOX)))
+        self.box = None if all_parts.status[at] in UNSEEN else tuple(all_parts.boxes[at].tolist())
 
 
 @dataclass

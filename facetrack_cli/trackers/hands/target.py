@@ -189,11 +189,13 @@ class HandTarget:
         cloud = _in_pixels(state.scene, state.cloud.x[state.cloud.seen[:, i], i : i + 1, :2])
         if status == "absent":
             return TargetResult(rows, cloud)
-        steps = unit**2 * np.dot(self.settings.shares, np.square(self.settings.steps)) * np.eye(2)[None]
-        motion = Linear(np.eye(2)[None], np.zeros((1, 2)), steps)
-        at, doubt = np.stack([rows.x, rows.y], axis=1), np.array([status == "lost"])
-        known = smoothing.Belief(at, cov[None], motion, doubt, np.array(state.named))
-        return TargetResult(rows, cloud, beliefs=lambda: (known,))
+        at, doubt, named = np.stack([rows.x, rows.y], axis=1), np.array([status == "lost"]), np.array(state.named)
+
+        def beliefs() -> tuple[smoothing.Belief]:
+            steps = unit**2 * np.dot(self.settings.shares, np.square(self.settings.steps)) * np.eye(2)[None]
+            return (smoothing.Belief(at, cov[None], Linear(np.eye(2)[None], np.zeros((1, 2)), steps), doubt, named),)
+
+        return TargetResult(rows, cloud, beliefs=beliefs)
 
 
 def cues(belief: joint.Belief, face: joint.Face, height: float) -> Array:

@@ -177,12 +177,16 @@ class Describer:
         if self.best is None or sharp > self.best[0]:
             self.best = sharp, still(frame, view.face)
 
-    def looks(self) -> FaceDescriptor:
-        """What was seen; ValueError if that is nothing. Views without an embedding have that of the nearest view."""
+    def looks(self, most: int = VIEWS) -> FaceDescriptor:
+        """What was seen; ValueError if that is nothing. dlib's network sees the `most` best views at most.
+
+        Views without an embedding have that of the nearest view.
+        """
         seen = together(self._seen)
         good = {k: one for k, one in self._pictures.values() if seen.worth[k] >= AS_GOOD * seen.worth.max()}
-        nearest = np.abs(np.subtract.outer(np.arange(len(seen.worth)), [*good])).argmin(axis=1)
-        return seen._replace(embedding=np.concatenate([one.looks.embedding for one in good.values()])[nearest])
+        best = sorted(sorted(good, key=lambda k: -seen.worth[k, 0])[:most])
+        nearest = np.abs(np.subtract.outer(np.arange(len(seen.worth)), best)).argmin(axis=1)
+        return seen._replace(embedding=np.concatenate([good[k].looks.embedding for k in best])[nearest])
 
     @property
     def is_face(self) -> bool:
