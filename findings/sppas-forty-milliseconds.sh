@@ -3,11 +3,11 @@
 #
 # Found: SPPAS gives each boundary a radius within which it may lie, and compares with it. Of an ELAN file sppas 5.1.0 takes
 # a radius of 20 ms for each boundary, of a TextGrid half a millisecond; neither file says so. A duration, between two
-# boundaries, is then "equal" to all that are up to 40 ms away. The filter of durations (sppasTierFilters(tier).dur,
-# which its programs and its command line use) asked for blinks of more than 80 ms leaves out one of 100 ms, and of those
-# of at least 80 ms it finds one of 60. At 25 frames/s it is a frame each way. The very same events give 4 and 7, or 5
-# and 6, and rates of blinks, their lengths, and what is called long, depend on the file's form. Nothing is said. Write
-# the TextGrid for SPPAS, or count durations from the exported numbers.
+# boundaries, is then "equal" to all that are up to 40 ms away. The filter of durations, sppasTierFilters(tier).dur, which
+# its window for analysis uses as well, asked for blinks of more than 80 ms leaves out one of 100 ms, and of those of at
+# least 80 ms it finds one of 60; at 25 frames/s these are a frame. The very same events give 4 and 7, or 5 and 6: rates
+# of blinks, and what is called long, depend on the file's form. Nothing is said. Write the TextGrid for SPPAS, or count
+# durations from the exported numbers.
 # Packages: sppas 5.1.0.
 # Data: seven made-up blinks of 60 to 200 ms, as .eaf and as .TextGrid, written here.
 # Output seen:
