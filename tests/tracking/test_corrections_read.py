@@ -205,15 +205,6 @@ def test_a_report_says_what_was_corrected(table):
     }  # fmt: skip
 
 
-def test_a_lost_part_that_is_given_is_not_tracked_again_by_itself(table):
-    nose, lip = table.parts
-    status = lip.status.copy()
-    status[5:8] = "lost"
-    history = history_of(joined([nose, replace(lip, status=status)], header=table.header), Clock(table, 25.0))
-    assert [(span.back, span.by_hand) for span in history.parts[1].spans] == [(8, True)]
-    assert "back" not in {kind for _, kind in history.events}
-
-
 def test_the_start_of_the_page_has_the_corrections(table, tmp_path):
     header = read_header(table)
     assert header.init.start.corrections[1] == Correction(
