@@ -73,8 +73,8 @@ def ending_at_once() -> Iterator[None]:
 
     def end(number: int, _: FrameType | None) -> NoReturn:
         code = _CODES[signal.Signals(number).name]
-        line = log_line("facetrack: interrupted" if code is ExitCode.INTERRUPTED else "facetrack: terminated")
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(Exception):  # it may have broken into the import of what a line needs
+            line = log_line("facetrack: interrupted" if code is ExitCode.INTERRUPTED else "facetrack: terminated")
             os.write(2, f"{_SHOW_CURSOR * os.isatty(2)}{line}\n".encode())
         os._exit(code)
 
