@@ -170,7 +170,7 @@ def test_the_tables(folder):
     assert lines[1] == "3 frames, 0 to 2; rows, one a frame and part: 5 visible, 1 hidden"
     assert "occlusions: 1, of which none can be decided: all parts near for 5 rows in a row" in lines
     titles = [line.split("  ")[0] for line in lines if line[:4].isupper()]
-    assert titles == ["POINTS", "LOST", "CONFIDENCE", "SPREAD", "JITTER", "NOTES"]
+    assert titles == ["POINTS", "LOST", "CONFIDENCE", "SPREAD", "JITTER"]
     points = lines[lines.index(next(line for line in lines if line.startswith("POINTS"))) :][:6]
     cells = [line.split() for line in points[3:]]
     assert cells == [
