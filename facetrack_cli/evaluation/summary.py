@@ -301,20 +301,8 @@ def scalars(evaluation: Evaluation) -> dict[str, float]:
     return {name: float(value) for name, value in evaluation.all.figures.items() if value is not None}
 
 
-_WHY: Final = (  # a figure that is not defined although the other is, and why
-    ("points.mean_px", "points.rows", "no visible row has a true position and one of ours, so there is no error"),
-    ("boxes.success_auc", "boxes.rows", "no visible row has a true box, so there is no overlap"),
-    ("occlusions.recovered", "occlusions.occlusions", "too few rows follow each occlusion: recovery is not known"),
-    ("lost.precision", "lost.rows", "no row is called lost, so lost has no precision"),
-    ("lost.recall", "lost.rows", "the ground truth marks no row as hidden or absent, so lost has no recall"),
-    ("confidence.ece", "confidence.right", "confidence is not within 0 and 1, so its calibration is not defined"),
-    ("coverage.within_50", "coverage.rows", "no visible row has a true position and a std, so there is no coverage"),
-)
-
-
 def _why_undefined(evaluation: Evaluation) -> list[str]:
-    figures = evaluation.all.figures
-    why = [text for name, other, text in _WHY if figures[name] is None and figures[other] is not None]
+    figures, why = evaluation.all.figures, list[str]()
     if figures["points.mean_px"] is not None and figures["points.auc"] is None:
         texts = "; ".join(dict.fromkeys(evaluation.units.values()))
         why.append(f"errors are not normalised and nothing is near ({texts}): give --normalise PIXELS")

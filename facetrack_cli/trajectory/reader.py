@@ -139,12 +139,9 @@ def _read_csv(path: Path) -> Trajectory:
 def _rows(path: Path, lines: Any, width: int) -> Iterator[tuple[int, list[str]]]:
     """Lines of `width` cells, each with its number."""
     for cells in lines:
-        place = f"{path}:{lines.line_num}"
-        if 0 < len(cells) < width and not any(lines):
-            raise InputError(f"{place}: is no whole line, and the last; was the run cut short? remove this line")
         if len(cells) not in (0, width):
-            why = "give every column a value, or leave it empty between its commas"
-            raise InputError(f"{place}: {len(cells)} values under {width} columns; {why}")
+            why = "give every column a value, or leave it empty between its commas; or was the run cut short?"
+            raise InputError(f"{path}:{lines.line_num}: {len(cells)} values under {width} columns; {why}")
         if cells:
             yield lines.line_num, cells
 
@@ -260,32 +257,23 @@ def _declared(path: Path, header: Mapping[str, Any]) -> dict[str, Diagnostic]:
 
 def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
     """(header, frames) of a JSON or JSON-lines trajectory; InputError, with the line, if it is none."""
-    text, frames = path.read_text(encoding="utf-8-sig"), list[Any]()
+    text, frames, header = path.read_text(encoding="utf-8-sig"), list[Any](), dict[str, Any]()
+    number, line = 0, text
     try:
-        header = json.loads(text)
-        if isinstance(header, dict) and header.get("type") != "header":
-            frames = header.pop("frames", None)
-    except RecursionError as e:
-        raise InputError(f"{path}: is nested too deep for a trajectory") from e
-    except json.JSONDecodeError as whole_error:
-        header = {}
-        for number, line in ((number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()):
-            try:
-                record = json.loads(line)
-            except (ValueError, RecursionError):
-                # the first line of a JSON object is no record: then the error of the whole says more
-                place = f"{whole_error.lineno}" if number == 1 else str(number)
-                why = f"{whole_error.msg}; " if number == 1 else "is no whole record; remove this line: "
-                raise InputError(f"{path}:{place}: is not JSON: {why}was the run cut short?") from None
+        with suppress(json.JSONDecodeError):
+            whole = json.loads(text)
+            if isinstance(whole, dict) and whole.get("type") != "header":
+                header, frames, text = whole, whole.pop("frames", None), ""
+        for number, line in enumerate(text.split("\n"), 1):  # noqa: B007 -- named in the error
+            record: Any = json.loads(line) if line.strip() else None
             kind = record.get("type") if isinstance(record, dict) else None
             if kind == "frame":
                 frames.append(record)
-            elif kind == "header":
-                header = record
-            elif kind == "footer":
-                header = {**record, **header}
-    except ValueError as e:  # a number of thousands of digits
-        raise InputError(f"{path}: holds a number that is none: {e!s:.60}; correct it") from None
+            elif kind in ("header", "footer"):
+                header = {**header, **record} if kind == "header" else {**record, **header}
+    except (ValueError, RecursionError) as e:  # also a number of thousands of digits
+        why = f"is not JSON: {e!s:.60}; was the run cut short? of a .jsonl remove this line"
+        raise InputError(f"{path}:{number or 1}: {why}") from None
     check_schema(path, header)
     if not isinstance(frames, list):
         raise InputError(f'{path}: has no list "frames"; it is no trajectory of facetrack')

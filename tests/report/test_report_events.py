@@ -94,11 +94,10 @@ def test_the_recipe_shown_is_the_recipe(tmp_path):
 @pytest.mark.parametrize(
     "options",
     [
-        ["--config", "factorized", "--set", "filter.particles=15", "--set", "target.windows={default: 0.4}"],
         ["--config", "sir", "--set", "filter.particles=15", "--box", "115,58,113,113", "--init-frame", "4"],
         ["--config", "mine.yaml", "--init", "haar", "--start", "3"],
     ],
-    ids=["overrides", "box", "own recipe"],
+    ids=["box", "own recipe"],
 )
 def test_the_command_repeats_the_run(options, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -64,7 +64,7 @@ HEAD = "frame,target,part,x,y"
         ("a,b\n1,2\n", r":1: the header has no column frame, target, part, x, y; it should read frame,"),
         (f"{HEAD},x\n", r":1: column x is there twice"),
         (f"{HEAD}\n0,f,p,1\n0,f,p,1,2\n", r":2: 4 values under 5 columns; .*empty between"),
-        (f"{HEAD}\n0,f,p,1\n", r":2: is no whole line, and the last; .* remove this line"),
+        (f"{HEAD}\n0,f,p,1\n", r":2: 4 values under 5 columns; .*cut short"),
         (f"{HEAD}\n0,f,p,1_0,2\n", r":2: column x: '1_0' is no finite number; "),
         (f"{HEAD}\n0,f,p,1,2\n1,f,p,1,two\n", r":3: column y: 'two' is no finite number; "),
         (f"{HEAD}\n0,f,p,1e999,2\n", r":2: column x: '1e999' is no finite number; "),
@@ -166,7 +166,7 @@ def test_json_lines_that_end_or_were_cut_off(tmp_path, end):
     path.write_text(end.join(lines[:-1]), newline="")
     assert read_trajectory(path).header == head and read_trajectory(path).frames.tolist() == [0, 1, 2]
     path.write_text(end.join(lines[:-1])[:-9], newline="")
-    said = r"cut\.jsonl:4: is not JSON: is no whole record; remove this line: .*cut short"
+    said = r"cut\.jsonl:4: is not JSON: .*cut short\? of a \.jsonl remove this line"
     with pytest.raises(InputError, match=said):
         read_trajectory(path)
 

@@ -134,8 +134,6 @@ class _Page:
         self.corrected = np.unique(np.concatenate([line.ours.frame[line.ours.corrected] for line in self.lines]))
 
     def figure(self, title: str) -> Figure:
-        from matplotlib.legend_handler import HandlerTuple
-
         panels = list(self._panels())
         if not panels:
             raise InputError(f"{self.table.path}: has no number that could be drawn in any row")
@@ -156,8 +154,7 @@ class _Page:
         if legend:
             place = {"loc": "upper left", "bbox_to_anchor": (0.004, 1 - (above - 0.02) / top)}
             spacing = {"handlelength": 2.4, "columnspacing": 1.6, "labelspacing": 0.35}
-            handlers = {tuple: HandlerTuple(ndivide=None, pad=0)}
-            head.legend([*legend.values()], [*legend], ncols=columns, handler_map=handlers, **place, **spacing)
+            head.legend([*legend.values()], [*legend], ncols=columns, **place, **spacing)
         self._stack(rest, panels)
         return figure
 
@@ -195,9 +192,8 @@ class _Page:
             group = [line for line in self.lines if line.ours.target == target]
             of = f"{target}: " if len(self.table.targets) > 1 else ""
             what = f"{of}{len(group)} parts, {group[0].ours.part} to {group[-1].ours.part}"
-            colours = [group[round(i * (len(group) - 1) / 5)].colour for i in range(6)]
-            handles = tuple(Line2D([], [], color=colour, linewidth=2) for colour in colours)
-            legend[style.clean(what if len(group) > 1 else target or group[0].name, 60)] = handles
+            handle = Line2D([], [], color=group[0].group, linewidth=2)
+            legend[style.clean(what if len(group) > 1 else target or group[0].name, 60)] = handle
         if self.paired and not self.many:
             legend["ground truth"] = Line2D([], [], **style.TRUTH)
         legend |= {status: Patch(color=style.STATUS[status], linewidth=0) for status in self.gone}

@@ -198,29 +198,19 @@ class Line:
 
 
 def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
-    """A line for each part. The parts of a single target differ by colour; more than `MAX_LINES` parts share a range of
-    colours. Of several targets each has the colour of the annotated video, and its parts differ by their dashes.
+    """A line for each part, thin if they are more than `MAX_LINES`. The parts of a single target differ by colour. Of
+    several targets each has the colour of the annotated video, and its parts differ by their dashes.
     """
-    import matplotlib
-    from matplotlib.colors import to_hex
-
     truth, targets = {pair.ours.names[0]: pair for pair in pairs}, table.targets
     nth = {part.names[0]: number for target in targets for number, part in enumerate(table.of_target(target))}
     lines = []
     for number, part in enumerate(table.parts):
         place = targets.index(part.target)
         group = COLOURS[place % len(COLOURS)]
-        if len(table.parts) > MAX_LINES:
-            # between purple and yellow-green, dark enough for paper
-            ramp = matplotlib.colormaps["viridis"](0.88 * number / (len(table.parts) - 1))
-            colour = group if len(targets) > 1 else to_hex(ramp)
-            look: dict[str, Any] = {"color": colour, "linewidth": 0.6, "alpha": 0.75}
-        elif len(targets) > 1:
-            # the targets of a second round of colours would look like those of the first
-            dash = DASHES[(nth[part.names[0]] + place // len(COLOURS)) % len(DASHES)]
-            look = {"color": group, "linestyle": dash, "linewidth": 1.2}
-        else:
-            look = {**line_style(number), "linewidth": 1.2}
+        # the targets of a second round of colours would look like those of the first
+        dash = DASHES[(nth[part.names[0]] + place // len(COLOURS)) % len(DASHES)]
+        look = line_style(number) if len(targets) == 1 else {"color": group, "linestyle": dash}
+        look |= {"linewidth": 0.6, "alpha": 0.75} if len(table.parts) > MAX_LINES else {"linewidth": 1.2}
         lines.append(Line(part, truth.get(part.names[0]), _name(part, table), look, group))
     return lines
 
