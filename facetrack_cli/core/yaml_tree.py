@@ -144,11 +144,11 @@ def parse(source: Source, *, start: int = 0) -> Node | None:
         tree = None if root is None else reader.node(root)
     except (YAMLError, ValueError, OverflowError) as error:
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-        at = (0, 0) if mark is None else (mark.line, mark.column)
+        line, column = (0, 0) if mark is None else (mark.line, mark.column)
         about = [getattr(error, "context", None), getattr(error, "problem", None)]
         why = " ".join(" ".join(filter(None, about) if any(about) else [str(error)]).split())
         message = f"not valid YAML: {why}; correct the text at or before this place"
-        raise YamlProblems([Problem(reader.span(*at, at[1] + 1), message)]) from None
+        raise YamlProblems([Problem(reader.span(line, column, column + 1), message)]) from None
     if reader.problems:
         raise YamlProblems(reader.problems)
     return tree

@@ -10,7 +10,7 @@ where it is whatever ends the program, and the video goes on from there.
 
 import contextlib
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
@@ -26,7 +26,6 @@ from facetrack_cli.video.decode import open_container, sound_of, weights
 
 if TYPE_CHECKING:
     from av.container import InputContainer, OutputContainer
-    from av.packet import Packet
 
 _LARGE = 3_000_000  # pixels: of larger frames x264 buffers few, because each needs 60 MB
 _STRIP = 1 << 18  # pixels that are converted at a time, which bounds memory
@@ -103,7 +102,7 @@ class Encoder:
                 self._file.close()
             self.target.unlink(missing_ok=True)
 
-    def _put(self, packets: "list[Packet]") -> None:
+    def _put(self, packets: Sequence[Any]) -> None:
         for packet in packets:
             packet.duration = self._lasts  # of the last one; the others last until the next
             self._file.mux(packet)
@@ -366,7 +365,7 @@ def _packets(video: "InputContainer", to: Any) -> Iterator[Any]:
             yield packet
 
 
-def _sound(clip: "InputContainer", out: "OutputContainer", start: float, length: float) -> "Iterator[Packet]":
+def _sound(clip: "InputContainer", out: "OutputContainer", start: float, length: float) -> Iterator[Any]:
     """The first sound of a clip as packets of AAC, from `start` on, in s from the clip's own, for `length` seconds."""
     import av
 
@@ -383,7 +382,7 @@ def _sound(clip: "InputContainer", out: "OutputContainer", start: float, length:
             graph.push(frame)
             with contextlib.suppress(BlockingIOError):  # until it wants more
                 while True:
-                    yield from stream.encode(graph.pull())
+                    yield from stream.encode(graph.pull())  # type: ignore[arg-type]
     yield from stream.encode(None)
 
 
