@@ -1,6 +1,6 @@
 """Boxes, points and outlines in an image, and images under maps. Pixel centres are whole numbers."""
 
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -88,14 +88,45 @@ def inside(point: Point, size: tuple[int, int]) -> bool:
     return -0.5 <= point[0] <= size[0] - 0.5 and -0.5 <= point[1] <= size[1] - 0.5
 
 
+# --- images under maps, read between pixels to the same last bit in OpenCV 4 and 5 ------------------------------------
+
+# OpenCV 4 reads at multiples of 1/32 pixel. OpenCV 5 reads where it is told to, so it is told those places. A hundredth
+# of all grey values would differ by 1 otherwise, and a filter that has drawn other particles goes its own way then.
+_ROUNDS: Final = cv2.__version__.startswith("4.")
+
+
 def warp_affine(
     image: Any, matrix: Any, size: tuple[int, int], border: int = cv2.BORDER_CONSTANT, *, inverse: bool = False
 ) -> Any:
     """`cv2.warpAffine`, linear, to an image of `size` (w, h). `inverse`: the matrix is from there to `image`."""
-    flags = cv2.INTER_LINEAR | (cv2.WARP_INVERSE_MAP if inverse else 0)
-    return cv2.warpAffine(image, matrix, size, flags=flags, borderMode=border)
+    if _ROUNDS:
+        flags = cv2.INTER_LINEAR | (cv2.WARP_INVERSE_MAP if inverse else 0)
+        return cv2.warpAffine(image, matrix, size, flags=flags, borderMode=border)
+    return cv2.remap(
+        image, *places(np.asarray(matrix, np.float64), size, inverse=inverse), cv2.INTER_LINEAR, None, border
+    )
+
+
+def places(matrix: Array, size: tuple[int, int], *, inverse: bool) -> tuple[Any, Any]:
+    """Where `cv2.warpAffine` of OpenCV 4 reads: whole pixels (h, w, 2) and the number of 1/32 pixels beyond."""
+    if not inverse:  # as there, term by term: another order has other last bits
+        (a, b, x), (c, d, y) = matrix.tolist()
+        by = a * d - b * c
+        by = 1 / by if by else 0.0
+        a, b, c, d = d * by, b * -by, c * -by, a * by
+        matrix = np.array([[a, b, -a * x - b * y], [c, d, -c * x - d * y]])
+    columns, rows = (np.arange(side, dtype=np.float64) for side in size)
+    along = [np.rint(m[0] * columns * 1024) for m in matrix]
+    down = [np.rint((m[1] * rows + m[2]) * 1024) + 16 for m in matrix]
+    return _split(*((d[:, None] + a).astype(np.int64) >> 5 for a, d in zip(along, down, strict=True)))
 
 
 def remap(image: Any, x: Any, y: Any, border: int) -> Any:
     """`cv2.remap`, linear, at x and y (h, w), float32."""
-    return cv2.remap(image, x, y, cv2.INTER_LINEAR, None, border)
+    at = (x, y) if _ROUNDS else _split(*(np.rint(coordinates * 32).astype(np.int64) for coordinates in (x, y)))
+    return cv2.remap(image, *at, cv2.INTER_LINEAR, None, border)
+
+
+def _split(x: Any, y: Any) -> tuple[Any, Any]:
+    whole = np.clip(np.stack([x >> 5, y >> 5], axis=-1), -(2**15), 2**15 - 1).astype(np.int16)
+    return whole, ((y & 31) * 32 + (x & 31)).astype(np.uint16)

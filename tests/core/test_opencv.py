@@ -3,13 +3,18 @@
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
+from facetrack_cli.core import geometry
 from facetrack_cli.core.errors import UsageError, check_opencv
 from facetrack_cli.trackers.face import detectors
+
+needs_4 = pytest.mark.skipif(not cv2.__version__.startswith("4."), reason="compares with OpenCV 4")
 
 
 @pytest.mark.parametrize("version", ["6.0.0", "3.4.20", "of nothing"])
@@ -50,3 +55,32 @@ def test_haar_beside_an_opencv_without_it_ends_in_one_line_with_the_remedy(tmp_p
             detectors.check_cascades()
     finally:
         detectors.has_cascades.cache_clear()
+
+
+def both(monkeypatch, see):
+    """What is seen as by OpenCV 4, and as by OpenCV 5."""
+    for rounds in (True, False):
+        monkeypatch.setattr(geometry, "_ROUNDS", rounds)
+        yield see()
+
+
+@needs_4
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("inverse", [False, True])
+def test_a_warp_reads_where_opencv_4_reads(monkeypatch, channels, inverse):
+    rng = np.random.default_rng(channels)
+    image = rng.integers(0, 256, (61, 83, channels)).astype(np.uint8)
+    for border in (cv2.BORDER_CONSTANT, cv2.BORDER_REPLICATE):
+        for _ in range(20):
+            linear = np.eye(2) * rng.uniform(0.3, 3) + rng.normal(0, 0.4, (2, 2))
+            matrix = np.column_stack([linear, rng.normal(0, 30, 2)])
+            warp = partial(geometry.warp_affine, image, matrix, (70, 50), border, inverse=inverse)
+            assert np.array_equal(*both(monkeypatch, warp))
+
+
+@needs_4
+def test_a_map_reads_where_opencv_4_reads(monkeypatch):
+    rng = np.random.default_rng(0)
+    image = rng.normal(0, 50, (61, 83)).astype(np.float32)
+    x, y = (rng.uniform(-5, side + 5, (40, 30)).astype(np.float32) for side in (83, 61))
+    assert np.array_equal(*both(monkeypatch, partial(geometry.remap, image, x, y, cv2.BORDER_REPLICATE)))
