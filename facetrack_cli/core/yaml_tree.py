@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
+from ruamel.yaml.composer import Composer
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
 
 MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe has a page
@@ -136,17 +137,18 @@ def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
 
 def parse(source: Source, *, start: int = 0) -> Node | None:
     """The tree of the one document from the character `start` on, None without any. YamlProblems: all refused."""
-    reader = _Reader(source, start)
+    reader, yaml = _Reader(source, start), YAML(typ="safe", pure=True)
+    yaml.Composer = _Composer
     try:
-        root = YAML(typ="safe", pure=True).compose(source.text[start:])
-        tree = None if root is None else reader.node(root, 0)
-    except (YAMLError, ValueError, OverflowError, RecursionError) as error:
+        root = yaml.compose(source.text[start:])
+        tree = None if root is None else reader.node(root)
+    except (YAMLError, ValueError, OverflowError) as error:
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-        at = (0, 0) if mark is None else (mark.line, mark.column)
+        line, column = (0, 0) if mark is None else (mark.line, mark.column)
         about = [getattr(error, "context", None), getattr(error, "problem", None)]
         why = " ".join(" ".join(filter(None, about) if any(about) else [str(error)]).split())
         message = f"not valid YAML: {why}; correct the text at or before this place"
-        raise YamlProblems([Problem(reader.span(*at, at[1] + 1), message)]) from None
+        raise YamlProblems([Problem(reader.span(line, column, column + 1), message)]) from None
     if reader.problems:
         raise YamlProblems(reader.problems)
     return tree
@@ -181,6 +183,21 @@ def assign(root: Node, option: str, assignment: str) -> None:
             node = child
 
 
+class _Composer(Composer):  # type: ignore[misc, unused-ignore]
+    """Refuses what is nested too deep before it is read."""
+
+    level = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.level > MAX_DEPTH:
+            at = self.parser.peek_event().start_mark
+            raise MarkedYAMLError(problem=f"nested more than {MAX_DEPTH} deep", problem_mark=at)
+        self.level += 1
+        node = super().compose_node(parent, index)
+        self.level -= 1
+        return node
+
+
 @dataclass
 class _Reader:
     source: Source
@@ -188,31 +205,28 @@ class _Reader:
     problems: list[Problem] = field(default_factory=list)
     seen: set[int] = field(default_factory=set)  # the nodes: an alias repeats one
 
-    def node(self, given: Any, depth: int) -> Node:
+    def node(self, given: Any) -> Node:
         begin, end = given.start_mark, given.end_mark
         span = self.span(begin.line, begin.column, end.column if end.line == begin.line else begin.column + 1)
         kind, tag = given.tag.rpartition(":")[2], given.tag
         if id(given) in self.seen:
             return Node(span, None)
         self.seen.add(id(given))
-        if depth > MAX_DEPTH:
-            self.problems.append(Problem(span, f"nested more than {MAX_DEPTH} deep"))
-            raise YamlProblems(self.problems)
         if given.anchor is not None:
             why = f'"&{given.anchor}" is an anchor; remove it, and write out what refers to it'
             self.problems.append(Problem(span, why))
         if not tag.startswith("tag:yaml.org,2002:") or kind not in _KINDS:
             self.problems.append(Problem(span, f'the tag "{tag}" is not allowed; remove it'))
         if isinstance(given, MappingNode):
-            return Node(span, self.mapping(given, depth))
+            return Node(span, self.mapping(given))
         if isinstance(given, SequenceNode):
-            return Node(span, [self.node(item, depth + 1) for item in given.value])
+            return Node(span, [self.node(item) for item in given.value])
         return Node(span, given.value if given.style else self.plain(given.value, span))
 
-    def mapping(self, given: Any, depth: int) -> dict[str, Node]:
+    def mapping(self, given: Any) -> dict[str, Node]:
         children: dict[str, Node] = {}
         for name, item in given.value:
-            key, value = self.node(name, depth + 1), self.node(item, depth + 1)
+            key, value = self.node(name), self.node(item)
             if not isinstance(name, ScalarNode):
                 self.problems.append(Problem(key.span, "a key must be a name"))
             elif (first := children.get(name.value)) is not None and first.key is not None:

@@ -70,12 +70,12 @@ def find_people(folder: Path, warn: Warn) -> list[Person]:
     """Everyone who has a folder in `folder`, in natural order. Raises InputError where it is no gallery."""
     entries = _entries(folder)
     beside = [entry for entry in entries if not entry.is_dir() and entry.suffix.lower() not in PASSED_OVER]
-    if beside:
-        more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
-        warn(f"{beside[0]}{more}: in no person's folder; passed over")
     people = [_person(entry, warn) for entry in entries if entry.is_dir()]
     if len(people) < 2:
         raise InputError(f"{folder}: has no folders of two people; make one for each of them, as {folder / 'anna'}")
+    if beside:
+        more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
+        warn(f"{beside[0]}{more}: in no person's folder; passed over")
     by_name: dict[str, Person] = {}
     for person in people:
         if (other := by_name.setdefault(person.name.casefold(), person)) is not person:

@@ -177,7 +177,7 @@ def lay_insets(image: Image, shapes: Sequence["Shape"], top: int, line: int, fon
         for name, picture in shape.insets:
             size = max(1, round(high * picture.shape[1] / picture.shape[0])), high
             how = cv2.INTER_CUBIC if high > picture.shape[0] else cv2.INTER_AREA
-            scaled.append((name, cv2.resize(picture, size, interpolation=how)))
+            scaled.append((name, np.asarray(cv2.resize(picture, size, interpolation=how), np.uint8)))
         whole = sum(picture.shape[1] + line for _, picture in scaled) + line, high + 2 * line
         # from the lower left, right, then the upper right, left
         x = gap if len(taken) in (0, 3) else width - whole[0] - gap

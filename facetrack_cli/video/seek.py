@@ -69,8 +69,8 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         Raises InputError past the end, after which `count` is exact, and RuntimeError when closed, also meanwhile.
         """
         with self._lock:
-            there = index >= 0 and (self._end is None or index < self._end)
-            if there and index not in self._recent and not self._closed.is_set():
+            ahead = index >= 0 and (self._end is None or index < self._end)
+            if ahead and index not in self._recent and not self._closed.is_set():
                 self._approach(index)
             if self._closed.is_set():
                 raise RuntimeError("these frames are closed; open them again")

@@ -328,3 +328,19 @@ def test_no_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(OutputError, match="ffmpeg cannot be started"):
         VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS)
     assert left_behind(tmp_path) == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a variable of glibc")
+def test_the_same_frames_are_the_same_bytes_whatever_is_in_memory(tmp_path: Path) -> None:
+    script = (
+        "import sys\nfrom fractions import Fraction\nfrom pathlib import Path\n"
+        "from facetrack_cli.video.writer import VideoWriter\nfrom tests.support import media\n"
+        "with VideoWriter(Path(sys.argv[1]), (176, 144), Fraction(25)) as writer:\n"
+        "    for index in range(8):\n"
+        "        writer.write(media.numbered(index, (176, 144)), index / 25)\n"
+    )
+    for filled in ("0", "1"):
+        env = {**os.environ, "MALLOC_PERTURB_": filled}
+        command = [sys.executable, "-c", script, tmp_path / f"{filled}.mp4"]
+        subprocess.run(command, cwd=Path(__file__).parents[2], env=env, check=True)
+    assert (tmp_path / "0.mp4").read_bytes() == (tmp_path / "1.mp4").read_bytes()
