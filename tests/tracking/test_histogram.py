@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.trackers.regions import region_kernels as kernel
+from facetrack_cli.trackers.regions import likelihoods
 from tests.support.images import frame, states
 from tests.support.parts import histogram
 from tests.twins import regions as naive
@@ -105,27 +105,24 @@ def test_every_colour_goes_to_its_bin(bins):
     assert len(pairs) == len(set(theirs)) == len(set(ours.ravel().tolist()))
 
 
-@settings(max_examples=12)
-@given(
-    seed=st.integers(0, 1000),
-    x=places,
-    bins=st.integers(1, 50),
-    regions=st.sampled_from([(1, 1), (3, 3), (2, 4)]),
-)
-def test_both_ways_to_count_agree_to_the_last_bit_and_areas_with_the_twin(seed, x, bins, regions):
-    rng, picture = np.random.default_rng(seed), frame(noisy(seed, 25, 31))
-    hsv, ex, ey, area, pixels = histogram((12.0, 9.5), regions=regions)._read(picture, states(x), 1)
+@given(x=places, regions=st.sampled_from([(1, 1), (3, 3), (2, 4)]))
+def test_areas_and_edges_are_those_of_the_twin(x, regions):
+    hsv, ex, ey, area = histogram((12.0, 9.5), regions=regions)._read(frame(noisy(1, 25, 31)), states(x), 1)
     counts = [naive.counts(np.zeros((25, 31), int), box, (12.0, 9.5), *regions) for box in x]
     assert area.tolist() == [whole for _, whole in counts]
-    assert pixels == sum(sum(found.values()) for found, _ in counts)
+    seen = [sum(found.values()) for found, _ in counts]
     if hsv is None:
-        assert pixels == 0
-        return
-    codes = rng.integers(0, bins, hsv.shape[:2]).astype(np.uint16)
-    root = np.zeros((regions[0] * regions[1], kernel.LANES * (bins // kernel.LANES + 1)), np.float32)
-    root[:, :bins] = np.sqrt(rng.dirichlet(np.ones(bins * len(root)))).reshape(-1, bins)
-    direct = kernel.match_direct(codes, ex, ey, area, root)
-    np.testing.assert_array_equal(direct, kernel.match_integral(codes, ex, ey, area, root))
+        assert not any(seen)
+    else:
+        assert ((ex[:, -1] - ex[:, 0]) * (ey[:, -1] - ey[:, 0])).tolist() == seen
+
+
+def test_boxes_far_apart_are_counted_as_alone(monkeypatch):
+    likelihood, learned = learned_at_truth(scene())
+    x = states([(*TRUTH, 1), (20, 30, 1), (-90, 20, 1), (240.2, 180.7, 0.4)])
+    together = likelihood.distances(learned, frame(scene()), x)
+    monkeypatch.setattr(likelihoods, "MAX_CELLS", 0)
+    np.testing.assert_array_equal(likelihood.distances(learned, frame(scene()), x), together)
 
 
 def grey_scene(noise=0):

@@ -72,16 +72,6 @@ def test_kernels_agree_with_their_plain_twins(parts, stable, shapes):
     assert (chosen == naive_shape.pick_shape(x, *plain, u)).all()
 
 
-def test_exponents_of_any_depth_add_up():
-    # two shapes, the second less likely by exp(-difference); log(1 + w) = log1p(w)
-    for difference in (1e-9, 0.01, 0.3, 1.0, 5.0, 14.0, 60.0, 79.0, 90.0, 800.0, 1e6):
-        h = np.zeros((2, LANES), np.float32)
-        bias = np.full(LANES, PADDING)
-        bias[:2] = 0.0, -difference
-        sums, _ = parzen(np.zeros((1, 2, 2)), np.array([1]), np.zeros((2, 2)), 0, 1.0, h, bias, np.empty(0))
-        assert sums[0] == pytest.approx(np.log1p(np.exp(-difference)), abs=1.5e-7)
-
-
 @pytest.mark.parametrize("u", [0.0, np.nextafter(1.0, 0.0)])
 def test_the_ends_of_the_uniform_pick_a_shape_that_exists(u):
     for shapes in (1, 7, 9, 401):

@@ -207,12 +207,10 @@ def test_a_box_too_narrow_for_the_reduced_picture_names_the_setting(facetrack):
     "overrides",
     [
         ["motion.position.A=[[1, 1e6], [0, 1]]", "motion.position.B=[[1e6px], [1e6px]]"],
-        ["motion.position.A=[[0, 1e6], [-1e-6, 0]]", "target.scale=[0.000001, 100]"],
         ["motion.scale.A=[[1, 1e6], [0, 1]]", "motion.scale.B=[[1e6], [1e6]]", "motion.position.B=[[0], [0]]"],
         ["likelihood.correlation={grid: [64, 1], sigma: 0.001, region: 1e-300}"],
         ["likelihood.histogram={hue_bins: 1, saturation_bins: 1, regions: [64, 64], lambda_h: 1e6, value_bins: 64}"],
         ["likelihood.contour={normals: 4, sigma: 1e6, search: 10, threshold: 1e-300, outlier: 1e-320}"],
-        ["filter={type: auxiliary, particles: 1}", "likelihood.correlation=null", "likelihood.histogram=null"],
     ],
 )
 def test_what_is_allowed_stays_finite_however_far_it_goes(facetrack, overrides):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.types import Frame, Info, Particles, Start, TargetStart
+from facetrack_cli.core.types import Frame, Particles, Start, TargetStart
 from facetrack_cli.engine.loop import Footprint, track
 from facetrack_cli.engine.motion import FirstOrder
 from facetrack_cli.engine.protocols import Likelihood
@@ -117,14 +117,6 @@ def test_notes_of_the_start_are_said_in_the_first_frame_alone():
 
     tracker = (replace(moving(CloudSpace()), likelihood=Noted()),)
     assert [result.notes for result in track(tracker, frames(3), 0)] == [("one", "two"), (), ()]
-
-
-def test_what_is_learned_is_learned_at_the_new_estimate():
-    one, frame = moving(BoxSpace((12.0, 8.0))), Frame(1, 0.0, PICTURE)
-    state, result = one.advance(np.random.default_rng(0), state_of(one), frame)
-    assert state.learned == pytest.approx((13.0,))
-    assert (result.rows.x[0], result.rows.y[0]) == pytest.approx((13.0, 18.0))
-    assert one._result(state, frame, Info(np.ones(1)), "tracked").rows.particles.tolist() == [4]
 
 
 # --- from a recipe to its targets

@@ -97,17 +97,6 @@ def test_a_part_that_is_not_seen_again_says_nothing_of_before():
     np.testing.assert_allclose(cov[:8, 0], spread[:, 0])
 
 
-def test_what_is_gone_parts_before_from_after():
-    motion, x0 = MOTIONS["random_walk"]
-    found, _ = kalman(motion, x0, np.random.default_rng(3), 12)
-    gone = np.zeros((12, 2), bool)
-    gone[5:7, 0] = True  # the other part is there
-    mean, _ = smoothing.smoothed(smoothing.chain(found, np.zeros_like(gone), gone))
-    for part in (slice(5), slice(7, 12)):
-        alone, _ = smoothing.smoothed(smoothing.chain(found[part], gone[:1].repeat(12, 0)[part], gone[part]))
-        np.testing.assert_allclose(mean[part, 0], alone[:, 0])
-
-
 def test_a_hidden_part_moves_with_those_that_are_seen():
     walk = RandomWalk(np.array([2.0, 2.0]))
     x = np.stack([np.array([[3.0 * i**2, 0.0], [3.0 * i**2, 40.0]]) for i in range(9)])

@@ -149,15 +149,6 @@ def test_boxes_that_hold_no_face(box, said):
         box_start(Frame(0, 0, np.full((100, 200, 3), 100, np.uint8)), box)
 
 
-def test_the_same_twice_and_the_frame_is_left_as_it_was(face):
-    before = face[0].bgr.copy()
-    first, second = search_start([face[0]]), search_start([face[0]])
-    assert first == second
-    picture = draw_start(face[0], first)
-    assert np.array_equal(face[0].bgr, before)
-    assert picture.dtype == np.uint8 and max(picture.shape) >= 700
-
-
 def test_preview_marks_the_points_where_they_are():
     frame = Frame(0, 0, np.zeros((100, 100, 3), np.uint8))
     start = Start(0, {"face": TargetStart(None, {"nose": (30, 50), "chin": (80, 50)})}, "")

@@ -1,7 +1,7 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
 """How kernels are compiled and cached, a decorator for each kind of arithmetic, and what several trackers share.
 
-That is bilinear reading, the sums of boxes, where boxes lie, drawing indices by weights, and mean and covariance.
+That is bilinear reading, where boxes lie, drawing indices by weights, and mean and covariance.
 """
 
 import contextlib

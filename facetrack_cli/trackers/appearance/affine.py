@@ -199,6 +199,8 @@ class AffineWalk(Motion):
         least, most = self.scale
         scale = np.asarray(scale_of(x))[..., None]
         flat, wild = scale < 1e-12, (scale < least) | (scale > most)
+        if not wild.any():
+            return x
         by = np.where(flat, 1.0, np.clip(scale, least, most) / np.where(flat, 1.0, scale))
         deformed = np.where(flat, (least, 0.0, 0.0, least), x[..., 2:])
         x[..., 2:] = np.where(wild, deformed * by, x[..., 2:])

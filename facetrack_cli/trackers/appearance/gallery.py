@@ -125,14 +125,19 @@ class Gallery:
             raise ValueError("a gallery needs two persons or more, each named once")
         if problem := next(filter(None, map(name_problem, self.names)), None):
             raise ValueError(problem)
-        if self.faces.shape != (p, math.prod(self.shape)) or any(len(space.mean) != d for space in spaces):
+        if (
+            min(self.shape) < 1
+            or self.faces.shape != (p, math.prod(self.shape))
+            or any(len(space.mean) != d for space in spaces)
+        ):
             raise ValueError(f"faces of {self.faces.shape} do not fit {p} persons and a template of {self.shape}")
         numbers = (*self.calibration, self.most_frontal, self.threshold, self.errors, self.proportion or 0.0)
         if not (np.isfinite(self.faces).all() and np.isfinite(numbers).all()):
             raise ValueError("a number is not finite")
         ranged = len(self.counts) == p and min(self.counts) >= 1 and len(self.calibration) == 2
+        ranged = ranged and (self.proportion is None or self.proportion > 0.0)
         if not ranged or self.calibration[0] < 0.0 or not 0.0 <= self.most_frontal <= 1.0:
-            raise ValueError("counts or the calibration of p_f are out of range")
+            raise ValueError("counts, proportion or the calibration of p_f are out of range")
 
     def log_scores(self, patches: Rows, *, sharpness: float = 1.0, none: bool = False) -> tuple[Array, Array]:
         """p_f (N,), 0 of a patch of zeros, and log p_n (N, P) of patches (N, d), with logsumexp 0 over the identities.

@@ -66,7 +66,7 @@ class ColourRatioSettings(LikelihoodSettings):
     scale: Annotated[float, Field(gt=0)] | None = None
     """Scale of rho, in colour differences (window mean = 1), beyond which it grows less; not for l1."""
     sigma: Annotated[float, Field(gt=0)] = 1.5
-    """sigma_i of eq. 10 is this / E{o_i}, with intensities in 0..255; the paper takes 1.5, which is 0.5 of our d."""
+    """sigma_i of eq. 10 is this / E{o_i}, with intensities in 0..255; the 1.5 of the paper, by its d, is 0.5 here."""
     floor: Annotated[float, Field(lt=0)] | None = None
     """Log-likelihood of a part that matches nothing: log(exp(-d / sigma_i) + exp(floor)); null as published, none."""
     max_samples: Annotated[int, Field(ge=5)] | None = None

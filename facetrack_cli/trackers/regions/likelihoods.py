@@ -168,7 +168,7 @@ def ellipse(size: tuple[float, float], count: int) -> tuple[Array, Array]:
 
 
 MIN_COLOURED = 0.05  # of a face half and more, of grey clips after lossy codecs less than 0.001
-MAX_CELLS = 2**24  # of an integral histogram: 64 MB
+MAX_CELLS = 2**20  # pixels of an integral histogram: 64 MB
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class Histogram:
     def init(self, frame: Frame, x0: Array) -> Reference:
         """The histogram of the box at x0 (1, 6). InputError without colours where `value_bins` knows no greys."""
         settings, factor = self.settings, factor_for(max(self.size), self.settings.max_size)
-        hsv, ex, ey, _, pixels = self._read(frame, x0[None], factor)
+        hsv, ex, ey, _ = self._read(frame, x0[None], factor)
         if hsv is None:
             wrong = "lies outside the image: choose another box"
             if factor > 1:
@@ -220,7 +220,7 @@ class Histogram:
         new = np.full(bins + max(settings.value_bins, 1), len(used), np.uint16)
         new[used] = np.arange(len(used))
         root = np.zeros((len(counts), width), np.float32)
-        root[:, : len(used)] = np.sqrt(counts[:, used] / pixels)
+        root[:, : len(used)] = np.sqrt(counts[:, used] / counts.sum())
         return Reference(factor, new[coloured], new[colourless], root)
 
     def score(self, learned: Reference, frame: Frame, x: Array, parents: Array | None = None) -> Array:
@@ -235,18 +235,25 @@ class Histogram:
         return learned
 
     def _squared(self, learned: Reference, frame: Frame, x: Array) -> Array:
-        hsv, ex, ey, area, pixels = self._read(frame, x, learned.factor)
+        hsv, ex, ey, area = self._read(frame, x, learned.factor)
         if hsv is None:
             return np.ones((len(x), 1))
         codes = self._codes(hsv, learned.coloured, learned.colourless)
-        # what each way takes, in units of one pixel counted directly; both give the same to the last bit
-        bins = learned.root.shape[1]
-        integral = codes.size * bins <= MAX_CELLS and codes.size * (2 + bins // kernel.LANES) < pixels
-        match = (kernel.match_integral if integral else kernel.match_direct)(codes, ex, ey, area, learned.root)
+        each = [slice(None)]
+        if codes.size > MAX_CELLS:  # far apart: of each box what it covers alone
+            each = [slice(n, n + 1) for n in range(len(x))]
+        match = np.concatenate([self._match(codes, ex[n], ey[n], area[n], learned.root) for n in each])
         return np.asarray(np.clip(1.0 - match, 0.0, 1.0)[:, None])
 
-    def _read(self, frame: Frame, x: Array, factor: int) -> tuple[Image | None, Whole, Whole, Array, int]:
-        """HSV of the part of the frame that boxes (N, 1, 6) cover, their edges, areas, and pixels of all together.
+    @staticmethod
+    def _match(codes: NDArray[np.uint16], ex: Whole, ey: Whole, area: Array, root: NDArray[np.float32]) -> Array:
+        """(N,): the Bhattacharyya coefficient of boxes with the reference."""
+        left, right, top, bottom = int(ex.min()), int(ex.max()), int(ey.min()), int(ey.max())
+        part = np.ascontiguousarray(codes[top:bottom, left:right])
+        return np.asarray(kernel.match_boxes(part, ex - left, ey - top, area, root))
+
+    def _read(self, frame: Frame, x: Array, factor: int) -> tuple[Image | None, Whole, Whole, Array]:
+        """HSV of the part of the frame that boxes (N, 1, 6) cover, their edges in it, and areas.
 
         Column c of sub-regions holds the pixels ex[n, c] <= i < ex[n, c + 1] of that part, whose centres lie in it, and
         rows as well. Areas (N,) are those of whole boxes, also beyond the frame, and 0 of what is no box.
@@ -264,17 +271,16 @@ class Histogram:
             np.where(good[:, None], np.clip(each, 0, length), 0).astype(np.int64)
             for each, length in zip(edges, sizes, strict=True)
         )
-        across, down = (each[:, -1] - each[:, 0] for each in (ex, ey))
-        if not (seen := across * down > 0).any():
-            return None, ex, ey, area, 0
+        seen = (ex[:, -1] > ex[:, 0]) & (ey[:, -1] > ey[:, 0])
+        if not seen.any():
+            return None, ex, ey, area
         (left, right), (top, bottom) = ((int(each[seen, 0].min()), int(each[seen, -1].max())) for each in (ex, ey))
         extent = (left * factor, top * factor, right * factor - 1, bottom * factor - 1)
         image, dx, dy = frame.reduced(factor, extent)
         dx, dy = dx // factor, dy // factor
         hsv = _hsv(image[top - dy : bottom - dy, left - dx : right - dx])
         # boxes beyond the image are empty, and stay so wherever they are put
-        ex, ey = np.clip(ex, left, right) - left, np.clip(ey, top, bottom) - top
-        return hsv, ex, ey, area, int((across * down).sum())
+        return hsv, np.clip(ex, left, right) - left, np.clip(ey, top, bottom) - top, area
 
     def _codes(self, hsv: Image, coloured: NDArray[np.uint16], colourless: NDArray[np.uint16]) -> NDArray[np.uint16]:
         """The bin of each pixel of hsv (H, W, 3); pale and dark ones have no hue where there are bins for them."""

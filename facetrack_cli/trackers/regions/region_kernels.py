@@ -4,9 +4,8 @@
 Contour: edges along the normals of an outline, and the nearest of each (eq. 11).
 
 Histogram: many boxes at once, compared with one reference (section 3.3, "Color model"). An image is first coded: every
-pixel holds the number of its bin, among the bins that matter and one for all others. Boxes are then counted either
-pixel by pixel (`match_direct`) or from integral histograms (`match_integral`). Counts are whole numbers and both end in
-the same sums in the same order, so both give the same result to the last bit.
+pixel holds the number of its bin, among the bins that matter and one for all others. Boxes are then counted from
+integral histograms.
 
 Correlation: patches on a fixed grid, of a particle now and of its parent in the image before (eq. 6), and how far they
 differ (eq. 12 and 13).
@@ -16,7 +15,7 @@ import math
 
 import numpy as np
 
-from facetrack_cli.engine.kernels.compiled import exact, fast, fast_part, inline, join, look_up, part
+from facetrack_cli.engine.kernels.compiled import exact, fast, fast_part, inline, join, look_up
 
 # --- contour
 
@@ -140,75 +139,51 @@ def nearest_edges(image, x, origin_x, origin_y, factor, points, normals, reach, 
 
 # --- histogram
 
-LANES = 16  # the number of bins is padded to a multiple of this, so that loops over bins vectorise
-
-
-@part
-def _add_match(counts, root, sums):
-    for b in range(len(sums)):
-        sums[b] += math.sqrt(np.float32(counts[b])) * root[b]
-
-
-@part
-def _coefficient(sums, area):
-    total = 0.0
-    for b in range(len(sums)):
-        total += sums[b]
-    return total / math.sqrt(area) if area > 0.0 else 0.0
+LANES = 16  # so many bins are counted at a time: enough to vectorise, few enough to fit into memory
 
 
 @exact
-def match_direct(codes, ex, ey, area, root):
-    """sum_j sqrt(b_j b_ref_j) of each box, (N,), counted pixel by pixel.
+def match_boxes(codes, ex, ey, area, root):
+    """sum_j sqrt(b_j b_ref_j) of each box, (N,).
 
-    codes (H, W) with values below U; ex (N, cols + 1), ey (N, rows + 1) in its pixels; area (N,); root (rows * cols, U)
-    float32: the square roots of the reference.
+    codes (H, W) with values below U, a multiple of LANES; ex (N, cols + 1), ey (N, rows + 1) in its pixels; area (N,);
+    root (rows * cols, U) float32: the square roots of the reference.
     """
-    n, cols, rows = ex.shape[0], ex.shape[1] - 1, ey.shape[1] - 1
-    counts, sums, out = np.empty(root.shape[1], np.int32), np.empty(root.shape[1], np.float32), np.empty(n)
-    for p in range(n):
-        sums[:] = np.float32(0.0)
-        for r in range(rows):
-            for c in range(cols):
-                counts[:] = 0
-                for y in range(ey[p, r], ey[p, r + 1]):
-                    for x in range(ex[p, c], ex[p, c + 1]):
-                        counts[codes[y, x]] += 1
-                _add_match(counts, root[r * cols + c], sums)
-        out[p] = _coefficient(sums, area[p])
-    return out
-
-
-@exact
-def match_integral(codes, ex, ey, area, root):
-    """What `match_direct` returns, from the integral histogram of `codes`: integral[y, x, b] counts above and left."""
     n, cols, rows, u = ex.shape[0], ex.shape[1] - 1, ey.shape[1] - 1, root.shape[1]
     height, width = codes.shape
-    below = np.zeros((width, u), np.int32)  # of each column of pixels down to this row
-    integral = np.empty((height + 1, width + 1, u), np.int32)
-    integral[0] = 0
-    for y in range(height):
-        # in a pass of its own: reading a vector back right after one of its numbers was written stalls the processor
-        for x in range(width):
-            below[x, codes[y, x]] += 1
-        row = integral[y + 1]
-        row[0] = 0
-        for x in range(width):
-            now, before, column = row[x + 1], row[x], below[x]
-            for b in range(u):
-                now[b] = before[b] + column[b]
-    counts, sums, out = np.empty(u, np.int32), np.empty(u, np.float32), np.empty(n)
+    sums, out = np.zeros((n, u), np.float32), np.zeros(n)
+    # integral[y, x, b] counts above and left, `below` in each column of pixels down to this row
+    integral, counts = np.zeros((height + 1, width + 1, LANES), np.int32), np.empty(LANES, np.int32)
+    for first in range(0, u, LANES):
+        below = np.zeros((width, LANES), np.int32)
+        for y in range(height):
+            # in a pass of its own: to read a vector right after one of its numbers was written stalls the processor
+            for x in range(width):
+                b = codes[y, x] - first
+                if b >= 0 and b < LANES:
+                    below[x, b] += 1
+            row = integral[y + 1]
+            for x in range(width):
+                now, before, column = row[x + 1], row[x], below[x]
+                for b in range(LANES):
+                    now[b] = before[b] + column[b]
+        for p in range(n):
+            total = sums[p, first : first + LANES]
+            for r in range(rows):
+                upper, lower = integral[ey[p, r]], integral[ey[p, r + 1]]
+                for c in range(cols):
+                    x0, x1 = ex[p, c], ex[p, c + 1]
+                    ul, ur, ll, lr = upper[x0], upper[x1], lower[x0], lower[x1]
+                    roots = root[r * cols + c, first : first + LANES]
+                    for b in range(LANES):
+                        counts[b] = lr[b] - ll[b] - ur[b] + ul[b]
+                    for b in range(LANES):
+                        total[b] += math.sqrt(np.float32(counts[b])) * roots[b]
     for p in range(n):
-        sums[:] = np.float32(0.0)
-        for r in range(rows):
-            upper, lower = integral[ey[p, r]], integral[ey[p, r + 1]]
-            for c in range(cols):
-                x0, x1 = ex[p, c], ex[p, c + 1]
-                ul, ur, ll, lr = upper[x0], upper[x1], lower[x0], lower[x1]
-                for b in range(u):
-                    counts[b] = lr[b] - ll[b] - ur[b] + ul[b]
-                _add_match(counts, root[r * cols + c], sums)
-        out[p] = _coefficient(sums, area[p])
+        if area[p] > 0.0:
+            for b in range(u):
+                out[p] += sums[p, b]
+            out[p] /= math.sqrt(area[p])
     return out
 
 
