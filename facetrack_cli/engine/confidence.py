@@ -159,21 +159,17 @@ class Calibration(_StoredPart):
     def _tables(self) -> tuple[Array, Array, Array, Whole, Array]:
         """The maps and spreads of points and of boxes, as the kernel takes them."""
         kinds: list[PartKind] = ["points", "box"]
-        steps = [one.knots if isinstance(one := self.maps.get(kind), Isotonic) else [] for kind in kinds]
-        slopes, least, knots = np.zeros((2, 7)), np.full(2, np.nan), np.zeros((2, 2, max(1, *map(len, steps))))
-        for i, kind in enumerate(kinds):
-            score: Map | Feature | None = self.maps.get(kind)
-            score = score.score if isinstance(score, Isotonic) else score
-            knots[i, :, : len(steps[i])] = np.array(steps[i]).reshape(-1, 2).T
-            if isinstance(score, Logistic):
-                slopes[i], least[i] = (
-                    [*(score.coefficients.get(one, 0.0) for one in RISES), score.intercept],
-                    score.least,
-                )
-            elif isinstance(score, str):
-                slopes[i, list(RISES).index(score)] = 1.0
-        counts = np.array([len(one) if kind in self.maps else -1 for one, kind in zip(steps, kinds, strict=True)])
-        return slopes, least, knots, counts, np.array([self.spread.get(kind, 1.0) for kind in kinds])
+        maps = [self.maps.get(kind) for kind in kinds]
+        scores = [one.score if isinstance(one, Isotonic) else one for one in maps]
+        each = [one.coefficients if isinstance(one, Logistic) else {one: 1.0} for one in scores]
+        ends = [(one.intercept, one.least) if isinstance(one, Logistic) else (0.0, np.nan) for one in scores]
+        steps = [one.knots if isinstance(one, Isotonic) else [] for one in maps]
+        knots = np.zeros((2, 2, max(1, *map(len, steps))))
+        for table, own in zip(knots, steps, strict=True):
+            table[:, : len(own)] = np.array(own).reshape(-1, 2).T
+        counts = np.array([-1 if one is None else len(own) for one, own in zip(maps, steps, strict=True)])
+        slopes = np.array([[own.get(name, 0.0) for name in RISES] for own in each])
+        return slopes, np.array(ends), knots, counts, np.array([self.spread.get(kind, 1.0) for kind in kinds])
 
     def to_json(self) -> str:
         return json.dumps(self.model_dump(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"

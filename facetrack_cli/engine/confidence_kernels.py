@@ -28,14 +28,15 @@ def _between(knots, count, x):
 
 
 @exact
-def calibrate(rows, boxes, lost, init, size, slopes, least, knots, counts, spread, cap, likely, how):
+def calibrate(rows, boxes, lost, init, size, slopes, ends, knots, counts, spread, cap, likely, how):
     """Overwrites confidence and spread of `rows` (10, R), and says `how` (R,) they are seen; returns if that changes.
 
     `rows` are confidence, w, h, ess, particles, std_x, std_y, cov_xy, std_w and std_h; `boxes`, `lost` and `init` (R,)
-    say which of them are. Of points and of boxes are `slopes` (2, 7) of the features and 1, `least` (2,), nan without
-    a logistic regression, `knots` (2, 2, M), and their `counts` (2,), 0 without any and -1 without a map.
+    say which of them are. Of points and of boxes are `slopes` (2, 6) of the features, `ends` (2, 2), the intercept and
+    the least p, which is nan without a logistic regression, `knots` (2, 2, M), and their `counts` (2,), 0 without any
+    and -1 without a map.
     """
-    f, gone, changes = np.ones(7), False, False
+    f, gone, changes = np.empty(6), False, False
     for i in range(len(boxes)):
         gone |= lost[i] and boxes[i]
     for i in range(len(boxes)):
@@ -47,11 +48,11 @@ def calibrate(rows, boxes, lost, init, size, slopes, least, knots, counts, sprea
             f[2] = math.log(_within(math.hypot(rows[5, i], rows[6, i]) / side, 1e-3, 10.0))
             f[3] = math.log10(_within(ess / rows[4, i], 1e-3, 1.0))
             # what is small in the picture is placed less exactly, in terms of its size
-            f[5], p = math.log(_within(side, 3.0, 1000.0)), 0.0
-            for j in range(7):
+            f[5], p = math.log(_within(side, 3.0, 1000.0)), ends[kind, 0]
+            for j in range(6):
                 p += slopes[kind, j] * f[j] if slopes[kind, j] != 0.0 else 0.0
-            if not math.isnan(least[kind]):
-                p = _within(1.0 / (1.0 + math.exp(-_within(p, -700.0, 700.0))), least[kind], 1.0 - least[kind])
+            if not math.isnan(ends[kind, 1]):
+                p = _within(1.0 / (1.0 + math.exp(-_within(p, -700.0, 700.0))), ends[kind, 1], 1.0 - ends[kind, 1])
             if counts[kind] > 0 and not math.isnan(p):
                 p = _between(knots[kind], counts[kind], p)
         if gone and lost[i] and p > cap:

@@ -50,7 +50,6 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.face.landmark_kernels.follow": ("b1 f8:2 f8:1 f8 f8:2 f8:2 f8:1 f8:1 f8:1 f8:1 f8:2 f8:3 f8:1", "head"),
     "trackers.face.landmark_kernels.fuse": ("f8:3 f8:2 f8:2 f8:2 f8 f8:2 f8:1", "head"),
     "trackers.face.landmark_kernels.read": ("f8:3 f8:1 f8:3 f8:2 f8:2 f8:2 f8:2 f8 f8 f8:3 f8:2 f8:2", "head"),
-    "trackers.face.landmark_kernels.add_up": ("f8:3 f8:2 f8:2 f8 f8:3 f8:2 f8:2", "motion=jumping_walk"),
     "trackers.face.landmark_kernels.show": ("f8:2 f8:3 f8:1 i8 f8 f8:2 f8:2 f8:1 f8 f8 f8 f8:2 i8:1", "head"),
     "trackers.face.landmark_kernels.median_shift": ("f8:2 b1:1 f8:1", "head"),
     "trackers.face.image_kernels._read": ("f4:3 f8:2 f8:2 f8 f4:3", "head"),
@@ -91,7 +90,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "engine.kernels.compiled.invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
     "trackers.skin.skin_kernels.box_sums": ("f8:2 f8:2", f"{_NCC} skin"),
     "engine.confidence_kernels.calibrate": (
-        "f8:2 b1:1 b1:1 b1:1 f8 f8:2 f8:1 f8:3 i8:1 f8:1 f8 f8 i8:1",
+        "f8:2 b1:1 b1:1 b1:1 f8 f8:2 f8:2 f8:3 i8:1 f8:1 f8 f8 i8:1",
         "calibration",
     ),
     "engine.kernels.compiled.moments": ("f8:3 f8:1 f8:1 f8:2 f8:3", _FILTERS),
