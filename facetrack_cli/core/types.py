@@ -100,8 +100,9 @@ class Frame:
         self.index, self.time_s, self.aspect = index, time_s, aspect
         self.yuv = pixels if isinstance(pixels, Planes) else Planes.of(pixels) if pixels.ndim == 2 else None
         self._pixels = None if isinstance(pixels, Planes) else pixels
-        height, width = np.shape(self._pixels if self.yuv is None else self.yuv.y)[:2]
-        self.size, self._bgr = (width, height), _bgr
+        lit = self._pixels if self.yuv is None else self.yuv.y
+        assert lit is not None
+        self.size, self._bgr = (lit.shape[1], lit.shape[0]), _bgr
         self._ours: tuple[Planes, int, int, Extent] | None = None
         self._part: tuple[Image, int, int, Extent] | None = None
         self._tints: dict[int, tuple[Image, Image, int, int, Extent]] = {}
@@ -163,7 +164,7 @@ class Frame:
         if self.yuv.ours is None:
             return self.yuv, 0, 0
         if self._ours is None or not _within(extent, self._ours[3]):
-            asked = _widened(extent, 16.0)
+            asked = _widened(extent, 32.0)
             columns, rows = self._pairs(asked)
             self._ours = self.yuv.part(columns, rows), 2 * columns[0], 2 * rows[0], asked
         return self._ours[:3]
@@ -187,9 +188,9 @@ class Frame:
                 plane[(y0 * own - top) // 2 : (y1 * own - top) // 2, (x0 * own - left) // 2 : (x1 * own - left) // 2]
                 for plane in planes[1:3]
             )
-            if own > 2:
-                few = x1 - x0, y1 - y0
-                u, v = (np.asarray(cv2.resize(plane, few, interpolation=cv2.INTER_AREA), np.uint8) for plane in (u, v))
+            for _ in range(factor.bit_length() - 1):  # by halves, as below
+                half = max(u.shape[1] // 2, 1), max(u.shape[0] // 2, 1)
+                u, v = (np.asarray(cv2.resize(plane, half, interpolation=cv2.INTER_AREA), np.uint8) for plane in (u, v))
             kept = self._tints[own] = u, v, x0 * own, y0 * own, asked
         u, v, x, y, _ = kept
         return [lit, (u, x, y, own), (v, x, y, own)]
