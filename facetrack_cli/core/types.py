@@ -67,11 +67,13 @@ class Planes(NamedTuple):
         if self.ours is None:
             return Planes(y, u, v)
         # grey stays grey: Y changes by U and V alone, each about its middle
-        more, *tints = (np.asarray(cv2.addWeighted(u, a, v, b, 128 - 128 * (a + b))) for _, a, b in self.ours.tolist())
+        more, u, v = (
+            np.asarray(cv2.addWeighted(u, a, v, b, 128 - 128 * (a + b)), np.uint8) for _, a, b in self.ours.tolist()
+        )
         pairs, lit = cv2.merge((more, more)).reshape(len(more), -1), np.empty(y.shape, np.uint8)
         for odd in (0, 1):
             cv2.addWeighted(y[odd::2], 1, pairs, 1, -128, dst=lit[odd::2])
-        return Planes(lit, *tints)
+        return Planes(lit, u, v)
 
     def joined(self) -> Image:
         """Planes by BT.601 in one array (H * 3 / 2, W)."""
@@ -96,10 +98,11 @@ class Frame:
         self, index: int, time_s: float, pixels: Image | Planes, _bgr: Image | None = None, *, aspect: float = 1.0
     ) -> None:
         self.index, self.time_s, self.aspect = index, time_s, aspect
-        self._bgr, self._pixels = _bgr, None if isinstance(pixels, Planes) else pixels
         self.yuv = pixels if isinstance(pixels, Planes) else Planes.of(pixels) if pixels.ndim == 2 else None
-        height, width = (pixels if self.yuv is None else self.yuv.y).shape[:2]
-        self.size = width, height
+        self._pixels = None if isinstance(pixels, Planes) else pixels
+        lit = self._pixels if self.yuv is None else self.yuv.y
+        assert lit is not None
+        self.size, self._bgr = (lit.shape[1], lit.shape[0]), _bgr
         self._ours: tuple[Planes, int, int, Extent] | None = None
         self._part: tuple[Image, int, int, Extent] | None = None
         self._tints: dict[int, tuple[Image, Image, int, int, Extent]] = {}
@@ -161,7 +164,7 @@ class Frame:
         if self.yuv.ours is None:
             return self.yuv, 0, 0
         if self._ours is None or not _within(extent, self._ours[3]):
-            asked = _widened(extent, 16.0)
+            asked = _widened(extent, 32.0)
             columns, rows = self._pairs(asked)
             self._ours = self.yuv.part(columns, rows), 2 * columns[0], 2 * rows[0], asked
         return self._ours[:3]
@@ -185,9 +188,10 @@ class Frame:
                 plane[(y0 * own - top) // 2 : (y1 * own - top) // 2, (x0 * own - left) // 2 : (x1 * own - left) // 2]
                 for plane in planes[1:3]
             )
-            if own > 2:
-                u, v = (cv2.resize(plane, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA) for plane in (u, v))
-            kept = self._tints[own] = np.asarray(u, np.uint8), np.asarray(v, np.uint8), x0 * own, y0 * own, asked
+            for _ in range(factor.bit_length() - 1):  # by halves, as below
+                half = max(u.shape[1] // 2, 1), max(u.shape[0] // 2, 1)
+                u, v = (np.asarray(cv2.resize(plane, half, interpolation=cv2.INTER_AREA), np.uint8) for plane in (u, v))
+            kept = self._tints[own] = u, v, x0 * own, y0 * own, asked
         u, v, x, y, _ = kept
         return [lit, (u, x, y, own), (v, x, y, own)]
 

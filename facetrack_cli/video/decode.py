@@ -323,12 +323,13 @@ def pixels(raw: VideoFrame, way: tuple[bool, bool, bool] | None = None) -> Image
         image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace=matrix, dst_colorspace=_BT601), np.uint8)
         return np.ascontiguousarray(_oriented(image, way))
     ours = None if _LUMA[matrix] == _LUMA[_BT601] else _to_bt601(matrix)
-    each = raw.planes  # which are not copied, since new memory costs more than what is read of them
-    upside_down = each[0].line_size < 0
-    parts = Planes.of(np.asarray(raw.to_ndarray(), np.uint8))[:3] if upside_down else map(_view, each)
+    if raw.planes[0].line_size < 0:  # upside down in memory
+        y, u, v, _ = Planes.of(np.asarray(raw.to_ndarray(), np.uint8))
+    else:  # which are not copied, since new memory costs more than what is read of them
+        y, u, v = map(_view, raw.planes)
     if any(way):
-        parts = (np.ascontiguousarray(_oriented(part, way)) for part in parts)
-    return Planes(*parts, ours)
+        y, u, v = (np.ascontiguousarray(_oriented(plane, way)) for plane in (y, u, v))
+    return Planes(y, u, v, ours)
 
 
 def _view(plane: VideoPlane) -> Image:
@@ -339,7 +340,7 @@ def _view(plane: VideoPlane) -> Image:
 def _to_bt601(matrix: int) -> Array:
     """(3, 3) Y, Cb and Cr by those of another matrix, in so few bits that sums of float32 are exact."""
     ours, theirs = (weights(*_LUMA[number])[:, :3] for number in (_BT601, matrix))
-    return np.rint(ours @ np.linalg.inv(theirs) * 2**14) / 2**14
+    return np.asarray(np.rint(ours @ np.linalg.inv(theirs) * 2**14) / 2**14)
 
 
 def _orientation(raw: VideoFrame) -> tuple[bool, bool, bool]:

@@ -148,4 +148,4 @@ def test_a_stabilized_image_by_planes_is_nearly_that_of_the_converted_frame(scal
     lies = Similarity(np.array([310.0, 250.0]), scale, 0.3)
     seen, expected = (lies.read(one, side).bgr.astype(float) for one in (Frame(0, 0.0, planes), whole))
     off = cv2.blur(seen, (2, 2)) - cv2.blur(expected, (2, 2))  # colours are read at every other pixel
-    assert np.abs(off).mean() < 0.6 and abs(off.mean()) < 0.3
+    assert np.abs(off).mean() < 0.75 and abs(off.mean()) < 0.4

@@ -62,29 +62,29 @@ def grey_channels(sums: NDArray[np.int32]) -> Single:
 def _smoothed(seen: Single, channels: int) -> Single:
     height, width = seen.shape[1:]
     out = np.empty((channels, height, width + 2 * _REACH), np.float32)
-    _channels(seen, _WAYS, len(seen) > 1, np.empty((9, height, width), np.float32), out)
+    _channels(seen, _WAYS, len(seen) > 1, np.empty((7, height, width), np.float32), out)
     return out
 
 
 @fast
 def _channels(seen, ways, whole, scratch, out):
     height, width = seen.shape[1:]
-    across, down, others, one, two, sums = scratch[0], scratch[1], scratch[2:5], scratch[5], scratch[6], scratch[7]
-    usual, raw, directions = scratch[8], one, len(ways)
+    across, down, others, raw, usual = scratch[0], scratch[1], scratch[2:5], scratch[5], scratch[6]
+    directions = len(ways)
     _slopes(seen[0], across, down)
     if whole:
-        _slopes(seen[1], two, others[2])
-        _over_rms(others[2], _NEAR, others[2], one, two, sums)
+        _slopes(seen[1], raw, others[2])
+        _over_rms(others[2], _NEAR, raw)
         for k in range(2):
-            _mean(seen[1 - k], _AROUND, two, sums)
+            _mean(seen[1 - k], False, _AROUND, raw)
             for y in range(height):
                 for x in range(width):
-                    others[k, y, x] = seen[1 - k, y, x] - two[y, x]
-            _over_rms(others[k], _AROUND, others[k], one, two, sums)
+                    others[k, y, x] = seen[1 - k, y, x] - raw[y, x]
+            _over_rms(others[k], _AROUND, raw)
         for y in range(height):
             for x in range(width):
-                one[y, x] = across[y, x] ** 2 + down[y, x] ** 2
-        _mean(one, _NEAR, usual, sums)
+                raw[y, x] = across[y, x] ** 2 + down[y, x] ** 2
+        _mean(raw, False, _NEAR, usual)
     else:
         total, first, second = _ZERO, _ZERO, _ZERO
         for y in range(height):
@@ -136,45 +136,51 @@ def _slopes(values, across, down):
 
 
 @fast_part
-def _over_rms(values, reach, out, squares, around, sums):
-    """Values over the root of the mean of squares around, and a little."""
-    height, width = values.shape
-    for y in range(height):
-        for x in range(width):
-            squares[y, x] = values[y, x] ** 2
-    _mean(squares, reach, around, sums)
-    for y in range(height):
-        for x in range(width):
+def _over_rms(values, reach, around):
+    """Values become those over the root of the mean of squares around, and a little."""
+    _mean(values, True, reach, around)
+    for y in range(values.shape[0]):
+        for x in range(values.shape[1]):
             # sums of float32 that cancel may come out below 0
-            out[y, x] = values[y, x] / (np.sqrt(max(around[y, x], _ZERO)) + _EVEN)
+            values[y, x] /= np.sqrt(max(around[y, x], _ZERO)) + _EVEN
 
 
 @fast_part
-def _mean(values, reach, out, sums):
-    """The means over squares that reach so far: sums down the image, and of these across it, eight rows at a time."""
+def _mean(values, squares, reach, out):
+    """The means over squares that reach so far, of values or of their squares.
+
+    Sums go down the image, and of these across it, eight rows at a time, of which four are in registers.
+    """
     height, width = values.shape
-    column, eight = np.zeros(width, np.float32), np.empty(8, np.float32)
+    column, sums, total = np.zeros(width, np.float32), np.zeros((8, width), np.float32), np.empty(8, np.float32)
     share = _ONE / np.float32((2 * reach + 1) ** 2)
     for d in range(-reach, reach + 1):
         row = values[abs(d)]
         for x in range(width):
-            column[x] += row[x]
-    for y in range(height):
-        enters, leaves = values[height - 1 - abs(height - 2 - y - reach)], values[abs(y - reach)]
-        for x in range(width):
-            sums[y, x] = column[x] * share
-            column[x] += enters[x] - leaves[x]
+            column[x] += row[x] ** 2 if squares else row[x]
     for first in range(0, height, 8):
         many = min(8, height - first)
         for i in range(many):
-            eight[i] = sums[first + i, 0]
+            y, line = first + i, sums[i]
+            enters, leaves = values[height - 1 - abs(height - 2 - y - reach)], values[abs(y - reach)]
+            for x in range(width):
+                line[x] = column[x] * share
+                column[x] += enters[x] ** 2 - leaves[x] ** 2 if squares else enters[x] - leaves[x]
+            total[i] = line[0]
             for d in range(1, reach + 1):
-                eight[i] += _TWO * sums[first + i, d]
-        for x in range(width):
-            enters, leaves = width - 1 - abs(width - 2 - x - reach), abs(x - reach)
-            for i in range(many):
-                out[first + i, x] = eight[i]
-                eight[i] += sums[first + i, enters] - sums[first + i, leaves]
+                total[i] += _TWO * line[d]
+        for i in range(0, many, 4):
+            s0, s1, s2, s3 = sums[i], sums[i + 1], sums[i + 2], sums[i + 3]
+            t0, t1, t2, t3 = total[i], total[i + 1], total[i + 2], total[i + 3]
+            y, last = first + i, height - 1
+            row0, row1, row2, row3 = out[y], out[min(y + 1, last)], out[min(y + 2, last)], out[min(y + 3, last)]
+            for x in range(width):
+                row3[x], row2[x], row1[x], row0[x] = t3, t2, t1, t0  # of the last rows the first one holds
+                entering, leaving = width - 1 - abs(width - 2 - x - reach), abs(x - reach)
+                t0 += s0[entering] - s0[leaving]
+                t1 += s1[entering] - s1[leaving]
+                t2 += s2[entering] - s2[leaving]
+                t3 += s3[entering] - s3[leaving]
 
 
 @fast_part
