@@ -159,7 +159,7 @@ class CorrelationFilter(Likelihood):
     @cached_property
     def _colour_model(self) -> ColourModel:
         side = self.settings.window * self._unit
-        return ColourModel((self.size[0] / side, self.size[1] / side), self.settings.cells)
+        return ColourModel((self.size[0] / side, self.size[1] / side))
 
     def _side(self, scale: float) -> float:
         """Side of the window in pixels."""
@@ -379,14 +379,14 @@ class CorrelationFilter(Likelihood):
     def _at(
         self, learned: CorrelationState, frame: Frame, centre: Array, scale: float, seen: Seen | None
     ) -> tuple[Single, Image, NDArray[np.complex64] | None]:
-        """Spectrum and colours of the target, and its spectrum over scales: those `seen`, moved, if they are near."""
+        """Spectrum and window of the target, and its spectrum over scales: those `seen`, moved, if they are near."""
         trainer = self._scale_trainer
         if seen is not None:
             grown, cell = math.log(scale / seen.scale), self._side(seen.scale) / self.settings.cells
             off, mode = (centre - seen.view.centre) / cell, (centre - seen.guides.mean[0, :2]) / cell
             if abs(grown) < _SAME_SCALE and max(np.abs(off).max(), np.abs(mode).max()) < _SAME_PLACE:
                 across = None if trainer is None or seen.scales is None else trainer.moved(seen.scales, grown)
-                return moved(seen.view.spectrum, off, self.settings.cells), seen.view.colours, across
+                return moved(seen.view.spectrum, off, self.settings.cells), seen.view.image, across
         x, window = learned.features.read(frame, centre, self._side(scale))
         return x, window, None if trainer is None else trainer.read(frame, centre, scale)
 

@@ -118,7 +118,7 @@ class Features:
         colour = has_colours(image)
         hann = np.hanning(cells + 2)[1:-1].astype(np.float32)
         taper = np.outer(hann, hann).ravel()
-        whole, _ = _features(image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cells)
+        whole = _features(image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cells)
         features = whole * np.sqrt(taper)
         products = np.einsum("if,jf->ij", features, features, dtype=np.float64)  # BLAS rounds by its threads
         _, vectors = np.linalg.eigh(products)
@@ -129,14 +129,11 @@ class Features:
         return cls(cells, colour, kept, taper / np.float32(np.sqrt(max(energy, 1e-12))))
 
     def read(self, frame: Frame, centre: Array, side: float) -> tuple[Single, Image]:
-        """The channels' spectrum (2, C, F) of the window of `side` pixels around `centre`, and its cells' mean colours.
-
-        They are (G, G, 3) in BGR, or (G, G) in grey.
-        """
+        """The channels' spectrum (2, C, F) of the window of `side` pixels around `centre`, and the window itself."""
         n = CELL * self.cells
         image = resample(frame, centre, (side, side), (n, n), colour=self.colour)
-        features, small = _features(image, self.cells)
-        return spectrum(self._project(features).reshape(-1, self.cells, self.cells)), small
+        channels = self._project(_features(image, self.cells))
+        return spectrum(channels.reshape(-1, self.cells, self.cells)), image
 
     def _project(self, features: Single) -> Single:
         out = np.empty((len(self.components), features.shape[1]), np.float32)
@@ -144,24 +141,23 @@ class Features:
         return out
 
 
-def _features(image: Image, cells: int) -> tuple[Single, Image]:
-    """(L, G * G): the features of an image (4 G, 4 G) or (4 G, 4 G, 3), and it reduced to its cells."""
-    colour, small = image.ndim == 3, cv2.resize(image, (cells, cells), interpolation=cv2.INTER_AREA)
+def _features(image: Image, cells: int) -> Single:
+    """(L, G * G): the features of an image (4 G, 4 G), or (4 G, 4 G, 3)."""
+    colour, small = image.ndim == 3, (cells, cells)
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if colour else image, np.uint8)
     out = np.empty((CHANNELS + 1 + 2 * colour, cells, cells), np.float32)
     cells_of(grey, out[:CHANNELS])
-    dark = cv2.resize(grey, (cells, cells), interpolation=cv2.INTER_AREA) if colour else small
-    np.multiply(dark, np.float32(1 / 255), out=out[CHANNELS])
+    np.multiply(cv2.resize(grey, small, interpolation=cv2.INTER_AREA), np.float32(1 / 255), out=out[CHANNELS])
     out[CHANNELS] -= np.float32(0.5)
     if colour:
-        for plane, chroma in zip(
-            cv2.split(cv2.cvtColor(small, cv2.COLOR_BGR2LAB))[1:], out[CHANNELS + 1 :], strict=True
-        ):
-            np.multiply(plane - np.float32(128), np.float32(1 / _CHROMA), out=chroma)
-    return out.reshape(len(out), -1), np.asarray(small, np.uint8)
+        _, *planes = cv2.split(cv2.cvtColor(cv2.resize(image, small, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2LAB))
+        for plane, chroma in zip(planes, out[CHANNELS + 1 :], strict=True):
+            np.divide(plane - np.float32(128), np.float32(_CHROMA), out=chroma)
+    return out.reshape(len(out), -1)
 
 
-_BITS = 4  # of each channel: 16 levels, since cells are few
+_SIDE = 64  # pixels of a window that is read for colours
+_BITS = 5  # of each channel: 32 levels
 _RATE = 0.04
 _TELLS = 0.2  # how much more likely the target's pixels must be than those around, on average
 
@@ -176,27 +172,26 @@ class Colours(NamedTuple):
 
 @dataclass(frozen=True)
 class ColourModel:
-    """Of windows of `cells` x `cells`; `box`: width and height of the target as shares of their side."""
+    """`box`: width and height of the target as shares of the window's side."""
 
     box: tuple[float, float]
-    cells: int
 
     @cached_property
     def _parts(self) -> tuple[Whole, Whole]:
-        """The cells of the target, and those around it."""
-        half = np.abs(np.arange(self.cells) - (self.cells - 1) / 2) / self.cells
-        w, h = (max(side, 2.5 / self.cells) for side in self.box)
+        """The pixels of the target, and those around it."""
+        half = np.abs(np.arange(_SIDE) - (_SIDE - 1) / 2) / _SIDE
+        w, h = (max(side, 2.5 / _SIDE) for side in self.box)
         inside = np.outer(half <= 0.4 * h, half <= 0.4 * w)
         outside = ~np.outer(half <= 0.55 * h, half <= 0.55 * w)
         return np.flatnonzero(inside), np.flatnonzero(outside if outside.any() else ~outside)
 
     def learn(self, known: Colours | None, window: Image, rate: float) -> Colours:
-        """From a window (G, G, 3) in whose middle the target is; `rate` 1 as Staple learns, 0 not at all."""
+        """From a window (n, n, 3) in whose middle the target is; `rate` 1 as Staple learns, 0 not at all."""
         share, bins, learned = 1.0 if known is None else _RATE * rate, _bins(window), []
         before = known or Colours(*np.zeros((2, 1 << 3 * _BITS), np.float32))
         for part, histogram in zip(self._parts, before[:2], strict=True):
-            learned.append(np.float32(1 - share) * histogram)
-            np.add.at(learned[-1], bins[part], np.float32(share / len(part)))
+            counts = np.bincount(bins[part], minlength=len(histogram)).astype(np.float32)
+            learned.append(np.float32(1 - share) * histogram + np.float32(share / len(part)) * counts)
         p = _probability(found := Colours(*learned), bins)
         inside, outside = (float(p[part].mean()) for part in self._parts)
         return found._replace(tells=max(inside - outside, 0.0))
@@ -205,15 +200,16 @@ class ColourModel:
         """The score (samples, samples) of the box around each place of the window; None where colour tells nothing."""
         if known.tells < _TELLS:
             return None
-        w, h = (max(round(0.8 * side * self.cells), 1) | 1 for side in self.box)
-        each = _probability(known, _bins(window)).reshape(self.cells, -1)
+        w, h = (max(round(0.8 * side * _SIDE), 1) | 1 for side in self.box)
+        each = _probability(known, _bins(window)).reshape(_SIDE, -1)
         mean = cv2.blur(each, (w, h), borderType=cv2.BORDER_REPLICATE)
         return np.asarray(cv2.resize(mean, (samples, samples), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _bins(window: Image) -> Whole:
-    """(P,) of all pixels."""
-    b, g, r = (window >> (8 - _BITS)).reshape(-1, 3).T.astype(np.int64)
+    """Of the pixels of the window, reduced, by rows."""
+    small = cv2.resize(window, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA) >> (8 - _BITS)
+    b, g, r = small.reshape(-1, 3).T.astype(np.int64)
     return np.asarray((b << 2 * _BITS) | (g << _BITS) | r)
 
 

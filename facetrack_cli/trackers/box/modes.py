@@ -57,12 +57,12 @@ class Peaks(NamedTuple):
 class ResponseView(NamedTuple):
     """A window around `centre` (2,): R, the response of the filter of `now`, and that of the first frames.
 
-    `spectrum` (2, C, F) and `colours` of its cells (G, G, 3) are the window itself.
+    `spectrum` (2, C, F) and `image` are the window itself.
     """
 
     centre: Array
     spectrum: Single
-    colours: Image
+    image: Image
     response: Single
     now: Single
     first: Single
