@@ -6,8 +6,8 @@
 # class of the same package, DCM(matrix).to_rpy(), as to_angles(), says 1.1, -22.2, -28.5: it is the transposed matrix's.
 # A head that only turns by 30 degrees is turned by -30; with one axis alone only the sign is wrong, with several the size,
 # too. DCM(rpy=...) takes the first angle about z and the last about x, so that the class does not give back what it
-# was made from: 10, 20, 30 becomes -28.5, -22.2, 1.1. Head pose comes as a matrix from solvePnP or MediaPipe, and left becomes right. Nothing
-# is said. Go by way of Quaternion(dcm=matrix).to_angles().
+# was made from: 10, 20, 30 becomes -28.5, -22.2, 1.1. Head pose comes as a matrix from solvePnP or MediaPipe, and left
+# becomes right. Nothing is said. Go by way of Quaternion(dcm=matrix).to_angles().
 # Packages: ahrs 0.4.0, numpy 2.4.6.
 # Data: made-up angles.
 # Output seen:

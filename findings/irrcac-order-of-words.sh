@@ -4,9 +4,9 @@
 # Found: irrCAC 0.4.4 takes ratings as numbers or as words, and weights near misses less (weights="ordinal", "linear",
 # "quadratic"). The scale is the sorted categories. Of words it is the alphabet: extreme, marked, none, severe, slight. So
 # none and severe are neighbours, and none and slight are two steps apart. Of the same ratings alpha with ordinal weights
-# is .834 as the numbers 1 to 5, and .736 as words; of two coders who never differ by more than a step, .792 and .098. Other words for the
-# same scale give other numbers. Nothing is said, where krippendorff 0.9.0 raises an error. Even with identity weights
-# nothing shows, since they need no order. Give categories= in their order, or code numbers.
+# is .834 as the numbers 1 to 5, and .736 as words; of two coders who never differ by more than a step, .792 and .098.
+# Other words for the same scale give other numbers. Nothing is said, where krippendorff 0.9.0 raises an error. With
+# identity weights all is well, since they need no order. Give categories= in their order, or code numbers.
 # Packages: irrCAC 0.4.4, krippendorff 0.9.0, pandas 2.3.3, scipy 1.12.0, numpy 1.26.4.
 # Data: Krippendorff's well-known example of four coders, and one of two coders, written here.
 # Output seen:

@@ -2,7 +2,7 @@
 # A minute at 29.97 frames/s becomes 100 seconds, the last 40 of them zeros.
 #
 # Found: EDF stores signals in data records of equal length, each with a whole number of samples. At 25 or 30 samples/s
-# pyedflib 0.1.42 takes records of 1 s. At 30000/1001, the rate of most cameras, it takes 50.05 s, at 24000/1001 also,
+# pyedflib 0.1.42 takes records of 1 s. At 30000/1001, the rate of many cameras, it takes 50.05 s, at 24000/1001 also,
 # at 29.97 3.7037 s, and fills the last record with zeros: 1800 samples at 30000/1001 are read back as 3000, of which the
 # last 1200 are a face that nobody saw, with a mouth that is exactly closed, yaw 0. The mean of a mouth opening of .5 falls
 # to .3. The rate is right, neither writer nor reader warns, and no header says where the data end. edfio 0.4.18 refuses
