@@ -64,17 +64,11 @@ class Sheet:
     left: tuple[int, ...] = (0,)
 
     def markdown(self) -> str:
-        """The table as Markdown, padded so that it reads as text too."""
+        """The table as Markdown."""
         heads = [head.replace("\n", " ") for head in self.heads]
-        cells = [[cell.replace("|", "\\|") for cell in row] for row in [heads, *self.rows]]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-
-        def line(row: Sequence[str]) -> str:
-            each = enumerate(zip(row, widths, strict=True))
-            return f"| {' | '.join(cell.ljust(w) if i in self.left else cell.rjust(w) for i, (cell, w) in each)} |\n"
-
-        rule = [f":{'-' * (w - 1)}" if i in self.left else f"{'-' * (w - 1)}:" for i, w in enumerate(widths)]
-        text = "".join([line(cells[0]), line(rule), *map(line, cells[1:])])
+        rule = [":--" if i in self.left else "--:" for i in range(len(heads))]
+        lines = [[cell.replace("|", "\\|") for cell in row] for row in (heads, rule, *self.rows)]
+        text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
         return f"{self.title}\n\n{text}\n" + "".join(f"- {note}\n" for note in self.notes)
 
     def table(self, *, ruled: bool = True) -> Table:

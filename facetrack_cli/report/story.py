@@ -250,9 +250,8 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     """The run in words: what was tracked, for how long, how often it was lost."""
     frames, parts = len(clock.frames), len(history.parts)
     whose = table.target if len(table.targets) == 1 else count(len(table.targets), "target")
-    what = (
-        whose if parts == len(table.targets) else f"{count(parts, 'part')} of {whose}"
-    )  # a box each, or the only part
+    # of each target a box, or its only part
+    what = whose if parts == len(table.targets) else f"{count(parts, 'part')} of {whose}"
     long = f"{count(frames, 'frame')}, {lasting(clock.duration)}"
     facts = [f"The recipe {header.recipe_name} looked for {what} in {header.clip_name} over {long}."]
     lost = [part.name for part in history.parts if part.spans]

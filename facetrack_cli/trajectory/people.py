@@ -69,7 +69,7 @@ class PersonRecord(_Record):
     seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     p: _P
     intervals: Annotated[tuple[tuple[_Frame, _Frame], ...], Field(min_length=1)]
-    times: tuple[tuple[_Seconds, _Seconds], ...] = ()
+    times: tuple[tuple[_Seconds, _Seconds], ...]
     still: _Still = ""
     photograph: bool = False
 
@@ -90,7 +90,7 @@ class People(_Record):
         spans = [span for person in self.people for span in person.intervals]
         if any(first >= stop for first, stop in [*spans, *((track.first, track.stop) for track in self.tracks)]):
             raise ValueError("a track or an interval has no frame")
-        if any(person.times and len(person.times) != len(person.intervals) for person in self.people):
+        if any(len(person.times) != len(person.intervals) for person in self.people):
             raise ValueError("its times are not those of its intervals")
         if sorted(self.names) != sorted({track.person for track in self.tracks}):
             raise ValueError("its people are not those of its tracks, each once")
@@ -113,14 +113,10 @@ class People(_Record):
         """How long two people are on the screen at the same time, where they ever are."""
         together: dict[tuple[str, str], float] = {}
         for a, b in combinations(self.people, 2):
-            seconds = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in self.times_of(a) for y in self.times_of(b))
+            seconds = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in a.times for y in b.times)
             if seconds:
                 together[a.name, b.name] = round(seconds, 3)
         return together
-
-    def times_of(self, person: PersonRecord) -> tuple[tuple[float, float], ...]:
-        """The intervals of a person in s."""
-        return person.times or tuple((first / self.fps, stop / self.fps) for first, stop in person.intervals)
 
 
 def read_people(path: Path) -> People | None:

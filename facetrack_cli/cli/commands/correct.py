@@ -309,7 +309,7 @@ def _intervals(people: People) -> str:
     """The frames in which people are seen, and their times in s, in the order of time."""
     from facetrack_cli.core.numbers import csv_text
 
-    each = ((person.name, zip(person.intervals, people.times_of(person), strict=True)) for person in people.people)
+    each = ((person.name, zip(person.intervals, person.times, strict=True)) for person in people.people)
     spans = sorted((*frames, name, *times) for name, both in each for frames, times in both)
     rows = ([name, first, stop - 1, f"{begin:.3f}", f"{end:.3f}"] for first, stop, name, begin, end in spans)
     return csv_text(["person", "first_frame", "last_frame", "begin_s", "end_s"], rows)
