@@ -199,8 +199,8 @@ def test_who_is_to_be_recognised_must_be_said(facetrack, how):
     more = {"run": [], "compare": ["--truth", FOLDER / "zoom.truth.csv", "--config", "adaptive"]}[how]
     told = refused(facetrack(how, "IN/zoom", "--config", "adaptive_recognition", *more), 2)
     assert told.startswith("--gallery is missing: adaptive_recognition") and "facetrack gallery fit" in told
-    assert "--gallery : no such file" in refused(
-        facetrack(how, "IN/zoom", "--config", "adaptive", *more[:2], "--gallery="), 3
+    assert "--gallery is empty" in refused(
+        facetrack(how, "IN/zoom", "--config", "adaptive", *more[:2], "--gallery="), 2
     )
 
 
