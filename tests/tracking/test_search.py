@@ -349,3 +349,14 @@ def test_one_that_keeps_still_alone_is_waited_for_less():
     )
     assert search_start(frames, detector=detector).frame == 0
     assert ALONE_S <= max(detector.looks) < ALONE_S + 0.3 and len(detector.looks) < 15
+
+
+def test_a_dark_face_is_waited_for_with_few_looks_until_light_falls_on_it():
+    bright, detector = moving.clip([POSE])[0].bgr, Knowing()
+    dark = (0.2 * bright).astype(np.uint8)
+    frames = [Frame(i, i / 25, dark if i < 75 else bright) for i in range(150)]
+    detector.find = lambda frame: (
+        detector.looks.append(frame.time_s) or [Detection((110.0, 70.0, 100.0, 100.0), sure=True)]
+    )
+    assert 75 <= search_start(frames, detector=detector).frame < 80
+    assert sum(look < 3 for look in detector.looks) < 25
