@@ -49,7 +49,7 @@ from facetrack_cli.video.source import Source, given_rate, open_source
 
 ORIGIN: Final = "--faces all"
 MIN_FRAMES: Final = 5  # of a track in which its face is seen; of fewer nothing is kept
-FIRST_VIEWS: Final = 1  # of a track that dlib's network sees, where nothing is in doubt
+FIRST_VIEWS: Final = 2  # of a track that dlib's network sees, where nothing is in doubt
 STILL_CHANGE: Final = 2.5  # grey levels; a face that changes by less is of a photograph
 
 

@@ -30,7 +30,7 @@ from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.start import presence
-from facetrack_cli.trackers.people.descriptor import FaceDescriptor, load_people, save_people
+from facetrack_cli.trackers.people.descriptor import VIEWS, Describer, FaceDescriptor, load_people, save_people
 from facetrack_cli.trackers.people.identity import UNKNOWN, Cast, Doubt, TrackSummary, cast_of
 from facetrack_cli.trajectory.people import read_people, read_still, rename, under_names
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -315,6 +315,16 @@ def test_a_kill_between_two_files_of_a_correction(copy, monkeypatch, after):
     found = people_in(copy)
     assert found.names == ("Ann", "person_2")
     assert {f"people/{path.name}" for path in (copy / "people").iterdir()} == {one.still for one in found.people}
+
+
+@pytest.mark.parametrize("doubts", [(), (Doubt(0, 1, 0.4),)])
+def test_more_views_are_embedded_where_somebody_is_in_doubt(tracked, tmp_path, monkeypatch, doubts):
+    looks, asked = Describer.looks, []
+    monkeypatch.setattr(Describer, "looks", lambda self, most=VIEWS: asked.append(most) or looks(self, most))
+    monkeypatch.setattr(runs_people, "cast_of", lambda tracks, *more: replace(cast_of(tracks), doubts=doubts))
+    assert clip.run(job(shutil.copytree(tracked, tmp_path / "out")), Stop()).error is None
+    few = asked.count(runs_people.FIRST_VIEWS)
+    assert few > 0 and asked[few:] == [VIEWS] * (few if doubts else 0)
 
 
 def test_the_report_shows_the_cast_and_doubts_side_by_side(tracked, tmp_path, monkeypatch, no_plot):

@@ -236,6 +236,7 @@ def test_the_better_view_of_two_is_embedded_once_and_stands_for_both(monkeypatch
     monkeypatch.setattr(descriptor, "embedded", lambda chip: seen.append(0) or np.full(128, len(seen), float))
     scores = (0.88, 0.95, 0.0, 0.76, 0.9, 0.89, 0.88, 0.89)
     reader = reader_of(*scores)
+    assert reader.looks(1).embedding[:, 0].tolist() == [1] * 8 and len(seen) == 1  # the best view alone
     first, again = reader.looks(), reader.looks()
     assert len(seen) == 3 and (first.embedding == again.embedding).all()
     assert first.embedding[:, 0].tolist() == [1, 1, 1, 2, 2, 2, 3, 3]  # no view of the second pair is any good

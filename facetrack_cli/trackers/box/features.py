@@ -118,7 +118,8 @@ class Features:
         colour = has_colours(image)
         hann = np.hanning(cells + 2)[1:-1].astype(np.float32)
         taper = np.outer(hann, hann).ravel()
-        whole = _features(image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cells)
+        read = image if colour else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+        whole = _features(read, cells)
         features = whole * np.sqrt(taper)
         products = np.einsum("if,jf->ij", features, features, dtype=np.float64)  # BLAS rounds by its threads
         _, vectors = np.linalg.eigh(products)
@@ -187,12 +188,13 @@ class ColourModel:
 
     def learn(self, known: Colours | None, window: Image, rate: float) -> Colours:
         """From a window (n, n, 3) in whose middle the target is; `rate` 1 as Staple learns, 0 not at all."""
-        share, bins, learned = 1.0 if known is None else _RATE * rate, _bins(window), []
-        before = known or Colours(*np.zeros((2, 1 << 3 * _BITS), np.float32))
+        share, bins, learned = 1.0 if known is None else _RATE * rate, _bins(window), list[Single]()
+        nothing = np.zeros(1 << 3 * _BITS, np.float32)
+        before = known or Colours(nothing, nothing)
         for part, histogram in zip(self._parts, before[:2], strict=True):
             counts = np.bincount(bins[part], minlength=len(histogram)).astype(np.float32)
             learned.append(np.float32(1 - share) * histogram + np.float32(share / len(part)) * counts)
-        p = _probability(found := Colours(*learned), bins)
+        p = _probability(found := Colours(learned[0], learned[1]), bins)
         inside, outside = (float(p[part].mean()) for part in self._parts)
         return found._replace(tells=max(inside - outside, 0.0))
 
@@ -208,7 +210,7 @@ class ColourModel:
 
 def _bins(window: Image) -> Whole:
     """Of the pixels of the window, reduced, by rows."""
-    small = cv2.resize(window, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA) >> (8 - _BITS)
+    small = np.asarray(cv2.resize(window, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA), np.uint8) >> (8 - _BITS)
     b, g, r = small.reshape(-1, 3).T.astype(np.int64)
     return np.asarray((b << 2 * _BITS) | (g << _BITS) | r)
 
