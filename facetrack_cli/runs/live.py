@@ -1,7 +1,7 @@
 """Tracking of images as they come: from a camera, an address of the network, or a pipe.
 
 One image is held at a time. Each frame gives a line of JSON with its age, as soon as it is tracked. Of everybody in a
-film a line comes up to eight frames late: so many take a cut and a look of the detector.
+film (`LiveCast`, ours) a line comes up to eight frames late: so many take a cut and a look of the detector.
 """
 
 from __future__ import annotations
@@ -11,8 +11,10 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext, suppress
+from dataclasses import dataclass
 from itertools import chain, groupby
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -23,15 +25,17 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
-from facetrack_cli.core.face_points import DETECTORS, DetectorName
-from facetrack_cli.core.types import Box, Frame, Image
+from facetrack_cli.core.face_points import DetectorName
+from facetrack_cli.core.types import BOX, Box, Frame, Image
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import Tracker, frames_of_images
 from facetrack_cli.runs.signals import never
-from facetrack_cli.start.presence import MultiFaceTracker
-from facetrack_cli.start.search import Faces
+from facetrack_cli.start.presence import LOOK_FRAMES, MultiFaceTracker
 from facetrack_cli.trackers.face.detectors import detector
+from facetrack_cli.trackers.people.descriptor import VIEWS, Describer, FaceDescriptor, together, views_of
+from facetrack_cli.trackers.people.identity import UNKNOWN, TrackSummary, cast_of
+from facetrack_cli.trajectory.people import new_name
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.decode import FORMATS, pixels, silence
 from facetrack_cli.video.images import MOST_PIXELS, check_pixels
@@ -41,7 +45,8 @@ from facetrack_cli.video.source import address_of, is_live, open_source
 LOOK_S: Final = 0.1  # between two looks at the wish to stop
 OPEN_S, READ_S = 10.0, 10.0  # seconds without a byte, after which an address is given up
 LEAST_WAIT_S, MOST_WAIT_S = 1.0, 30.0  # until an address is opened again
-FPS: Final = 25.0  # where images do not say theirs
+LEAST_VIEWS: Final = 3  # of a face before it is named
+KEPT: Final = 500  # tracks, the last ones, that the cast at the end is made of
 _PIPE: Final = "standard input"
 _FORMATS: Final = f"{FORMATS},jpeg_pipe"
 _PROTOCOLS: Final = "rtsp,rtsps,rtp,udp,tcp,tls,srt,http,https,crypto"
@@ -70,11 +75,10 @@ def follow(
     init: Path | DetectorName | Box | None,
     write: Callable[[str], None],
     stopped: Callable[[], bool] = never,
-    *,
-    faces: Faces = "one",
+    cast: LiveCast | None = None,
 ) -> int:
     """Track `images` and write a line for each; the number of lines. Times are those of frames, else seconds since the
-    first image came. Of all `faces` each is a target.
+    first image came. With a `cast` everybody is tracked, and a line more says at the end who is who.
 
     Raises InputError for images that are none, or no start in the first of them.
     """
@@ -93,17 +97,18 @@ def follow(
     count = 0
     try:
         frames = frames_of_images(counted(), shown.pop)
-        if faces == "all":
-            results = everybody(frames, recipe, next((name for name in DETECTORS if name == init), None))
-        else:
-            results = Tracker(recipe, init=init)._follow(frames)
+        results = Tracker(recipe, init=init)._follow(frames) if cast is None else cast.follow(frames, recipe)
         for result in results:
             at = came[result.frame.index]
             for index in [index for index in came if index <= result.frame.index]:
                 del came[index]
             line = record(result, result.frame.time_s, time.monotonic() - at)
+            if cast is not None:
+                line["people"] = {one: cast.names.get(one) for one in (each["target"] for each in line["targets"])}
             write(json.dumps(line, allow_nan=False))
             count += 1
+        if cast is not None:
+            write(json.dumps({"people": cast.cast()}))
     except InputError:  # also where the images end before the target is found
         if not stopped():
             raise
@@ -232,12 +237,96 @@ def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
         raise InputError(f"{name}: {reason(error)}; {_REMEDY}") from None
 
 
-def everybody(frames: Iterator[Frame], recipe: Recipe, by: DetectorName | None) -> Iterator[FrameResult]:
-    """A result for each frame, in which every face is a target; no track is carried over a cut."""
-    at, look = TrackState(), detector(by)
-    for _, passed in groupby(passing_shots(frames), key=lambda numbered: numbered[0]):
-        shown = (frame for _, frame in passed)
-        first = next(shown)
-        shot = Shot(first.index, None, first.index, None)
-        film = MultiFaceTracker(recipe, [shot], look, first.size, FPS, recipe.seed)
-        yield from film.follow(chain([first], shown), at)
+@dataclass
+class _Followed:
+    """A track that goes on; the looks of `track` are those that `reader` has, the last of the frame `looked`."""
+
+    reader: Describer
+    track: TrackSummary
+    looked: int
+
+    @property
+    def seen(self) -> TrackSummary:
+        return self.track._replace(looks=self.reader.looks())
+
+
+class LiveCast:
+    """Who the tracks of a film are of, of `known` people and others; `names` has the last ones that are named."""
+
+    def __init__(self, by: DetectorName | None, fps: float, known: Mapping[str, FaceDescriptor]) -> None:
+        self.names: dict[str, str] = {}
+        self._detector, self._fps = detector(by), fps
+        self._given, self._looks = dict(known), dict(known)  # of each person
+        self._now: dict[str, _Followed] = {}
+        self._past = deque[TrackSummary](maxlen=KEPT)
+
+    def follow(self, frames: Iterator[Frame], recipe: Recipe) -> Iterator[FrameResult]:
+        """A result for each frame, in which every face is a target; no track is carried over a cut."""
+        at = TrackState()
+        for number, passed in groupby(passing_shots(frames), key=lambda numbered: numbered[0]):
+            first = next(passed)[1]
+            shot = Shot(first.index, None, first.index, None)
+            film = MultiFaceTracker(recipe, [shot], self._detector, first.size, self._fps, recipe.seed)
+            for result in film.follow(chain([first], (frame for _, frame in passed)), at):
+                self._see(result, number)
+                yield result
+
+    def cast(self) -> dict[str, str]:
+        """Who the last tracks are of, by the looks of all of them together; people keep the names that they had."""
+        for name in [*self._now]:
+            self._end(name)
+        tracks, called = [*self._past], dict(enumerate(self._given))
+        persons = cast_of(tracks, [*self._given.values()], self._fps).person.tolist()
+        for person in sorted({*persons} - {UNKNOWN} - {*called}):
+            had = (self.names.get(track.name, "") for track, of in zip(tracks, persons, strict=True) if of == person)
+            kept = next((name for name in had if name and name not in called.values()), "")
+            called[person] = kept or new_name([*self._looks, *called.values()])
+        return {track.name: called[of] for track, of in zip(tracks, persons, strict=True) if of != UNKNOWN}
+
+    def _see(self, result: FrameResult, shot: int) -> None:
+        """Take in one frame more: where its tracks are, and now and then what they look like."""
+        for name in self._now.keys() - {target.rows.target for target in result.targets}:
+            self._end(name)
+        at = result.frame.index
+        for rows in (target.rows for target in result.targets):
+            box = rows.find(rows.target, BOX)
+            if box is None or not (views := views_of(box)):
+                continue
+            place = tuple(box.boxes[0].tolist())
+            now = self._now.get(rows.target)
+            if now is None:
+                nothing = TrackSummary(rows.target, at, at + 1, place, place, shot, FaceDescriptor(*[box.x[:0]] * 6))
+                now = self._now[rows.target] = _Followed(Describer(self._detector), nothing, at - LOOK_FRAMES)
+            now.track = now.track._replace(stop=at + 1, ends=place)
+            if at >= now.looked + LOOK_FRAMES and len(now.reader.scores) < VIEWS:
+                now.looked = at
+                now.reader.see(result.frame, views[0])
+                if rows.target not in self.names and len(now.reader.scores) >= LEAST_VIEWS:
+                    self._name(rows.target)
+
+    def _name(self, track: str) -> None:
+        """Name a track by its looks beside those of the tracks that are there; not yet, where that is in doubt."""
+        there = [now for now in self._now.values() if now.reader.is_face]
+        at = next((i for i, now in enumerate(there) if now.track.name == track), None)
+        if at is None:
+            return
+        cast = cast_of([now.seen for now in there], [*self._looks.values()], self._fps)
+        person = int(cast.person[at])
+        doubtful = any(doubt.track == at for doubt in cast.doubts)
+        if person == UNKNOWN or (doubtful and len(there[at].reader.scores) < VIEWS):
+            return
+        name = next(iter([*self._looks][person : person + 1]), "") or new_name(self._looks)
+        if all(self.names.get(other) != name for other in self._now):  # nobody is there twice
+            self.names[track] = name
+            self._looks.setdefault(name, there[at].reader.looks())
+
+    def _end(self, track: str) -> None:
+        ended = self._now.pop(track)
+        if not ended.reader.is_face:
+            return
+        if len(self._past) == KEPT:
+            self.names.pop(self._past[0].name, None)
+        self._past.append(ended.seen)
+        if (name := self.names.get(track)) is not None:
+            both = together([self._looks[name], ended.reader.looks()])
+            self._looks[name] = FaceDescriptor(*(array[-4 * VIEWS :] for array in both))

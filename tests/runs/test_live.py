@@ -1,4 +1,7 @@
-"""What comes from a pipe or a camera: a line a frame, with its age; bounded, and refused in one line."""
+"""What comes from a pipe or a camera: a line a frame, with its age; bounded, and refused in one line.
+
+Of everybody in a film that is still shown: names when looks allow them, and the cast at the end.
+"""
 
 import contextlib
 import io
@@ -11,6 +14,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,12 +30,13 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import live
-from facetrack_cli.runs.live import follow, piped, received
+from facetrack_cli.runs.live import LiveCast, follow, piped, received
 from facetrack_cli.trackers.face.detectors import check_cascades
 from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.people import read_people
 from facetrack_cli.video.shots import find_cuts, passing_shots
 from facetrack_cli.video.source import is_live, open_source
-from tests.support.film_run import FILM
+from tests.support.film_run import FILM, film_run
 from tests.support.samples import FOLDER
 from tests.test_docs import ROOT, blocks
 
@@ -339,35 +344,80 @@ def _asked(port, until):
 
 # --- everybody in a film ---
 
-STOP = 60  # after a cut
+STOP = 125  # after the two people were seen together
 
 
 @pytest.fixture(scope="module")
-def told():
+def told(tmp_path_factory):
     """The lines of the sample film."""
     lines = []
     with open_source(FILM, stop=STOP) as source:
-        assert follow(iter(source), load_recipe("face"), None, lines.append, faces="all") == len(lines) == STOP
-    return [*map(json.loads, lines)]
+        count = follow(iter(source), load_recipe("face"), None, lines.append, cast=LiveCast(None, 25.0, {}))
+    *frames, last = map(json.loads, lines)
+    assert count == len(frames) and all(len(line) > 1 for line in frames)
+    return frames, last["people"]
+
+
+def seen(frames):
+    """Of each track that is seen on a face of the truth: its frame, its name, its name then, who it truly is."""
+    truth = read_truth(FOLDER / "film.truth.csv")
+    for line in frames:
+        there = truth.at(line["frame"])
+        for one in line["targets"]:
+            [box] = [part for part in one["parts"] if part["part"] == "box"]
+            near = [
+                there.names[which][0]
+                for x, y, w, which in zip(there.x, there.y, there.w, there.which, strict=True)
+                if box["status"] != "lost" and abs(x - box["x"]) + abs(y - box["y"]) < 0.6 * w
+            ]
+            if near:
+                yield line["frame"], one["target"], line["people"][one["target"]], near[0]
 
 
 def test_each_frame_has_its_line_and_each_face_of_it_its_track(told):
-    assert [line["frame"] for line in told] == list(range(STOP))
-    truth, seen = read_truth(FOLDER / "film.truth.csv").between(0, STOP), 0
-    for line in told:
-        there = truth.at(line["frame"])
-        boxes = [part for one in line["targets"] for part in one["parts"] if part["part"] == "box"]
-        for x, y, w in zip(there.x, there.y, there.w, strict=True):
-            seen += any(b["status"] != "lost" and abs(x - b["x"]) + abs(y - b["y"]) < 0.6 * w for b in boxes)
-    assert seen > 0.95 * (truth.status == "visible").sum()
+    frames, _ = told
+    assert [line["frame"] for line in frames] == list(range(len(frames)))
+    truth = read_truth(FOLDER / "film.truth.csv")
+    assert len([*seen(frames)]) > 0.95 * (truth.between(0, STOP).status == "visible").sum()
 
 
-def test_a_cut_is_known_when_its_first_frame_comes_out(told):
+def test_a_name_that_was_told_is_right_and_comes_soon(told):
+    frames, cast = told
+    rows = [*seen(frames)]
+    who = Counter((name, true) for _, _, name, true in rows if name)
+    assert len({name for name, _ in who}) == len({true for _, true in who}) == len(who) == 2, who
+    assert sum(who.values()) > 0.7 * len(rows)
+    begun = {track: frame for frame, track, _, _ in reversed(rows)}
+    named = {track: frame for frame, track, name, _ in reversed(rows) if name}
+    assert all(named[track] - begun[track] <= 20 for track in named)
+    assert {(cast[track], true) for _, track, _, true in rows} == set(who), "the cast at the end is of the same people"
+
+
+def test_the_cast_at_the_end_is_that_of_the_run_of_a_file(told, tmp_path_factory):
+    people = read_people(film_run(tmp_path_factory))
+    assert set(told[1].values()) == set(people.names)
+
+
+def test_a_cut_is_known_when_its_first_frame_comes_out():
     with open_source(FILM) as source:
         shots = [(shot, frame.index) for shot, frame in passing_shots(iter(source))]
     with open_source(FILM) as source:
         cuts = [cut.frame for cut in find_cuts(iter(source)) if cut.last < cut.first]
     begins = dict(reversed(shots))
     assert [frame for _, frame in shots] == list(range(len(shots))) and cuts and {*cuts} <= {*begins.values()}
-    names = [{one["target"] for one in line["targets"]} for line in told]
-    assert all(names[cut - 1].isdisjoint(names[cut]) for cut in cuts if cut < STOP)
+
+
+def test_a_film_that_is_stopped_tells_its_cast():
+    lines = []
+    with open_source(FILM, stop=60) as source:
+        cast = LiveCast(None, 25.0, {})
+        follow(iter(source), load_recipe("face"), None, lines.append, lambda: len(lines) > 20, cast)
+    assert 20 < len(lines) < 40 and json.loads(lines[-1]) == {"people": cast.cast()} and cast.names
+
+
+def test_what_is_kept_of_a_stream_is_bounded(monkeypatch):
+    monkeypatch.setattr(live, "KEPT", 1)
+    cast = LiveCast(None, 25.0, {})
+    with open_source(FILM, stop=100) as source:
+        for _ in cast.follow(iter(source), load_recipe("face")):
+            assert len(cast.names) <= 3 and len(cast._past) <= 1, "those that are there, and the one that was"

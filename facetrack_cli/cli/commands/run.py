@@ -14,7 +14,7 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Command, Extent, Text, Whole, extent_options, flag, option, refuse, say
-from facetrack_cli.core.errors import ExitCode, InputError
+from facetrack_cli.core.errors import ExitCode, InputError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
@@ -259,13 +259,14 @@ def _live(
     out: str | None,
     extent: Extent,
     recipe_of: Callable[[str | None, Extent, str], Recipe],
-    faces: Literal["one", "all"],
+    faces: str,
     gallery: str | None,
 ) -> int:
     """Track what comes from a camera, a pipe or a clip; the exit code."""
-    from facetrack_cli.runs.live import follow, images_of
+    from facetrack_cli.runs.live import LiveCast, follow, images_of
     from facetrack_cli.runs.plan import follows_everyone
     from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.trackers.people.descriptor import load_people
 
     ctx, typed = click.get_current_context(), click.core.ParameterSource.COMMANDLINE
     fit = {"inputs", "config", "overrides", "seed", "gallery", "init", "box", "out", "live", "faces", "no_video"}
@@ -276,15 +277,15 @@ def _live(
         (len(inputs) > 1, "--live follows one INPUT; give one"),
         (out not in (None, "-"), "--live writes to stdout; leave --out out"),
         (unfit, f"--live has no {unfit[0] if unfit else ''}: frames are tracked as they come; leave it out"),
-        (faces == "all" and gallery, "--faces all --live names nobody; leave --gallery out"),
     )
     recipe = recipe_of(gallery, extent, faces)
-    init = extent.box if extent.box is not None else extent.init
-    searches = follows_everyone(recipe) and not isinstance(init, Path | tuple)
-    other = "--faces all --live looks for every face; leave out --init, --box, and --config but face"
-    refuse((faces == "all" and not searches, other))
+    init, cast = extent.box if extent.box is not None else extent.init, None
+    if faces == "all":
+        if not follows_everyone(recipe) or isinstance(init, Path | tuple):
+            raise UsageError("--faces all --live looks for every face; leave out --init, --box, and --config but face")
+        cast = LiveCast(init, 25.0, {} if gallery is None else load_people(Path(gallery)))
     with Stop().listening() as stop:
-        follow(images_of(inputs[0], say), recipe, init, click.echo, stop, faces=faces)
+        follow(images_of(inputs[0], say), recipe, init, click.echo, stop, cast)
     return stop.code or ExitCode.DONE
 
 
