@@ -144,7 +144,6 @@ def named_as_arguments() -> Iterator[None]:
 
 
 LOG_FORMAT: Final = "FACETRACK_LOG_FORMAT"  # a variable, so that the processes of a batch know too
-
 _LEVELS: Final = {"error: ": "error", "warning: ": "warning", "note: ": "info"}
 
 

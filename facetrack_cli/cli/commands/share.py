@@ -53,7 +53,7 @@ def export_command(
     Lost rows hold the tracker's estimate, and say so as far as a format can; with --drop-lost they are as if nothing
     was found. docs/export.md has the table of all formats, and what the tiers of eaf are.
 
-    What is corrected in CVAT, Label Studio or ELAN comes back by facetrack fix --import. With --into an .eaf that is
+    By facetrack fix --import comes back what is corrected in CVAT, Label Studio or ELAN. With --into an .eaf that is
     there gets the tiers beside its own; the result goes to -o, or with --overwrite into that file itself.
 
     \b
