@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
@@ -139,11 +140,7 @@ class _Page:
             raise InputError(f"{self.table.path}: has no number that could be drawn in any row")
         legend = self._legend()
         columns, rows = style.columns_for(list(legend), self.width)
-        first, *others = self._summary()
-        lines = [first]
-        for fact in others:
-            longer = f"{lines[-1]}   ·   {fact}"
-            lines[-1:] = [longer] if len(longer) <= int(self.width * 15) else [lines[-1], fact]
+        lines = textwrap.wrap("   ·   ".join(self._summary()), int(self.width * 15))
         above = 0.31 + 0.16 * len(lines)
         top = above + 0.185 * rows
         body = sum(panel.height + 0.27 for panel in panels) + 0.55
