@@ -284,12 +284,14 @@ class Histogram:
 
     def _codes(self, hsv: Image, coloured: NDArray[np.uint16], colourless: NDArray[np.uint16]) -> NDArray[np.uint16]:
         """The bin of each pixel of hsv (H, W, 3); pale and dark ones have no hue where there are bins for them."""
-        hue, saturation, value = (hsv[..., c].astype(np.intp) for c in range(3))
-        codes = coloured.ravel()[(hue << 8) + saturation]
+        saturation, value = hsv[..., 1], hsv[..., 2]
+        codes = coloured.ravel().take((hsv[..., 0].astype(np.intp) << 8) + saturation)
         if self.settings.value_bins == 0:
             return np.asarray(codes)
-        pale = (saturation < self.settings.least_saturation * 255) | (value < self.settings.least_value * 255)
-        return np.where(pale, colourless[value], codes)
+        # whole numbers, so that bytes are compared
+        least_saturation, least_value = self.settings.least_saturation, self.settings.least_value
+        pale = (saturation < math.ceil(255 * least_saturation)) | (value < math.ceil(255 * least_value))
+        return np.where(pale, colourless.take(value), codes)
 
     def _need_colours(self, frame: Frame, hsv: Image) -> None:
         least = 255 * self.settings.least_saturation, 255 * self.settings.least_value
