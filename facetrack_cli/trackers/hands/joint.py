@@ -192,7 +192,7 @@ def _reach(shape: tuple[int, ...], scale: float, face: Face) -> Map:
     u = ((np.arange(shape[1]) / scale - face.at[0]) / face.size - x) / a
     v = ((np.arange(shape[0]) / scale - face.at[1]) / face.size - y) / b
     far = np.sqrt((u**2).astype(np.float32) + (v[:, None] ** 2).astype(np.float32))
-    return np.minimum(np.float32(BEYOND) * (np.float32(0.8) - far), np.float32(0.0))
+    return np.asarray(np.minimum(np.float32(BEYOND) * (np.float32(0.8) - far), np.float32(0.0)), np.float32)
 
 
 def _peaks(fit: Map) -> tuple[Array, Array]:
