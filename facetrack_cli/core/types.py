@@ -102,7 +102,8 @@ class Frame:
         self._pixels = None if isinstance(pixels, Planes) else pixels
         lit = self._pixels if self.yuv is None else self.yuv.y
         assert lit is not None
-        self.size, self._bgr = (lit.shape[1], lit.shape[0]), _bgr
+        self.size: tuple[int, int] = (lit.shape[1], lit.shape[0])
+        self._bgr = _bgr
         self._ours: tuple[Planes, int, int, Extent] | None = None
         self._part: tuple[Image, int, int, Extent] | None = None
         self._tints: dict[int, tuple[Image, Image, int, int, Extent]] = {}
