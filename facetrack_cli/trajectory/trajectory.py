@@ -7,14 +7,16 @@ number that is not known is nan, a text "".
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Frame, Image, Mask, Start, Texts, Whole
@@ -279,6 +281,17 @@ class Trajectory:
         from facetrack_cli.trajectory.formats.tables import html_table
 
         return html_table(self)
+
+    def _repr_png_(self) -> bytes | None:
+        """The plot of all of it; None where it cannot be drawn."""
+        import facetrack_cli
+
+        if not len(self):
+            return None
+        with suppress(FacetrackError):
+            facetrack_cli.plot(self).savefig(file := BytesIO(), format="png")
+            return file.getvalue()
+        return None
 
     def export(self, form: str, out: str | Path | None = None, **more: Any) -> str | bytes | Path:
         """As another program reads it, as `eaf`; see `facetrack.export`."""

@@ -338,6 +338,12 @@ def test_the_video_is_that_of_the_run_or_drawn_from_the_rows(run, tmp_path):
     assert len(decoded(bare.video(media=CLIP).data, tmp_path)) == 6
 
 
+def test_a_notebook_gets_the_plot_as_a_picture(run):
+    pytest.importorskip("matplotlib")
+    assert facetrack.read_trajectory(run)._repr_png_().startswith(b"\x89PNG")
+    assert facetrack.read_trajectory(run).take(slice(0, 0))._repr_png_() is None
+
+
 def test_rows_of_pandas_have_the_measures_of_their_frames():
     pytest.importorskip("pandas")
     table = moving_face(30, open=np.linspace(0, 0.3, 30))
