@@ -383,7 +383,7 @@ def test_a_gallery_of_affine_faces_is_for_recipes_that_recognise_by_it(tmp_path,
     """Whatever --faces says: it is read as a gallery of `gallery fit`, and the recipe is not said to lack one."""
     missing = ["--faces", "all", "--gallery", str(tmp_path / "none.npz"), "-o", str(tmp_path / "out")]
     assert main(["run", str(FILM), "--config", "adaptive_recognition", *missing]) == ExitCode.INPUT
-    assert "none.npz: no such file; correct the name, or make one with facetrack gallery fit" in capsys.readouterr().err
+    assert "none.npz: no such file; name one as facetrack gallery fit" in capsys.readouterr().err
     assert main(["run", str(FILM), "--box", "10,10,60,60", "--config", "face", *missing]) == ExitCode.USAGE
     assert "has a start" in capsys.readouterr().err
 
