@@ -311,7 +311,7 @@ def test_what_is_stopped_or_fails_leaves_the_rows_as_they_were(fixed):
     before, corrections, asked = one.text(), one.fixer.corrections, []
     with pytest.raises(StoppedError):
         one.fixer.put([nose(12, 150.0, 130.0)], stop=lambda: len(asked) > 4 or asked.append(1))
-    one.frames[21] = replace(one.frames[21], time_s=9.0)
+    one.frames[21].time_s = 9.0
     for correction, said in (
         (nose(12, 150.0, 130.0), r"frame 21 is at 9.0000 s, and in the run at 0.8400 s"),
         (nose(99, 150.0, 130.0), r"frame 99 cannot be corrected; the run can be from 1 to 23"),

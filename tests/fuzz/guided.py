@@ -110,7 +110,14 @@ def seeds(parser: str) -> Iterator[bytes]:
     samples = ROOT / "sample_videos"
     if parser == "people":
         track = {"person": "a", "first": 0, "stop": 9, "p": 0.9}
-        person = {"name": "a", "seconds": 0.4, "p": 0.9, "intervals": [[0, 9]], "still": "people/1.jpg"}
+        person = {
+            "name": "a",
+            "seconds": 0.4,
+            "p": 0.9,
+            "intervals": [[0, 9]],
+            "times": [[0.0, 0.36]],
+            "still": "people/1.jpg",
+        }
         whole = {"fps": 25.0, "shots": [{"first": 0, "stop": None}], "people": [person], "tracks": [track]}
         yield json.dumps({"format": "facetrack-people", "version": 1, **whole}).encode()
     elif parser == "arrays":

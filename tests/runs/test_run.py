@@ -26,6 +26,7 @@ from facetrack_cli.runs.batch import folders, variant_name
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import open_source
+from facetrack_cli.video.writer import VideoWriter
 from tests.support.samples import FOLDER
 from tests.support.sway import FACETRACK, INIT, ROWS, SMALL, TABLES, count, make_clip, names, one_line, until
 from tests.support.terminal import read_all
@@ -429,6 +430,27 @@ def test_a_fault_of_ours_keeps_what_was_tracked(run, clip, monkeypatch):
     assert code == 1 and "internal error" in err.splitlines()[-1] and "Traceback" not in err
     assert count(Path("sway-face/annotated.mp4")) == 10
     assert (footer("sway-face")["complete"], footer("sway-face")["stopped"]) == (False, "a bug")
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_encoder_that_is_killed(run, clip, monkeypatch, threads):
+    write = VideoWriter.write
+
+    def killed(video, image, time_s):
+        if time_s > 0.3:
+            video._encoder.program.child.kill()
+            video._encoder.program.child.wait()
+        write(video, image, time_s)
+
+    monkeypatch.setattr(VideoWriter, "write", killed)
+    code, _, err = run(clip, *SMALL, "--threads", threads)
+    summary, error = err.splitlines()
+    assert code == ExitCode.USAGE and names(Path("sway-face")) == ["run.json", *TABLES]
+    assert "(trajectory.csv, trajectory.json): 30 frames" in summary and "incomplete" not in summary
+    assert "annotated.mp4: the video cannot be written (ffmpeg was killed by signal 9); run it again" in error
+    data = footer("sway-face")
+    assert data["complete"] is True and "stopped" not in data and len(data["frames"]) == 30
+    assert ["annotated.mp4: the video cannot be written" in line for line in data["warnings"]] == [True]
 
 
 def test_a_part_that_is_lost_at_the_end(run, tmp_path):

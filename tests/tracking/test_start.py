@@ -200,7 +200,7 @@ def test_init_to_stdout_with_box_frame_and_preview(clip, tmp_path, capsys, face)
     "arguments, code, said",
     [
         (["--init-frame", "0", "--box", "5,5"], 2, "four numbers"),
-        (["--box", "5,5,0,5"], 2, "above 0"),
+        (["--box", "5,5,0,5"], 2, "four numbers"),
         (["--box", "900,5,10,10"], 3, "not in the frame"),
         (["--init-frame", "99"], 3, "99"),
         (["--init-frame", "99", "--box", "5,5,60,60"], 3, "99"),
