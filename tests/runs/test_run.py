@@ -453,6 +453,14 @@ def test_an_encoder_that_is_killed(run, clip, monkeypatch, threads):
     assert ["annotated.mp4: the video cannot be written" in line for line in data["warnings"]] == [True]
 
 
+def test_a_run_of_another_version_is_read_and_made_again(run, clip):
+    assert run(clip, *SMALL, "--no-video")[0] == 0
+    path = Path("sway-face/run.json")
+    path.write_text(json.dumps({**json.loads(path.read_text()), "log": ["a member of that version"]}))
+    assert "done before" in run(clip, *SMALL, "--no-video")[2]
+    assert run(clip, *SMALL, "--no-video", "--overwrite")[0] == 0 and "log" not in json.loads(path.read_text())
+
+
 def test_a_part_that_is_lost_at_the_end(run, tmp_path):
     path = make_clip(tmp_path / "covered.mp4", 20, cover=9)
     assert run(path, "--no-video")[0] == 0
