@@ -207,11 +207,15 @@ def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> 
     To `update` those of some recipes, one for each clip with an init file and each recipe, whether recorded or not.
     InputError where there is none.
     """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; name the folder that holds the clips")
     place = folder / "goldens"
     if update and recipes:
         clips = [path for path in sorted(folder.glob("*")) if (is_clip(path) or path.is_dir()) and find_init(path)]
         if not clips:
             raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
+        if twice := sorted({clip.stem for clip in clips if [one.stem for one in clips].count(clip.stem) > 1}):
+            raise InputError(f"{folder}: two clips are called {twice[0]}; rename one, goldens are kept by that name")
         pairs = product(clips, recipes.items())
         return [Task(place / f"{clip.stem}.{name}.json", clip, recipe, None) for clip, (name, recipe) in pairs]
     goldens = [(path, read_golden(path)) for path in sorted(place.glob("*.json"))]

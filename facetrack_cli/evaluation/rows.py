@@ -340,7 +340,7 @@ def _pair_names(ours: Trajectory, truth: Trajectory, select: str | None, note: C
             theirs = tuple(renamed.values())
     if not pairs:
         both = f"no part in common with {ours.path}; it has {_names(theirs)}, the trajectory {_names(ours.parts)}"
-        remedy = "name targets and parts alike, or let --people find which target is whom"
+        remedy = "name targets and parts alike, or let --people of eval find which target is whom"
         raise InputError(f"{truth.path}: {both}: {remedy}; points are not measured by boxes, nor boxes by points")
     paired = {pair.ours.name for pair in pairs}
     alone = [part for part in theirs if part.name not in paired]

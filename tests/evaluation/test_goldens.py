@@ -332,8 +332,8 @@ def test_a_golden_of_other_frames_is_told(facetrack: Runner, clips: Path) -> Non
         (("--update", "--config", "nonsense"), ExitCode.USAGE, '"nonsense" is neither a file nor a shipped recipe'),
         (("--update", "--set", "seed=1"), ExitCode.USAGE, "--update records recipes as they are"),
         (("--stop", "30"), ExitCode.USAGE, "goes with --update"),
-        (("none",), ExitCode.INPUT, "has no goldens; record some"),
-        (("clip.csv",), ExitCode.INPUT, "has no goldens; record some"),
+        (("none",), ExitCode.INPUT, "none: no such folder; name the folder that holds the clips"),
+        (("clip.csv",), ExitCode.INPUT, "clip.csv: no such folder; name the folder that holds the clips"),
     ],
 )
 def test_what_there_is_nothing_to_do_with_is_told_in_a_line(
@@ -344,6 +344,14 @@ def test_what_there_is_nothing_to_do_with_is_told_in_a_line(
     found, out, err = facetrack("regress", tmp_path / folder, *more)
     assert found == code and said in err and out == "" and err.count("\n") <= 2
     assert [p.name for p in tmp_path.iterdir()] == ["clip.csv"]
+
+
+def test_clips_of_one_name_are_refused_before_they_share_a_golden(facetrack: Runner, tmp_path: Path) -> None:
+    for name in ("clip.mp4", "clip.mkv", "clip.init.yaml"):
+        (tmp_path / name).write_text("")
+    code, _, err = facetrack("regress", tmp_path, "--config", "factorized", "--update")
+    assert code == ExitCode.INPUT and "two clips are called clip; rename one" in err
+    assert not (tmp_path / "goldens").exists()
 
 
 def test_a_recipe_without_golden_and_a_broken_golden_are_refused(facetrack: Runner, clips: Path) -> None:

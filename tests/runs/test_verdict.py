@@ -9,6 +9,7 @@ import pytest
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.plan import Outcome
 from facetrack_cli.runs.verdict import EVERY_FRAMES, RunMonitor
 from facetrack_cli.trackers.face.detectors import Detection
 from tests.support.results import part, result, target
@@ -157,3 +158,11 @@ def test_frames_in_which_names_of_hands_are_in_doubt_are_told():
     assert "which hand is which is in doubt in frames 10 to 14, 30 to 32, 40 to 49" in watch.line()
     assert "which hand is which" not in signing([0.99] * 30, ["tracked"] * 30).line()
     assert "which hand is which" not in signing([0.5] * 30, ["lost"] * 30).line(), "there is no row to doubt"
+
+
+def test_the_line_of_a_run_names_the_parts_that_are_lost_most():
+    lost = {f"face/{name}": n for n, name in enumerate(("nose", "chin", "jaw", "brow", "lip"), 1)}
+    named = "face lip in 5, face brow in 4, face jaw in 3, face chin in 2 frames"
+    assert Outcome(frames=9, lost_frames=lost).summary().endswith(f"lost: {named}, and other parts")
+    del lost["face/nose"]
+    assert Outcome(frames=9, lost_frames=lost).summary().endswith(f"lost: {named}")
