@@ -535,7 +535,7 @@ class Outcome(RunSummary):
         if self.lost_frames:
             worst = sorted(self.lost_frames.items(), key=lambda item: -item[1])
             named = ", ".join(f"{name.replace('/', ' ')} in {n}" for name, n in worst[:MOST_NAMED])
-            parts.append(f"lost: {named}{', and others' * (len(worst) > MOST_NAMED)} frames")
+            parts.append(f"lost: {named} frames{', and others' * (len(worst) > MOST_NAMED)}")
         if self.stopped or not self.complete:
             parts.append(self.stopped or "incomplete")
         where = "standard output" if self.streamed else "nothing"
