@@ -280,7 +280,8 @@ def test_frames_come_back():
         frame = Frame(3, 0.5, given, aspect=2.0)
         found = back((frame,))[0]
         assert (found.index, found.time_s, found.aspect, found.size) == (3, 0.5, 2.0, frame.size)
-        assert (found.bgr == frame.bgr).all() and (found.grey(2, (0, 0, 7, 7))[0] == frame.grey(2, (0, 0, 7, 7))[0]).all()
+        assert (found.bgr == frame.bgr).all()
+        assert (found.grey(2, (0, 0, 7, 7))[0] == frame.grey(2, (0, 0, 7, 7))[0]).all()
         assert (found.yuv is None) == (frame.yuv is None), "grey is then another"
 
 
