@@ -49,9 +49,11 @@ def page_figure(
 
     Raises
     ------
-    InputError : where nothing is known.
+    InputError : where nothing is known, or there is no row.
     UsageError : without matplotlib, which the extra `plot` brings.
     """
+    if not len(table):
+        raise InputError(f"{table.path}: has no row that could be drawn")
     with style.style():
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
 
