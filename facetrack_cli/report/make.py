@@ -83,7 +83,11 @@ def command(header: Header, last: int) -> str:
     with contextlib.suppress(FacetrackError):  # of another version
         shipped = shipped and to_dict(load_recipe(name)) | {"seed": 0, "name": name} == completed(recipe) | {"seed": 0}
     words = ["facetrack", "run", source.path, "--config", name if shipped else f"{name}.yaml"]
-    words += ["--init", f"{name}.init.yaml", "--seed", str(header.seed), "--stop", str(last + 1)]
+    words += ["--init", f"{name}.init.yaml"] if header.init.targets else ["--faces", "all"]  # a film has no start
+    words += ["--start", str(header.init.frame)] if header.init.frame and not header.init.targets else []
+    words += ["--seed", str(header.seed), "--stop", str(last + 1)]
+    if header.smoothed is not None:
+        words += ["--lag", str(header.smoothed.lag)] if header.smoothed.lag else ["--smooth"]
     words += [] if source.stream is None else ["--stream", str(source.stream)]
     with contextlib.suppress(FacetrackError, OSError, ValueError):
         rate = given_rate(Path(source.path), source.fps)

@@ -112,7 +112,7 @@ class Manifest(RunSummary):
     a batch a clip that failed has its `error`.
     """
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="ignore")  # of another version of ours
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="ignore")  # another version may say more
     format: Literal["facetrack-run"] = "facetrack-run"
     version: Literal[1] = 1
     facetrack: str = __version__

@@ -269,7 +269,9 @@ def _init(init: Init | None, start: int) -> Path | DetectorName | Start | None:
     try:
         left, top, width, height = (float(side) for side in init)
     except (TypeError, ValueError):
-        raise InputError(f"init {init!r} is neither a file, a box (left, top, width, height), nor a Start") from None
+        left = top = width = height = math.nan
+    if not math.isfinite(left + top + width + height):
+        raise InputError(f"init {init!r} is neither a file, a box (left, top, width, height), nor a Start")
     return Start(start, {"face": TargetStart(box=(left, top, width, height))}, "init")
 
 
@@ -284,7 +286,7 @@ def frames_of_images(images: Iterable[Image], clock: Callable[[int], float]) -> 
 def frame_of(image: Image, index: int, time_s: float, size: tuple[int, int] | None) -> Frame:
     """An image as a frame. InputError for what is no image, or not of the `size` (width, height) of those before."""
     image = np.asarray(image)
-    if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+    if image.dtype != np.uint8 or not image.size or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
         raise InputError(
             f"image {index}: is {image.dtype} {image.shape}; give (height, width, 3) uint8, blue first, or grey"
         )

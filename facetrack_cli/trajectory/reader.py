@@ -424,6 +424,12 @@ class SeamHeader(BaseModel):
     agrees: bool
 
 
+class SmoothedHeader(BaseModel, defer_build=True):
+    """By how many frames rows are late; None: they were given the whole clip."""
+
+    lag: int | None = None
+
+
 class Header(BaseModel, defer_build=True):
     """The JSON around the frames; what only its end says is None where a file of lines was cut off."""
 
@@ -435,6 +441,7 @@ class Header(BaseModel, defer_build=True):
     init: InitHeader
     split: SplitHeader | None = None
     seams: tuple[SeamHeader, ...] = ()
+    smoothed: SmoothedHeader | None = None
     complete: bool | None = None
     stopped: str | None = None
     variable_fps: bool | None = None

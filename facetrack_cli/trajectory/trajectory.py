@@ -286,8 +286,6 @@ class Trajectory:
         """The plot of all of it; None where it cannot be drawn."""
         import facetrack_cli
 
-        if not len(self):
-            return None
         with suppress(FacetrackError):
             facetrack_cli.plot(self).savefig(file := BytesIO(), format="png")
             return file.getvalue()

@@ -21,7 +21,7 @@ from facetrack_cli.core import files, npz, yaml_tree
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FileSink, check_new, check_readable, publish, write_new
 from facetrack_cli.core.npz import STORED, flatten, restore
-from facetrack_cli.core.types import Particles, TargetStart
+from facetrack_cli.core.types import Frame, Particles, Planes, TargetStart
 from facetrack_cli.engine.confidence import load_calibration
 from facetrack_cli.runs.smooth import KIND
 from facetrack_cli.start.init_file import read_init
@@ -273,6 +273,18 @@ def test_our_own_kinds_come_back():
     assert found[1:] == [TargetStart((1.0, 2.0, 3.0, 4.0), {"nose": (1.0, 2.0)}), Path("a b")]
 
 
+def test_frames_come_back():
+    pixels = np.random.default_rng(0).integers(0, 256, (12, 8), np.uint8)
+    ours = np.array([[0.0, 0.1, -0.2], [0.0, 0.9, 0.1], [0.0, 0.1, 0.8]])
+    for given in (pixels, np.dstack([pixels] * 3), Planes.of(pixels)._replace(ours=ours)):
+        frame = Frame(3, 0.5, given, aspect=2.0)
+        found = back((frame,))[0]
+        assert (found.index, found.time_s, found.aspect, found.size) == (3, 0.5, 2.0, frame.size)
+        assert (found.bgr == frame.bgr).all()
+        assert (found.grey(2, (0, 0, 7, 7))[0] == frame.grey(2, (0, 0, 7, 7))[0]).all()
+        assert (found.yuv is None) == (frame.yuv is None), "grey is then another"
+
+
 class Elsewhere(NamedTuple):
     x: int
 
@@ -301,6 +313,8 @@ def test_other_kinds_are_refused(value):
         '{"of": "facetrack_cli.core.files:os.system", "fields": {}}',
         '{"of": "facetrack_cli.core.types:Particles", "fields": {"x": 1}}',
         '{"of": "facetrack_cli.nowhere:X", "fields": {}}',
+        '{"of": "facetrack_cli.core.types:Start", "args": []}',
+        '{"of": "facetrack_cli.core.types:Frame", "args": [1]}',
         '{"array": "7", "axes": []}',
         '{"odd": [1]}',
         "{}",

@@ -96,18 +96,22 @@ def test_the_recipe_shown_is_the_recipe(tmp_path):
     [
         ["--config", "sir", "--set", "filter.particles=15", "--box", "115,58,113,113", "--init-frame", "4"],
         ["--config", "mine.yaml", "--init", "haar", "--start", "3"],
+        ["--faces", "all", "--start", "3"],
+        ["--config", "factorized", "--smooth"],
+        ["--config", "factorized", "--lag", "3"],
     ],
-    ids=["box", "own recipe"],
+    ids=["box", "own recipe", "film", "smoothed", "lag"],
 )
 def test_the_command_repeats_the_run(options, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     own = to_dict(load_recipe("independent")) | {"description": "mine"}
     Path("mine.yaml").write_text(recipe_yaml(own))
-    assert main(["run", str(SAMPLE), *options, "--seed", "7", "--stop", "12", "-o", "run", "--no-video", "-q"]) == 0
+    clip = str(SAMPLE.with_name("film.mp4") if "--faces" in options else SAMPLE)
+    assert main(["run", clip, *options, "--seed", "7", "--stop", "12", "-o", "run", "--no-video", "-q"]) == 0
     table = read_trajectory(Path("run"))
     header = read_header(table)
     words = shlex.split(command(header, int(table.frames[-1])))
-    assert words[:3] == ["facetrack", "run", str(SAMPLE)]
+    assert words[:3] == ["facetrack", "run", clip]
     name = header.recipe_name  # as the page has them
     Path(f"{name}.yaml").write_text(recipe_yaml(table.header["recipe"]))
     Path(f"{name}.init.yaml").write_text(init_yaml(header))

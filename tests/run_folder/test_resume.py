@@ -24,7 +24,7 @@ from facetrack_cli.start.init_file import read_init
 from tests.support.samples import FOLDER as SAMPLES
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-CLIPS = {"head_hands": "signing", "signer": "signing", "adaptive_recognition": "map"}
+CLIPS = {"contour_correlation": "textured", "head_hands": "signing", "signer": "signing", "adaptive_recognition": "map"}
 EVERY = 8  # frames between checkpoints here
 
 
@@ -85,7 +85,13 @@ def ended_twice(tmp_path, recipe, *settings, **more):
 
 @pytest.mark.parametrize(
     "recipe",
-    ["correlation_filter", pytest.param("head_hands", marks=pytest.mark.nightly), "signer", "adaptive_recognition"],
+    [
+        "correlation_filter",
+        "contour_correlation",  # keeps a frame
+        pytest.param("head_hands", marks=pytest.mark.nightly),
+        "signer",
+        "adaptive_recognition",
+    ],
 )
 def test_rows_are_those_of_a_run_that_was_not_ended(tmp_path, recipe):
     out, whole = ended_twice(tmp_path, recipe)

@@ -91,6 +91,7 @@ def test_a_grey_image_is_tracked_and_drawn(images):
         (lambda: facetrack.track_video("none.mp4", "sir"), facetrack.InputError, r"none\.mp4: "),
         (lambda: facetrack.load_recipe("sir", {"filter.particle": 5}), facetrack.RecipeError, "particle"),
         (lambda: track(init=(1, 2, 3)), facetrack.InputError, "neither a file, a box"),
+        (lambda: track(init=(1, 2, float("nan"), 3)), facetrack.InputError, "neither a file, a box"),
         (lambda: track(faces="both"), facetrack.FacetrackError, "faces 'both' is not one of one, all"),
         (lambda: track(lag=-1), facetrack.FacetrackError, "lag -1 is no whole number from 0 on"),
         (lambda: track(stop=2.5), facetrack.FacetrackError, "stop 2.5 is no whole number"),
@@ -99,6 +100,7 @@ def test_a_grey_image_is_tracked_and_drawn(images):
         (lambda: follow([NOISE], init=NOBODY), facetrack.InputError, "^x: has no targets; give one"),
         (lambda: track(fps=0), facetrack.FacetrackError, "fps 0 is no rate"),
         (lambda: follow([np.zeros((8, 8, 3))]), facetrack.InputError, r"image 0: is float64 \(8, 8, 3\); give "),
+        (lambda: follow([NOISE[:0]]), facetrack.InputError, r"image 0: is uint8 \(0, 80, 3\); give "),
         (lambda: follow([NOISE, NOISE[:, 1:]]), facetrack.InputError, "image 1: is 79x60, not 80x60 as the first"),
         (lambda: follow([]), facetrack.InputError, "there is no frame 0"),
         (lambda: follow([NOISE], fps=0), facetrack.FacetrackError, "fps 0 is no rate"),
@@ -341,7 +343,10 @@ def test_the_video_is_that_of_the_run_or_drawn_from_the_rows(run, tmp_path):
 def test_a_notebook_gets_the_plot_as_a_picture(run):
     pytest.importorskip("matplotlib")
     assert facetrack.read_trajectory(run)._repr_png_().startswith(b"\x89PNG")
-    assert facetrack.read_trajectory(run).take(slice(0, 0))._repr_png_() is None
+    empty = facetrack.read_trajectory(run).take(slice(0, 0))
+    assert empty._repr_png_() is None
+    with pytest.raises(InputError, match="has no row that could be drawn"):
+        facetrack.plot(empty)
 
 
 def test_rows_of_pandas_have_the_measures_of_their_frames():

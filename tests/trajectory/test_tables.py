@@ -168,6 +168,7 @@ def test_a_row_for_each_target_with_what_is_seen_and_its_confidence():
         assert len(points) in (40, 20) and points[0].endswith(",23.0") and points[-1].endswith(",1.0")
     many = joined([seen(f"p{i}", 2, 2) for i in range(30)])._repr_html_()
     assert many.count("<svg") == 20 and "and 10 more" in many, "the first are shown"
+    assert "<td>p0</td><td>1</td><td>0</td><td></td>" in joined([seen("p0", 2, 2)]).take(slice(0, 0))._repr_html_()
     assert "<td>1</td><td>100%" in one_part("face", "box", [3], x=[1.0], y=[2.0])._repr_html_()
 
 
@@ -287,5 +288,8 @@ def test_a_plot_of_measures_has_a_panel_each_and_bars_of_events():
     assert len(figure.axes) == 2  # of the opening, and of what tells a blink
     assert [sum(isinstance(one, Rectangle) for one in axes.patches) for axes in figure.axes] == [1, 3]
     assert figure.axes[-1].get_xlabel() == "seconds"
+    cut = face().take((face().frame < 40) | (face().frame > 60))
+    (line, *_) = plots.measures_figure(cut, ["mouth_opening"]).axes[0].lines
+    assert np.isnan(line.get_ydata()).sum() == 1, "a line ends where nobody is seen"
     with pytest.raises(UsageError, match="has no ears; choose among mouth_opening"):
         plots.measures_figure(face(), ["ears"])

@@ -49,9 +49,11 @@ def page_figure(
 
     Raises
     ------
-    InputError : where nothing is known.
+    InputError : where nothing is known, or there is no row.
     UsageError : without matplotlib, which the extra `plot` brings.
     """
+    if not len(table):
+        raise InputError(f"{table.path}: has no row that could be drawn")
     with style.style():
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
 
@@ -78,10 +80,12 @@ def measures_figure(
         for axes, name in zip(column, rows, strict=True):
             measured = {target: each[name] for target, each in table.measures.items() if name in each}
             for k, (target, one) in enumerate(measured.items()):
-                colour, noise = style.COLOURS[k % len(style.COLOURS)], np.nan_to_num(one.noise)
-                low, high = one.value - noise, one.value + noise
-                axes.fill_between(one.time_s, low, high, color=colour, alpha=0.2, linewidth=0)
-                axes.plot(one.time_s, one.value, color=colour, linewidth=1.2, label=target)
+                colour, gaps = style.COLOURS[k % len(style.COLOURS)], np.flatnonzero(np.diff(one.frame) > 1) + 1
+                time_s, value, noise = (
+                    np.insert(each, gaps, np.nan) for each in (one.time_s, one.value, np.nan_to_num(one.noise))
+                )  # nothing is drawn where somebody is not seen
+                axes.fill_between(time_s, value - noise, value + noise, color=colour, alpha=0.2, linewidth=0)
+                axes.plot(time_s, value, color=colour, linewidth=1.2, label=target)
                 for event in events:
                     if event.target == target and name in KINDS[event.tier].measures:
                         axes.axvspan(event.begin_s, event.end_s, color=colour, alpha=0.15, linewidth=0)

@@ -139,7 +139,9 @@ def limit(axes: Axes, floor: float | None = None, ticks: int = 4) -> None:
     from matplotlib.ticker import MaxNLocator
 
     axes.yaxis.set_major_locator(MaxNLocator(ticks, steps=_STEPS))
-    axes.set_ylim(bottom=floor)
+    if floor is not None:
+        high = axes.get_ylim()[1]
+        axes.set_ylim(floor, high + 0.06 * (high - floor))  # a line along the top is whole
 
 
 def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:

@@ -323,9 +323,10 @@ def html_table(table: Trajectory) -> str:
     lines = []
     for target in table.targets[:_SHOWN]:
         parts = table.of_target(target)
-        seen = float(np.mean(np.concatenate([np.isin(part.status, SEEN) for part in parts])))
+        seen = np.concatenate([np.isin(part.status, SEEN) for part in parts])
         said = ", ".join(f"{n} {value}" for (of, value), n in sorted(events.items()) if of == target)
-        cells = target or "-", len(parts), len(parts[0]), f"{seen:.0%}", said, _confidence_line(parts[0].confidence)
+        share = f"{seen.mean():.0%}" if seen.size else ""
+        cells = target or "-", len(parts), len(parts[0]), share, said, _confidence_line(parts[0].confidence)
         lines.append("<tr>" + "".join(f"<td>{td if i == 5 else escape(str(td))}</td>" for i, td in enumerate(cells)))
     if (more := len(table.targets) - _SHOWN) > 0:
         lines.append(f"<tr><td>and {more} more")
