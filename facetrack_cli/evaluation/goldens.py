@@ -30,7 +30,7 @@ from llvmlite import binding
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
 
 from facetrack_cli.core import __version__
-from facetrack_cli.core.errors import FacetrackError, InputError, flat, reading
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat, reading
 from facetrack_cli.core.files import read_bounded, write_new
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.recipe.load import load_recipe, put_gallery
@@ -212,8 +212,14 @@ def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> 
         clips = [path for path in sorted(folder.glob("*")) if (is_clip(path) or path.is_dir()) and find_init(path)]
         if not clips:
             raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
-        pairs = product(clips, recipes.items())
-        return [Task(place / f"{clip.stem}.{name}.json", clip, recipe, None) for clip, (name, recipe) in pairs]
+        if len({clip.stem for clip in clips}) < len(clips):
+            raise UsageError(f"{folder}: two clips have one name, and goldens are kept by it; rename one of them")
+        new = list[Task]()
+        for clip, (name, recipe) in product(clips, recipes.items()):
+            new.append(Task(place / f"{clip.stem}.{name}.json", clip, recipe, None))
+            with contextlib.suppress(InputError):  # it may be that there is none yet, or none that can be read
+                new[-1] = new[-1]._replace(golden=read_golden(new[-1].path))
+        return new
     goldens = [(path, read_golden(path)) for path in sorted(place.glob("*.json"))]
     there = {Path(golden.recipe).stem: golden.recipe for _, golden in goldens}
     if not goldens or not recipes.keys() <= there.keys():

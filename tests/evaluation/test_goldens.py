@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.core.errors import ExitCode, InputError
+from facetrack_cli.core.errors import ExitCode, InputError, UsageError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.evaluation import goldens
@@ -28,6 +28,7 @@ from facetrack_cli.evaluation.goldens import (
     means,
     read_golden,
     record,
+    tasks,
     write_golden,
 )
 from facetrack_cli.recipe.load import load_recipe
@@ -344,6 +345,14 @@ def test_what_there_is_nothing_to_do_with_is_told_in_a_line(
     found, out, err = facetrack("regress", tmp_path / folder, *more)
     assert found == code and said in err and out == "" and err.count("\n") <= 2
     assert [p.name for p in tmp_path.iterdir()] == ["clip.csv"]
+
+
+def test_a_golden_is_recorded_again_as_far_as_before_and_no_other_takes_its_name(clips: Path) -> None:
+    [task] = tasks(clips, {"factorized": "factorized"}, update=True)
+    assert task.golden is not None and task.golden.stop == 26
+    (clips / "occlusion.avi").touch()
+    with pytest.raises(UsageError, match="two clips have one name"):
+        tasks(clips, {"factorized": "factorized"}, update=True)
 
 
 def test_a_recipe_without_golden_and_a_broken_golden_are_refused(facetrack: Runner, clips: Path) -> None:
