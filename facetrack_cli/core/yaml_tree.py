@@ -200,7 +200,8 @@ class _Composer(Composer):  # type: ignore[misc, unused-ignore]
         node = super().compose_node(parent, index)
         self.level -= 1
         if getattr(event, "tag", None) is not None:
-            self.refused[id(node)] = f'the tag "{event.tag}" is not allowed; remove it'
+            tag = str(event.tag).replace("tag:yaml.org,2002:", "!!")
+            self.refused[id(node)] = f'the tag "{tag}" is not allowed; remove it'
         elif any("\ud800" <= char <= "\udfff" for char in getattr(event, "value", "")):
             self.refused[id(node)] = "half of a surrogate pair is no character; write the character itself"
         return node
