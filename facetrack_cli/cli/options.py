@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from facetrack_cli.core.errors import ExitCode, UsageError, log_line
@@ -184,7 +186,23 @@ def frame_at(at: str, clock: Clock) -> int:
 Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
-option = click.option
+class Option(click.Option):
+    """An option whose variable is named after its flag, as FACETRACK_RUN_SET, whatever its parameter is called."""
+
+    def _variable(self, ctx: click.Context | None) -> str:
+        name = max(self.opts, key=len).lstrip("-").replace("-", "_").upper()
+        return f"{ctx and ctx.auto_envvar_prefix}_{name}"
+
+    def resolve_envvar_value(self, ctx: click.Context) -> str | None:
+        return os.environ.get(self._variable(ctx)) or None if self.allow_from_autoenv else None
+
+    def get_error_hint(self, ctx: click.Context | None) -> str:
+        """The variable, if a wrong value comes from there."""
+        source = ctx and ctx.get_parameter_source(str(self.name))
+        return self._variable(ctx) if source is ParameterSource.ENVIRONMENT else super().get_error_hint(ctx)
+
+
+option = functools.partial(click.option, cls=Option)
 flag = functools.partial(option, is_flag=True)
 
 

@@ -28,7 +28,6 @@ EXCERPT_WIDTH = 100
 Scalar: TypeAlias = "str | int | float | bool | None"
 _WORDS = {**dict.fromkeys(("null", "Null", "NULL", "~", "")), **dict.fromkeys(("true", "True", "TRUE"), True)}
 _WORDS |= dict.fromkeys(("false", "False", "FALSE"), False)
-_KINDS = ("map", "seq", "str", "int", "float", "bool", "null", "timestamp", "merge", "value")  # without a tag, too
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
@@ -141,6 +140,7 @@ def parse(source: Source, *, start: int = 0) -> Node | None:
     yaml.Composer = _Composer
     try:
         root = yaml.compose(source.text[start:])
+        reader.refused = yaml.composer.refused
         tree = None if root is None else reader.node(root)
     except (YAMLError, ValueError, OverflowError) as error:
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
@@ -184,17 +184,26 @@ def assign(root: Node, option: str, assignment: str) -> None:
 
 
 class _Composer(Composer):  # type: ignore[misc, unused-ignore]
-    """Refuses what is nested too deep before it is read."""
+    """Refuses what is nested too deep before it is read; `refused` says why others of its nodes are, by their id."""
 
     level = 0
 
+    def __init__(self, loader: Any = None) -> None:
+        super().__init__(loader=loader)
+        self.refused: dict[int, str] = {}
+
     def compose_node(self, parent: Any, index: Any) -> Any:
+        event = self.parser.peek_event()
         if self.level > MAX_DEPTH:
-            at = self.parser.peek_event().start_mark
-            raise MarkedYAMLError(problem=f"nested more than {MAX_DEPTH} deep", problem_mark=at)
+            raise MarkedYAMLError(problem=f"nested more than {MAX_DEPTH} deep", problem_mark=event.start_mark)
         self.level += 1
         node = super().compose_node(parent, index)
         self.level -= 1
+        if getattr(event, "tag", None) is not None:
+            tag = str(event.tag).replace("tag:yaml.org,2002:", "!!")
+            self.refused[id(node)] = f'the tag "{tag}" is not allowed; remove it'
+        elif any("\ud800" <= char <= "\udfff" for char in getattr(event, "value", "")):
+            self.refused[id(node)] = "half of a surrogate pair is no character; write the character itself"
         return node
 
 
@@ -203,20 +212,20 @@ class _Reader:
     source: Source
     start: int
     problems: list[Problem] = field(default_factory=list)
+    refused: dict[int, str] = field(default_factory=dict)
     seen: set[int] = field(default_factory=set)  # the nodes: an alias repeats one
 
     def node(self, given: Any) -> Node:
         begin, end = given.start_mark, given.end_mark
         span = self.span(begin.line, begin.column, end.column if end.line == begin.line else begin.column + 1)
-        kind, tag = given.tag.rpartition(":")[2], given.tag
         if id(given) in self.seen:
             return Node(span, None)
         self.seen.add(id(given))
         if given.anchor is not None:
             why = f'"&{given.anchor}" is an anchor; remove it, and write out what refers to it'
             self.problems.append(Problem(span, why))
-        if not tag.startswith("tag:yaml.org,2002:") or kind not in _KINDS:
-            self.problems.append(Problem(span, f'the tag "{tag}" is not allowed; remove it'))
+        if why := self.refused.get(id(given), ""):
+            self.problems.append(Problem(span, why))
         if isinstance(given, MappingNode):
             return Node(span, self.mapping(given))
         if isinstance(given, SequenceNode):

@@ -216,8 +216,12 @@ def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> 
             raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
         if twice := sorted({clip.stem for clip in clips if [one.stem for one in clips].count(clip.stem) > 1}):
             raise InputError(f"{folder}: two clips are called {twice[0]}; rename one, goldens are kept by that name")
-        pairs = product(clips, recipes.items())
-        return [Task(place / f"{clip.stem}.{name}.json", clip, recipe, None) for clip, (name, recipe) in pairs]
+        new = list[Task]()
+        for clip, (name, recipe) in product(clips, recipes.items()):
+            new.append(Task(place / f"{clip.stem}.{name}.json", clip, recipe, None))
+            with contextlib.suppress(InputError):  # it may be that there is none yet, or none that can be read
+                new[-1] = new[-1]._replace(golden=read_golden(new[-1].path))
+        return new
     goldens = [(path, read_golden(path)) for path in sorted(place.glob("*.json"))]
     there = {Path(golden.recipe).stem: golden.recipe for _, golden in goldens}
     if not goldens or not recipes.keys() <= there.keys():

@@ -150,6 +150,8 @@ def _playable(table: Trajectory, media: Path | None, say: Callable[[str], None])
     if is_there(clip) and clip.is_dir():
         raise InputError(f"{clip} is a folder of images, which ELAN cannot play; name a video of it with --media")
     if not is_there(clip):
+        if media is not None:
+            raise InputError(f"{clip}: no such file; correct --media")
         say(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media")
     return clip
 

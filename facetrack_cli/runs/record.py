@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import platform
 import sys
 import time
@@ -57,7 +58,7 @@ from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.workers import Painter
 from facetrack_cli.trajectory.diagnostics import KNOWN
-from facetrack_cli.trajectory.reader import to_record
+from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, to_record
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, SCHEMA, VERSION, WRITERS, Format, Header
 from facetrack_cli.video.source import Source
@@ -247,7 +248,11 @@ class RunFolder:
             run = failed(run, error)
         try:
             commit(self.lease, self.path, done.files, run)
-            return outdated(self.path)
+            init = os.path.realpath(self.plan.job.init) if isinstance(self.plan.job.init, Path) else ""
+            kept = [path for path in (self.path / CORRECTED, self.path / UNSAVED) if path.is_file()]
+            apart = [path for path in kept if os.path.realpath(path) != init]
+            said = "holds corrections that this track does not have; take them with --init"
+            return [*outdated(self.path), *(f"{path}: {said} {path}" for path in apart)]
         except OutputError as e:  # the lease is lost
             errors.append(e)
         except OSError as e:

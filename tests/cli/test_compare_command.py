@@ -74,6 +74,8 @@ def test_a_recipe_that_cannot_run_does_not_stop_the_others(facetrack):
         (["--config", "sir", "-o", "-"], "names no folder"),
         (["--config", "sir:filter.particle=3"], "filter.particle"),
         (["--config", "sir", "--fps", "25"], "image folders"),
+        (["--config", "sir", "--set", "seed=3"], "seed has no effect here"),
+        (["--config", "sir:filter.particles=9,seed=3"], "seed has no effect here"),
         (["--config", "sir", "--stop", "0"], "--stop 0 leaves no frame at all"),
     ],
 )

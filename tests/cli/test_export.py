@@ -350,6 +350,7 @@ def test_every_format_goes_to_standard_output_and_beside_the_trajectory(track, t
     ("args", "code", "said"),
     [
         (["--to", "otb", "--target", "hand"], 2, "has no 'hand'; choose among face, face/nose, face/lip_upper"),
+        (["--to", "eaf", "--media", "nowhere.mp4"], 3, "nowhere.mp4: no such file; correct --media"),
         (["--to", "mot", "--media", "x.mp4"], 2, "--media is for openface, coco, eaf, cvat, labelstudio"),
         (["--to", "dlc", "--box", "points"], 2, "dlc has no boxes"),
         (["--to", "eaf", "--drop-lost"], 2, "--drop-lost is not for eaf"),

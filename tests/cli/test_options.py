@@ -97,7 +97,7 @@ def given(monkeypatch, capfd):
     [
         ("run a.mp4", {}, {"jobs": 1, "out": None, "overwrite": False, "cluster": None}),
         ("run a.mp4 -j 2", {"JOBS": "4", "SEED": "5", "SHARD": "1/2"}, {"jobs": 2, "seed": 5, "shard": (1, 2)}),
-        ("run a.mp4", {"OVERRIDES": "a=1 b=2", "NO_VIDEO": "1"}, {"overrides": ("a=1", "b=2"), "no_video": True}),
+        ("run a.mp4", {"SET": "a=1 b=2", "FORMAT": "csv"}, {"overrides": ("a=1", "b=2"), "formats": ("csv",)}),
         ("run a.mp4", {"QUIET": "0", "JOBS": ""}, {"quiet": False, "jobs": 1}),
         ("track a.mp4", {"JOBS": "3"}, {"jobs": 3}),
     ],
@@ -110,9 +110,9 @@ def test_the_order_is_command_line_environment_ours(given, words, variables, opt
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("RUN_JOBS", "x", "Invalid value for '-j' / '--jobs': 'x' is not a valid whole number"),
-        ("RUN_QUIET", "maybe", "Invalid value for '--quiet' / '-q': 'maybe' is not a valid boolean"),
-        ("LOG_FORMAT", "xml", "Invalid value for '--log-format': 'xml' is not one of 'text', 'json'"),
+        ("RUN_JOBS", "x", "Invalid value for FACETRACK_RUN_JOBS: 'x' is not a valid whole number"),
+        ("RUN_QUIET", "maybe", "Invalid value for FACETRACK_RUN_QUIET: 'maybe' is not a valid boolean"),
+        ("LOG_FORMAT", "xml", "Invalid value for FACETRACK_LOG_FORMAT: 'xml' is not one of 'text', 'json'"),
     ],
 )
 def test_a_wrong_variable_is_one_line(given, name, value, said):
@@ -127,5 +127,5 @@ def test_a_folder_sets_nothing(given, tmp_path, monkeypatch):
 
 
 def test_commands_below_commands_have_theirs(given):
-    assert given("recipes", "check", "sir", RECIPES_CHECK_OVERRIDES="filter.particles=0")[0] == 2
-    assert given("recipes", "check", "sir", RECIPES_CHECK_OVERRIDES="filter.particles=9") == {}
+    assert given("recipes", "check", "sir", RECIPES_CHECK_SET="filter.particles=0")[0] == 2
+    assert given("recipes", "check", "sir", RECIPES_CHECK_SET="filter.particles=9") == {}

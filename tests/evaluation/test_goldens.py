@@ -28,6 +28,7 @@ from facetrack_cli.evaluation.goldens import (
     means,
     read_golden,
     record,
+    tasks,
     write_golden,
 )
 from facetrack_cli.recipe.load import load_recipe
@@ -352,6 +353,11 @@ def test_clips_of_one_name_are_refused_before_they_share_a_golden(facetrack: Run
     code, _, err = facetrack("regress", tmp_path, "--config", "factorized", "--update")
     assert code == ExitCode.INPUT and "two clips are called clip; rename one" in err
     assert not (tmp_path / "goldens").exists()
+
+
+def test_a_golden_is_recorded_again_as_far_as_before(clips: Path) -> None:
+    [task] = tasks(clips, {"factorized": "factorized"}, update=True)
+    assert task.golden is not None and task.golden.stop == 26
 
 
 def test_a_recipe_without_golden_and_a_broken_golden_are_refused(facetrack: Runner, clips: Path) -> None:

@@ -291,6 +291,8 @@ WRONG = {
     "repeated key": (GOOD + "motion: 3\n", 14, 1, 'the key "motion" is repeated (first on line 6)', "motion"),
     "anchor": (GOOD.replace("10", "&n 10"), 13, 14, '"&n" is an anchor', "&n 10"),
     "tag": (GOOD.replace("10", "!!python/object:os.system x"), 13, 14, "is not allowed; remove it", None),
+    "known tag": (GOOD.replace("10", '!!str 10'), 13, 14, 'the tag "!!str" is', None),
+    "half a character": (GOOD + 'seed: "\\ud800"', 14, 7, "half of a surrogate pair", None),
     "merge key": (GOOD + "<<: {seed: 3}\n", 14, 1, 'unknown key "<<"', "<<"),
     "complex key": (GOOD + "? [a]\n: b\n", 14, 3, "a key must be a name", "[a]"),
     "open bracket": (GOOD.replace("chin]", "chin"), 5, 10, "not valid YAML: while parsing a flow sequence", ":"),

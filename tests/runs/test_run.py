@@ -252,6 +252,8 @@ def test_results_that_are_there_are_not_touched(run, clip):
     code, _, err = run(clip, *SMALL, "--overwrite", "--no-video", *init)
     assert code == 0 and {*names(folder)} == {*mine, "run.json", *TABLES}
     assert "older than the track: report.html, trajectory.wide.csv; make them anew" in err
+    assert "unsaved.init.yaml: holds corrections that this track does not have" in err
+    assert "corrected.init.yaml: holds" not in err, "the run begins with them"
     assert "older" not in run(clip, *SMALL, "--no-video", *init)[2], "nothing is replaced"
 
 

@@ -1,6 +1,7 @@
 """CVAT's XML and Label Studio's JSON: written, read back, and what is refused."""
 
 import json
+import math
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -234,6 +235,7 @@ def test_xml_that_cannot_be_read(tmp_path, text, said):
         ([{"annotations": [{"result": [region(), region()]}]}], "is there twice"),
         ([{"annotations": [{"result": [region(None)]}]}], "region r has 0 labels"),
         ([{"annotations": [{"result": [region(width=0)]}]}], "the box has no area"),
+        ([{"annotations": [{"result": [region(width=math.inf)]}]}], "are no pixels"),
         ([{"annotations": [{"result": [{"type": "textarea"}]}]}], "has no track of a box or a point"),
         ([{"data": {}}], "it has no 'annotations'"),
     ],

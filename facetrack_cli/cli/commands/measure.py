@@ -243,6 +243,8 @@ def compare_command(
     if rank_by is not None:
         compare.check_measure(rank_by)
     asked = [(name, (*overrides, *own)) for name, own in map(variant, config)]
+    seeded = any(key.partition("=")[0].strip() == "seed" for _, keys in asked for key in keys)
+    refuse((seeded, "the recipe's seed has no effect here: every recipe runs with the seeds 0 to --seeds - 1"))
     recipes = dict(zip(labels(config), load_recipes(asked, gallery), strict=True))
     file = truth or compare.default_truth(clip)
     rows = reference.read(file)

@@ -37,12 +37,10 @@ def panels(table: Trajectory, lines: Sequence[Line], pen: Pen) -> Iterator[Panel
     for name in [*_LOOK, *(name for name in declared if name not in (*_LOOK, *_ELSEWHERE))]:
         reports = {target: each for target, each in reported.items() if is_known(each.get(name))}
         if reports and name in declared:
-            yield _curves(table, declared[name], reports, lines, pen)
+            yield _curves(declared[name], reports, lines, pen)
 
 
-def _curves(
-    table: Trajectory, diagnostic: Diagnostic, reports: Mapping[str, Diagnostics], lines: Sequence[Line], pen: Pen
-) -> Panel:
+def _curves(diagnostic: Diagnostic, reports: Mapping[str, Diagnostics], lines: Sequence[Line], pen: Pen) -> Panel:
     colours = {line.ours.target: line.group for line in lines}
     title, note, height = _LOOK.get(diagnostic.name, (diagnostic.name, diagnostic.meaning, 0.7))
     people = max(len(each.labels.get(POSTERIOR.name, ())) for each in reports.values())

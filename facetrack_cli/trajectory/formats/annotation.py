@@ -373,7 +373,7 @@ def _pictures(places: Sequence[_Place], clock: tuple[Whole, Array] | None, fps: 
 
 def _placed(where: str, place: _Place, size: tuple[int, int]) -> _Mark:
     (width, height), turn = size, math.radians(place.rotation)
-    x, y, w, h = np.array(place.sides) * [width, height, width, height] / 100
+    x, y, w, h = (np.array(place.sides) * [width, height, width, height] / 100).tolist()
     # a rectangle is turned about its left top corner: the upright one of its size has the same centre
     left = x + (w * math.cos(turn) - h * math.sin(turn) - w) / 2
     top = y + (w * math.sin(turn) + h * math.cos(turn) - h) / 2
