@@ -201,8 +201,8 @@ def _flat(value: Any, arrays: Arrays) -> Any:
         return {"of": _name(kind), "fields": {item.name: _flat(getattr(value, item.name), arrays) for item in fields}}
     if isinstance(value, tuple) and hasattr(value, "_fields") and _ours(kind):
         return {"of": _name(kind), "fields": {name: _flat(getattr(value, name), arrays) for name in value._fields}}
-    if _ours(kind) and "__reduce__" in vars(kind):
-        return {"of": _name(kind), "args": [_flat(item, arrays) for item in value.__reduce__()[1]]}
+    if _ours(kind) and hasattr(kind, "__getnewargs_ex__"):
+        return {"of": _name(kind), "args": _flat(value.__getnewargs_ex__(), arrays)}
     if kind is deque:
         return {"deque": [_flat(item, arrays) for item in value], "most": value.maxlen}
     if kind.__name__ in _KINDS and kind is _KINDS[kind.__name__]:
@@ -229,7 +229,7 @@ def _value(flat: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     if "seeds" in flat:
         return np.random.SeedSequence(flat["seeds"][0], spawn_key=flat["seeds"][1])
     if "args" in flat:
-        return _made(flat["of"], [_value(item, arrays) for item in flat["args"]])
+        return _made(flat["of"], _value(flat["args"], arrays))
     if "of" in flat:
         return _made(flat["of"], {name: _value(item, arrays) for name, item in flat["fields"].items()})
     if "dict" in flat:
@@ -240,17 +240,17 @@ def _value(flat: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     return _KINDS[kind](_value(item, arrays) for item in items)
 
 
-def _made(name: str, fields: dict[str, Any] | list[Any]) -> Any:
+def _made(name: str, fields: dict[str, Any] | tuple[tuple[Any, ...], dict[str, Any]]) -> Any:
     module, _, path = name.partition(":")
     if module.partition(".")[0] != _PACKAGE:
         raise ValueError(f"{name} is none of {_PACKAGE}'s")
     kind: Any = import_module(module)
     for level in path.split("."):
         kind = getattr(kind, level)
-    if isinstance(fields, list):
-        if not isinstance(kind, type) or "__reduce__" not in vars(kind):
+    if not isinstance(fields, dict):
+        if not isinstance(kind, type) or not hasattr(kind, "__getnewargs_ex__"):
             raise ValueError(f"{name} is no value")
-        return kind(*fields)
+        return kind(*fields[0], **fields[1])
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         made = object.__new__(kind)  # as it was: nothing is computed or checked again
         for field in dataclasses.fields(kind):

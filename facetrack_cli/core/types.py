@@ -95,7 +95,7 @@ class Frame:
     )  # fmt: skip
 
     def __init__(
-        self, index: int, time_s: float, pixels: Image | Planes, _bgr: Image | None = None, aspect: float = 1.0
+        self, index: int, time_s: float, pixels: Image | Planes, _bgr: Image | None = None, *, aspect: float = 1.0
     ) -> None:
         self.index, self.time_s, self.aspect = index, time_s, aspect
         self.yuv = pixels if isinstance(pixels, Planes) else Planes.of(pixels) if pixels.ndim == 2 else None
@@ -112,9 +112,9 @@ class Frame:
         self._grey: dict[int, tuple[Image, int, int, Extent]] = {}
         self._patches: dict[Hashable, tuple[object, NDArray[np.float32]]] = {}
 
-    def __reduce__(self) -> tuple[type["Frame"], tuple[object, ...]]:
+    def __getnewargs_ex__(self) -> tuple[tuple[int, float, Image], dict[str, float]]:
         """What a checkpoint keeps of it: nothing that can be computed again."""
-        return Frame, (self.index, self.time_s, self.pixels, None, self.aspect)
+        return (self.index, self.time_s, self.pixels), {"aspect": self.aspect}
 
     @property
     def pixels(self) -> Image:

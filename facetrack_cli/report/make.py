@@ -342,6 +342,7 @@ def make_report(
         init=init_yaml(header),
         command=again,
         words=shlex.split(again),
+        by_hand=bool(table.by_hand.any() or (people is not None and people.corrections)),
         relative=not Path(header.source.path).is_absolute(),
     )
     return ReportPage(encoded(document), tuple(notes))

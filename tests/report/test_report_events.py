@@ -117,6 +117,12 @@ def test_the_command_repeats_the_run(options, tmp_path, monkeypatch):
     Path(f"{name}.init.yaml").write_text(init_yaml(header))
     assert main([*words[1:], "--no-video", "-q"]) == 0
     assert Path("again/trajectory.csv").read_bytes() == Path("run/trajectory.csv").read_bytes()
+    if header.init.targets:
+        return
+    assert main(["people", "run", "--rename", "person_1=Ann", "--no-video", "-q"]) == 0
+    assert main(["report", "run"]) == 0
+    page = Path("run/report.html").read_text(encoding="utf-8")
+    assert "of the same bytes, as it was before it was corrected by hand." in page and "init.yaml" not in page
 
 
 def test_folders_are_repeated_at_their_rate(tmp_path):

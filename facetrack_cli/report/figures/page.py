@@ -80,9 +80,9 @@ def measures_figure(
         for axes, name in zip(column, rows, strict=True):
             measured = {target: each[name] for target, each in table.measures.items() if name in each}
             for k, (target, one) in enumerate(measured.items()):
-                colour, gaps = style.COLOURS[k % len(style.COLOURS)], np.flatnonzero(np.diff(one.frame) > 1) + 1
+                colour, unseen = style.COLOURS[k % len(style.COLOURS)], style.gaps(one.frame)
                 time_s, value, noise = (
-                    np.insert(each, gaps, np.nan) for each in (one.time_s, one.value, np.nan_to_num(one.noise))
+                    np.insert(each, unseen, np.nan) for each in (one.time_s, one.value, np.nan_to_num(one.noise))
                 )  # nothing is drawn where somebody is not seen
                 axes.fill_between(time_s, value - noise, value + noise, color=colour, alpha=0.2, linewidth=0)
                 axes.plot(time_s, value, color=colour, linewidth=1.2, label=target)

@@ -339,6 +339,11 @@ def _broken(x: Array, y: Array, before: Whole) -> tuple[Array, Array]:
     return np.insert(x, before, np.nan), np.insert(y, before, np.nan)
 
 
+def gaps(frame: Whole) -> Whole:
+    """Before which rows frames are missing."""
+    return np.flatnonzero(np.diff(frame) > 1.5 * _step(frame)) + 1
+
+
 def _step(frame: Whole) -> int:
     """The usual step between frames."""
     return int(np.median(np.diff(frame))) if len(frame) > 1 else 1
