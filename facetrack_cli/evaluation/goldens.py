@@ -191,14 +191,14 @@ def write_golden(path: Path, golden: Golden) -> None:
 
 def read_golden(path: Path) -> Golden:
     """Raises InputError, in one line, for a file that is no golden of this version."""
-    again = "record it again with facetrack regress --update"
+    again = f"record it again with facetrack regress {path.parent.parent} --config RECIPE --update"
     try:
         with reading(path, f"make it readable, or {again}"):
             return Golden.model_validate_json(read_bounded(path, what="golden"))
     except ValidationError as e:
         first = e.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"]))
-        raise InputError(f"{path}: is no golden: {place}: {first['msg']}; {again}") from None
+        reason = ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]]))
+        raise InputError(f"{path}: is no golden: {reason}; {again}") from None
 
 
 def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> list[Task]:

@@ -365,7 +365,8 @@ def test_a_recipe_without_golden_and_a_broken_golden_are_refused(facetrack: Runn
     assert code == ExitCode.INPUT and "has no golden of sir, only of factorized" in err
     golden_of(clips).write_text("{", encoding="utf-8")
     code, _, err = facetrack("regress", clips)
-    assert code == ExitCode.INPUT and "is no golden" in err
+    assert code == ExitCode.INPUT and f"record it again with facetrack regress {clips} --config RECIPE --update" in err
+    assert "is no golden: Invalid JSON" in err
 
 
 def test_a_recipe_of_the_user_is_found_from_the_folder_of_clips(facetrack: Runner, clips: Path) -> None:
