@@ -533,9 +533,10 @@ class Outcome(RunSummary):
         if self.resumed is not None:
             parts.append(f"went on from frame {self.resumed}")
         if self.lost_frames:
-            worst = sorted(self.lost_frames.items(), key=lambda item: -item[1])
-            named = ", ".join(f"{name.replace('/', ' ')} in {n}" for name, n in worst[:MOST_NAMED])
-            parts.append(f"lost: {named} frames{', and other parts' * (len(worst) > MOST_NAMED)}")
+            worst = sorted(self.lost_frames.items(), key=lambda item: -item[1])[:MOST_NAMED]
+            named = ", ".join(f"{name.replace('/', ' ')} in {n}" for name, n in worst)
+            others = ", and other parts" * (len(self.lost_frames) > MOST_NAMED)
+            parts.append(f"lost: {named} frame{'s' * (worst[-1][1] > 1)}{others}")
         if self.stopped or not self.complete:
             parts.append(self.stopped or "incomplete")
         where = "standard output" if self.streamed else "nothing"
