@@ -258,15 +258,15 @@ class Histogram:
         Column c of sub-regions holds the pixels ex[n, c] <= i < ex[n, c + 1] of that part, whose centres lie in it, and
         rows as well. Areas (N,) are those of whole boxes, also beyond the frame, and 0 of what is no box.
         """
-        s, sizes, edges, whole = x[:, 0, 2] / factor, [max(side // factor, 1) for side in frame.size], [], []
-        good = s > 0.0  # comparisons with nan are false
-        for axis, parts in enumerate(self.settings.regions):
-            side = s * self.size[axis]
-            low = (x[:, 0, axis] - 0.5 * (factor - 1)) / factor - 0.5 * side
-            good &= (np.abs(low) < 1e15) & (side < 1e15)
-            edges.append(np.ceil(low[:, None] + side[:, None] * np.arange(parts + 1) / parts))
-            whole.append(edges[axis][:, -1] - edges[axis][:, 0])
-        area = np.where(good, whole[0] * whole[1], 0.0)
+        s, sizes, edges = x[:, 0, 2] / factor, [max(side // factor, 1) for side in frame.size], []
+        sides = s * np.array(self.size)[:, None]
+        with np.errstate(invalid="ignore"):  # of boxes that lie nowhere
+            low = (x[:, 0, :2].T - 0.5 * (factor - 1)) / factor - 0.5 * sides
+        good = (s > 0.0) & ((np.abs(low) < 1e15) & (sides < 1e15)).all(axis=0)  # comparisons with nan are false
+        low, sides = np.where(good, (low, sides), 0.0)
+        for left, side, parts in zip(low, sides, self.settings.regions, strict=True):
+            edges.append(np.ceil(left[:, None] + side[:, None] * np.arange(parts + 1) / parts))
+        area = np.where(good, math.prod(each[:, -1] - each[:, 0] for each in edges), 0.0)
         ex, ey = (
             np.where(good[:, None], np.clip(each, 0, length), 0).astype(np.int64)
             for each, length in zip(edges, sizes, strict=True)
