@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask, Particles
 from facetrack_cli.engine.confidence import Calibration
 from facetrack_cli.engine.loop import Footprint
@@ -238,12 +239,11 @@ class FaceParts:
         sure = head_confidence(head), wide, high, head_ess[0], math.degrees(roll)
         values[:-1, k] = *face.centre, *std, xy, *sure, *spread
         values[-1] = len(features.particles.x) + len(head.particles.x)  # of a target one number: both filters' together
-        corners = np.full((count, 4, 2), np.nan)
+        outlines = np.full((count, 4, 2), np.nan)
         # the border runs through the middle of the outermost pixels
-        ends = np.array([[1 - wide, 1 - high], [wide - 1, 1 - high], [wide - 1, high - 1], [1 - wide, high - 1]]) / 2
-        way = [[math.cos(roll), math.sin(roll)], [-math.sin(roll), math.cos(roll)]]
-        corners[k] = face.centre + ends @ way
-        return {**dict(zip(_VALUES, values, strict=True)), "status": status, "corners": corners}
+        way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
+        outlines[k] = corners(way, face.centre[None], np.array([[wide - 1, high - 1]]))[0]
+        return {**dict(zip(_VALUES, values, strict=True)), "status": status, "corners": outlines}
 
     def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
         """For the smoother: of the points in the stabilized image, of the head, and of the points without windows.
