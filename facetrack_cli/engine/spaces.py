@@ -149,10 +149,9 @@ def estimate(particles: Particles, ess: Array, *, best: bool = False, sides: Arr
     which is nothing where many particles count. `sides` (N, 2): width and height of each particle's box.
     """
     x, w = np.ascontiguousarray(particles.x), np.exp(particles.log_w)
-    moments(x, w, ess, mean := np.empty(x.shape[1:]), cov := np.empty((x.shape[1], 2, 2)))
-    side_std = None
-    if sides is not None:
-        side_std = np.sqrt(w @ np.square(sides - w @ sides) * (1 + 1 / ess[0]) / max(1 - 1 / ess[0], 1e-12))
+    more = (1 + 1 / ess) / np.maximum(1 - 1 / ess, 1e-12)
+    moments(x, w, more, mean := np.empty(x.shape[1:]), cov := np.empty((x.shape[1], 2, 2)))
+    side_std = None if sides is None else np.sqrt(w @ np.square(sides - w @ sides) * more[0])
     return Estimate(x[int(np.argmax(particles.log_w))] if best else mean, cov, side_std)
 
 

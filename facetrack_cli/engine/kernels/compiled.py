@@ -151,10 +151,10 @@ def invert_cdf(weights, points, out):
 
 
 @exact
-def moments(x, w, ess, mean, cov):
-    """Of x (N, K, D) with weights w (N,) the `mean` (K, D) and the covariance of the first two, `cov` (K, 2, 2).
+def moments(x, w, more, mean, cov):
+    """Of x (N, K, D) with weights w (N,) the `mean` (K, D), and the covariance of the first two `cov` (K, 2, 2).
 
-    It is that of the truth: `engine.spaces.estimate` says what the effective sample sizes `ess` (K,) add.
+    The covariance is multiplied by `more` (K,), as `engine.spaces.estimate` says.
     """
     mean[:], cov[:] = 0.0, 0.0
     for n in range(len(x)):
@@ -167,10 +167,9 @@ def moments(x, w, ess, mean, cov):
             cov[k, 0, 0] += w[n] * u * u
             cov[k, 0, 1] += w[n] * u * v
             cov[k, 1, 1] += w[n] * v * v
-    for k in range(len(ess)):
-        more = (1.0 + 1.0 / ess[k]) / max(1.0 - 1.0 / ess[k], 1e-12)
-        cov[k, 1, 0] = cov[k, 0, 1] = more * cov[k, 0, 1]
-        cov[k, 0, 0], cov[k, 1, 1] = more * cov[k, 0, 0], more * cov[k, 1, 1]
+    for k in range(len(more)):
+        cov[k, 1, 0] = cov[k, 0, 1] = more[k] * cov[k, 0, 1]
+        cov[k, 0, 0], cov[k, 1, 1] = more[k] * cov[k, 0, 0], more[k] * cov[k, 1, 1]
 
 
 def boxes_extent(
