@@ -14,6 +14,7 @@ eyes). Of each variant and clip the first frames are as they were, so that the t
     flash       three of them                           strobe                half of the light, two frames in four
     whip        the camera away and back in 9 frames    lens                  dark for 8 frames, as by a hand
     jump_cut    later, larger and elsewhere, and back   jump_hat              later, with a hat on in other light
+    passer      the person of the next folder walks by before the face, and stops there for a second
 
 The table has, for each variant, the share of frames whose visible nose and mouth corners are within .35 eye distances
 of the reference, and the worst clip; of hidden points the median error, and the share called lost; of visible ones the
@@ -209,6 +210,20 @@ def blurred(shot: Shot, sigma: float) -> Shot:
     return shot._replace(image=np.asarray(cv2.GaussianBlur(shot.image, (0, 0), sigma))) if sigma > 0.3 else shot
 
 
+def passed(shot: Shot, t: float, other: Shot) -> Shot:
+    """With somebody else's head before it, which comes from the right and leaves to the left as t goes from 0 to 1."""
+    (mouth, across, down), (their_mouth, right, _) = face_axes(shot), face_axes(other)
+    off = 5 * (1 - 2 * t) ** 3  # slow in the middle
+    angle = math.atan2(across[1], across[0]) - math.atan2(right[1], right[0])
+    matrix = similarity(their_mouth, 1.1 * shot.unit / other.unit, angle, mouth + off * across + 0.1 * down)
+    size = shot.image.shape[1::-1]
+    picture = cv2.warpAffine(other.image, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    mask, (x, y) = blank(shot), mouth + off * across - 0.75 * down
+    axes = round(1.35 * shot.unit), round(1.9 * shot.unit)
+    cv2.ellipse(mask, (round(x), round(y)), axes, math.degrees(math.atan2(across[1], across[0])), 0, 360, 1.0, -1)
+    return covered(shot, np.asarray(picture, np.float32), mask)
+
+
 def exposed(shot: Shot, gain: float, more: float = 0.0) -> Shot:
     """In other light; what is too dark or too light to see counts as hidden."""
     gone = frozenset(shot.points) if gain < 0.3 else frozenset[str]()
@@ -260,8 +275,8 @@ def skin_of(shot: Shot) -> Array:
     return np.asarray(forehead.mean(axis=0), float) if len(forehead) else np.array([110.0, 140.0, 190.0])
 
 
-def varied(all_shots: list[Shot], kind: str, seed: int) -> Iterator[Shot]:
-    """The shots of a variant."""
+def varied(all_shots: list[Shot], kind: str, seed: int, others: Sequence[Shot] = ()) -> Iterator[Shot]:
+    """The shots of a variant; `others` are of somebody else."""
     rng, skin = np.random.default_rng(seed), skin_of(all_shots[0])
     cells = rng.integers(30, 220, (9, 7, 3)).astype(np.float32)
     cover = np.asarray(cv2.resize(cells, (210, 270), interpolation=cv2.INTER_NEAREST), np.float32)
@@ -305,6 +320,8 @@ def varied(all_shots: list[Shot], kind: str, seed: int) -> Iterator[Shot]:
             yield exposed(shot, 0.35 if PUT_ON <= t < 90 and t % 4 > 1 else 1.0)
         elif kind == "lens":
             yield exposed(shot, 0.03 if 30 <= t < 38 or 70 <= t < 74 else 1.0)
+        elif kind == "passer":
+            yield passed(shot, (t - 40) / 70, others[t % len(others)]) if 40 <= t <= 110 else shot
         elif kind == "whip":
             yield whipped(shot, (t - 40) / 8) if 40 <= t <= 48 else shot
         elif kind.startswith("jump_"):
@@ -319,7 +336,7 @@ def varied(all_shots: list[Shot], kind: str, seed: int) -> Iterator[Shot]:
 
 KINDS = (
     "plain", "skip", "hat", "glasses", "beard", "hand", "book", "light", "blur", "zoom", "roll", "away", "jumps",
-    "dressed", "flash", "strobe", "lens", "whip", "jump_cut", "jump_hat",
+    "dressed", "flash", "strobe", "lens", "whip", "jump_cut", "jump_hat", "passer",
 )  # fmt: skip
 
 
@@ -329,7 +346,10 @@ def write(clip: Path, out: Path, kind: str, seed: int = 0) -> Path:
     if path.with_suffix(".mesh.csv").exists():
         return path
     rows, writer = ["frame,part,x,y,unit,hidden"], None
-    for t, shot in enumerate(varied(shots(clip), kind, seed)):
+    folders = sorted(path.parent for path in clip.resolve().parent.glob(f"*/{MESH}"))
+    next_folder = folders[(folders.index(clip.resolve()) + 1) % len(folders)]
+    others = shots(next_folder) if kind == "passer" else []
+    for t, shot in enumerate(varied(shots(clip), kind, seed, others)):
         h, w = (2 * (side // 2) for side in shot.image.shape[:2])
         if writer is None:
             how = {"fps": 25, "quality": 8, "macro_block_size": 2, "pix_fmt_in": "bgr24"}

@@ -1,11 +1,14 @@
 """Which face of a frame is the target: what looks, places, cuts and company add, of faces that somebody has drawn."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.trackers.face import evidence
+from facetrack_cli.runs.api import track_video
+from facetrack_cli.trackers.face import evidence, target
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import (
     AWAY,
@@ -23,11 +26,16 @@ from facetrack_cli.trackers.face.evidence import (
     kept,
     likeness,
     look_of,
+    prior,
     probabilities,
 )
 from facetrack_cli.trackers.face.stabilized import Similarity
+from facetrack_cli.trackers.people import descriptor
 from facetrack_cli.trackers.people.descriptor import Picture
+from facetrack_cli.trajectory.trajectory import UNSEEN
+from tests.support.samples import FOLDER
 
+PASSERBY = FOLDER / "passerby.mp4"
 BOX = (40.0, 30.0, 60.0, 60.0)
 ELSEWHERE = (140.0, 60.0, 80.0, 80.0)
 
@@ -109,8 +117,9 @@ def test_a_face_is_followed_at_once_if_it_looks_so_else_if_it_stays_and_never_if
     assert not waits.is_target(shown(time_s=1.0 + 0.9 * STAYS)) and waits.is_target(shown(time_s=1.0 + STAYS))
 
 
-def p_of(looks, others=0.0, *, cut=False, company=False):
-    return probabilities(np.atleast_1d(looks), np.atleast_1d(others), cut=cut, company=company)
+def p_of(looks, others=0.0, *, cut=False, company=False, stranger_s=None):
+    alone = prior(cut=cut, company=company, stranger_s=stranger_s)
+    return probabilities(np.atleast_1d(looks), np.atleast_1d(others), alone)
 
 
 def test_no_look_denies_the_one_face_of_a_shot():
@@ -124,6 +133,18 @@ def test_after_a_cut_or_in_company_looks_decide():
     assert p_of(1.0, cut=True, company=True) > 0.5 > p_of(-1.0, company=True)
     assert p_of(-NEAR + 0.1, NEAR, company=True) > 0.5, "it is where it was: that counts as much as the looks"
     assert (p_of(0.0, cut=True), p_of(0.0)) == pytest.approx((1 / (1 + np.exp(-CUT)), 1 / (1 + np.exp(-SHOT))))
+
+
+def test_who_walks_by_is_not_the_target_and_who_stays_may_be():
+    assert p_of(-BOUND, stranger_s=2.0) < 0.2 < 0.5 < p_of(-BOUND, stranger_s=BOUND + 0.1)
+    assert p_of(1.0, stranger_s=0.0) > 0.5, "a face that looks like the target is the target at once"
+    assert p_of(0.0, stranger_s=60.0) == p_of(0.0) and p_of(0.0, cut=True, stranger_s=0.0) == p_of(0.0, cut=True)
+
+
+def test_a_face_that_looks_otherwise_from_one_sighting_to_the_next_is_another_one():
+    first = Sighting.of(seen(ELSEWHERE), shown(time_s=2.0))._replace(by_looks=-3.0, latest=-3.0)
+    same, other = (Sighting.of(seen(ELSEWHERE), shown(time_s=2.1))._replace(by_looks=x, latest=x) for x in (0.5, 1.5))
+    assert same.after(first).since == 2.0 and other.after(first) == other
 
 
 def test_of_several_faces_the_likeliest_is_the_target_and_the_rest_is_nobody():
@@ -142,8 +163,29 @@ def test_places_speak_for_a_face_where_the_target_was_and_against_others_while_i
 
 def test_looks_are_bounded(monkeypatch):
     known = [Picture.of(shown((BOX, 1)), place(BOX)._replace(scale=BOX[2]))]
-    like = lambda looks: np.array([[100 * (one.face[0] @ looks[0].face[0] - 0.5) for one in looks]])  # noqa: E731
+
+    def like(looks, *, colours):
+        return np.array([[100 * (one.face[0] @ looks[0].face[0] - 0.5) for one in looks]])
+
     monkeypatch.setattr(evidence, "same_person", like)
     found = by_looks(known, [place(BOX), place(ELSEWHERE)], shown((BOX, 5), (ELSEWHERE, 1)))
     np.testing.assert_allclose(found, [-BOUND, BOUND])
     assert len(by_looks(known, [], shown())) == 0
+
+
+def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch):
+    def embedded(chip):
+        small = cv2.resize(cv2.cvtColor(chip, cv2.COLOR_BGR2GRAY), (16, 8), interpolation=cv2.INTER_AREA)
+        small = small.astype(float).ravel() - small.mean()
+        return 0.6 * small / np.linalg.norm(small)  # as far apart as those of dlib's network
+
+    monkeypatch.setattr(descriptor, "embedded", embedded)
+    by_walk = {}
+    for model in (None, Path("a model")):
+        monkeypatch.setattr(target, "embedding_model", lambda model=model: model)
+        box = track_video(PASSERBY, "face", init="haar", stop=112).find("face", "box")
+        rows = [box.row(frame) for frame in range(83, 95)]  # in which somebody else stands before the face
+        by_walk[model is None] = np.isin(box.status[rows], UNSEEN).mean()
+        back = box.row(108)
+        assert abs(box.x[back] - 184) < 8 and box.status[back] == "tracked"
+    assert by_walk[True] < 0.5 < 0.9 < by_walk[False]

@@ -10,6 +10,12 @@ target has the log odds
                 target: `same_person` in people/identity.py, where each is bounded by how often it is wrong
     place       NEAR where the target was last seen, -AWAY elsewhere while it is held to be covered; 0 after a cut
 
+A face that is seen in the target's place after it was not seen may be of somebody who walks by. With the extra
+`people` the log odds that it is the target are AGAIN + looks, without colours: the light and what is around are those
+of before. If they speak for somebody else, place says nothing any more, and the prior grows from 0 by 1 a second up to
+SHOT, since who walks by does not stay. Without the extra nobody is asked: grey views of a head that turns differ as
+much as those of two people.
+
 No term has a veto: skin changes with the light, hair with a hat.
 People change places over cuts, so the looks decide there, and hardly elsewhere. What looks like a cut and was a flash,
 a whip pan, a hand across the lens or lost frames, is none as soon as the frames after it say so, or the face is seen.
@@ -36,6 +42,8 @@ from facetrack_cli.trackers.people.identity import same_person
 
 SHOT, CUT = 5.0, 2.3  # log odds that the one face of a frame is the target, in one shot and after a cut
 BOUND: Final = 4.0  # of the log odds by looks
+AGAIN: Final = 1.0  # log odds that the face that is seen in a target's place after it was not seen is the target
+SEEN_PX: Final = 45  # pixels of a face's box below which an embedding of one view does not tell people from each other
 NEAR: Final = 3.0  # log odds of a face where the target was
 AWAY: Final = 2.0  # ... less, of a face elsewhere while the target is covered
 STAYS: Final = 0.5  # seconds that a face is seen before it is the target, and after which a cut was one
@@ -44,6 +52,7 @@ SURE: Final = 0.9  # probability below which it is said that the face may be ano
 MAYBE: Final = 0.05  # probability below which a face is no sighting
 SAME: Final = 0.6  # sizes of a face within which it is the same one at the next look
 NEW: Final = 0.6  # correlation with all looks below which another one is kept
+ALIKE: Final = 0.7  # correlation with a look from which a face in its place is the same without further looks
 MAX_LOOKS: Final = 6  # looks that are kept
 SIDE: Final = 16  # pixels of a look
 _T = TypeVar("_T")
@@ -77,8 +86,10 @@ class Sighting(NamedTuple):
         return Similarity(np.array(centre(self.box)), self.box[2] / FACE, self.roll)
 
     def after(self, before: Sighting | None) -> Sighting:
-        """With what the sighting `before` tells, if it is of the same face."""
-        if before is None or math.dist(centre(before.box), centre(self.box)) >= SAME * max(before.box[2], self.box[2]):
+        """With what the sighting `before` tells, if it is of the same face: near it, and looks like it."""
+        if before is None or abs(self.latest - before.latest) > BOUND:
+            return self
+        if math.dist(centre(before.box), centre(self.box)) >= SAME * max(before.box[2], self.box[2]):
             return self
         views = before.views + 1
         mean = before.by_looks + (self.by_looks - before.by_looks) / views
@@ -99,30 +110,42 @@ def by_place(last: Similarity, faces: Sequence[Similarity], *, covered: bool) ->
     return np.asarray(np.where(near, NEAR, -AWAY * covered))
 
 
-def probabilities(looks: Array, others: Array, *, cut: bool, company: bool) -> Array:
+def prior(*, cut: bool, company: bool, stranger_s: float | None = None) -> float:
+    """The log odds that a lone face is the target.
+
+    Parameters
+    ----------
+    cut : whether the target was not seen since a cut.
+    company : whether the clip has shown several faces in one frame.
+    stranger_s : seconds since which somebody else is in the target's place; None where nobody is.
+    """
+    if stranger_s is not None and not cut:
+        return min(stranger_s, SHOT)
+    return 0.0 if company else CUT if cut else SHOT
+
+
+def probabilities(looks: Array, others: Array, alone: float) -> Array:
     """The probabilities (K,) that the faces of a frame are the target.
 
     Parameters
     ----------
     looks : (K,) log odds, as `by_looks` gives them.
     others : (K,) log odds by place.
-    cut : whether the target was not seen since a cut.
-    company : whether the clip has shown several faces in one frame.
+    alone : log odds that a lone face is the target, as `prior` gives them.
     """
-    prior = 0.0 if company else CUT if cut else SHOT
-    odds = looks + others + prior / max(len(looks), 1)
+    odds = looks + others + alone / max(len(looks), 1)
     most = max(float(odds.max(initial=0.0)), 0.0)
     p = np.exp(odds - most)
     return np.asarray(p / (math.exp(-most) + p.sum()))
 
 
-def by_looks(views: Sequence[Picture], faces: Sequence[Similarity], frame: Frame) -> Array:
+def by_looks(views: Sequence[Picture], faces: Sequence[Similarity], frame: Frame, *, colours: bool = True) -> Array:
     """Bounded log odds (K,) that faces, upright in their stabilized images, are the person of the `views`."""
     if not faces:
         return np.zeros(0)
     looks = [together(view.looks for view in views)]
     looks += [Picture.of(frame, face._replace(scale=face.scale * FACE)).looks for face in faces]
-    return np.clip(same_person(looks)[0, 1:], -BOUND, BOUND)
+    return np.clip(same_person(looks, colours=colours)[0, 1:], -BOUND, BOUND)
 
 
 def look_of(still: Frame) -> Array:

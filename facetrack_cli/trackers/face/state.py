@@ -59,6 +59,8 @@ class FaceState(NamedTuple):
     sighting : the likeliest face of a frame while the target is lost
     cut_time : time in s of a (possible) cut after which the face was not seen yet
     crowded : in how many searches several faces were seen
+    broken : whether the face was not seen in some frame since it was last recognised
+    stranger_time : time in s since which somebody else is seen in its place
     """
 
     head: ParticleState
@@ -79,6 +81,8 @@ class FaceState(NamedTuple):
     sighting: Sighting | None = None
     cut_time: float | None = None
     crowded: int = 0
+    broken: bool = False
+    stranger_time: float | None = None
 
 
 class FaceView(NamedTuple):

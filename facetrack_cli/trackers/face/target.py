@@ -35,8 +35,11 @@ from facetrack_cli.engine.spaces import Estimate
 from facetrack_cli.engine.target import ParticleState
 from facetrack_cli.trackers.face import stabilized, window_ncc
 from facetrack_cli.trackers.face.evidence import (
+    AGAIN,
+    ALIKE,
     MAYBE,
     NEW,
+    SEEN_PX,
     STAYS,
     SURE,
     Sighting,
@@ -45,6 +48,7 @@ from facetrack_cli.trackers.face.evidence import (
     kept,
     likeness,
     look_of,
+    prior,
     probabilities,
 )
 from facetrack_cli.trackers.face.landmark_filters import (
@@ -60,7 +64,7 @@ from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, SensorReading, modes
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, mapped, moved, updated
-from facetrack_cli.trackers.people.descriptor import Picture
+from facetrack_cli.trackers.people.descriptor import Picture, embedding_model
 from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
 
@@ -145,7 +149,8 @@ class FaceTarget(FaceParts):
 
         Without a detector, or where other targets are tracked beside this one, cuts are not looked for. After what may
         be a cut the target is tracked on where it was, for half a second. If it is then not seen there, or does not
-        look like the target, the cut was one, and the face is searched for anywhere until it is recognised.
+        look like the target, the cut was one, and the face is searched for anywhere until it is recognised. So it is
+        when somebody else has come before it.
         """
         state = state._replace(frames=state.frames + 1)
         if not self.alone or self.sensors.detector is None:
@@ -153,10 +158,10 @@ class FaceTarget(FaceParts):
         shots, event = state.shots.after(frame)
         cut_time = {"": state.cut_time, "none": None}.get(event, frame.time_s)
         state = state._replace(shots=shots, cut_time=cut_time)
-        if cut_time is None:
+        if cut_time is None and state.stranger_time is None:
             return self._step(rng, state, frame, footprints)
-        just_cut = frame.time_s - cut_time <= STAYS
-        if just_cut:
+        just_cut = cut_time is not None and frame.time_s - cut_time <= STAYS
+        if just_cut and state.stranger_time is None:
             after, result = self._step(rng, state, frame, footprints)
             if after.cut_time is None or self._stays(after, frame):
                 return after._replace(cut_time=None), result
@@ -208,7 +213,8 @@ class FaceTarget(FaceParts):
 
     def _unseen(self, state: FaceState, info: Info, frame: Frame) -> tuple[FaceState, TargetResult]:
         """After a frame in which the head's filter, which says `info`, does not see it: the points stay."""
-        state = state._replace(log_odds=_FORGETS * state.log_odds, info=state.info._replace(evidence=0.0))
+        info_of_points = state.info._replace(evidence=0.0)
+        state = state._replace(log_odds=_FORGETS * state.log_odds, info=info_of_points, broken=True)
         return state, self.result(state, info, frame)
 
     def _is_due(self, state: FaceState) -> bool:
@@ -221,8 +227,18 @@ class FaceTarget(FaceParts):
         if head_confidence(state.head) < self.settings.lost_below or state.log_odds <= 0:
             return False
         looks = by_looks(state.pictures, [self.map_to_frame(state.head.estimated.state, state.pose)], frame)
-        [p] = probabilities(looks, np.zeros(1), cut=True, company=state.crowded >= COMPANY)
-        return bool(p > 0.5)
+        return bool(looks[0] + self._prior(state, frame) > 0)
+
+    def _prior(self, state: FaceState, frame: Frame) -> float:
+        stranger_s = None if state.stranger_time is None else frame.time_s - state.stranger_time
+        return prior(cut=state.cut_time is not None, company=state.crowded >= COMPANY, stranger_s=stranger_s)
+
+    def _is_stranger(self, state: FaceState, view: FaceView, frame: Frame) -> bool:
+        """Whether the face that is seen in the target's place looks like somebody else."""
+        small_face = view.similarity.scale * FACE < SEEN_PX
+        if small_face or embedding_model() is None or likeness(state.looks, look_of(view.image)) >= ALIKE:
+            return False
+        return bool(by_looks(state.pictures, [view.similarity], frame, colours=False)[0] + AGAIN < 0)
 
     def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> FaceView:
         """The frame seen from a head at `head` (1, D); the detector looks as well if that is `due`."""
@@ -255,6 +271,10 @@ class FaceTarget(FaceParts):
 
         `head_info` is of the head's filter; None: it has not looked, and the points carry the head.
         """
+        recognised = view.detection is not None and view.log_odds >= EASY and state.cut_time is None
+        if recognised and state.broken and self.alone and self._is_stranger(state, view, frame):
+            head, head_info = self.head.unseen(rng, state.head, frame, anywhere=False)
+            return self._unseen(state._replace(head=head, stranger_time=frame.time_s), head_info, frame)
         features, info = self._tracked(rng, state.features, view)
         estimated, visible = features.estimated, self._visible(features)
         odds, cross = self._judged(state.features, view, estimated)
@@ -278,9 +298,9 @@ class FaceTarget(FaceParts):
             head, head_info = self.head.carried(rng, head, view.similarity.matrix @ step)
         state = state._replace(
             head=head, features=features, info=info, bias_filters=biases, facing=facing, others=others,
-            eyes=eyes, log_odds=view.log_odds,
+            eyes=eyes, log_odds=view.log_odds, broken=not recognised and (state.broken or view.log_odds <= 0),
         )  # fmt: skip
-        if view.detection is not None and view.log_odds >= EASY and state.cut_time is None:
+        if recognised:
             state = state._replace(last_seen=view.similarity)
             if likeness(state.looks, look := look_of(view.image)) < NEW:
                 picture = self._picture(frame, view.similarity)
@@ -396,14 +416,16 @@ class FaceTarget(FaceParts):
         if faces:
             sightings = [Sighting.of(face, frame) for face in faces]
             maps = [face.similarity for face in sightings]
-            cut, looks = state.cut_time is not None, by_looks(state.pictures, maps, frame).tolist()
+            in_place, new_shot = state.stranger_time is None, state.cut_time is not None
+            looks = by_looks(state.pictures, maps, frame, colours=in_place or new_shot)
             sightings = [
                 face._replace(by_looks=odds, latest=odds).after(state.sighting)
-                for face, odds in zip(sightings, looks, strict=True)
+                for face, odds in zip(sightings, looks.tolist(), strict=True)
             ]
-            place = by_place(state.last_seen, maps, covered=self._is_covered(state.head)) * (not cut)
+            covered = self._is_covered(state.head)
+            place = by_place(state.last_seen, maps, covered=covered) * (in_place and not new_shot)
             mean_looks = np.array([face.by_looks for face in sightings])
-            p = probabilities(mean_looks, place, cut=cut, company=crowded >= COMPANY)
+            p = probabilities(mean_looks, place, self._prior(state._replace(crowded=crowded), frame))
             best = int(p.argmax())
             sighting = sightings[best]._replace(p=float(p[best])) if p[best] > MAYBE else None
         facing = state.facing.updated(detected=False) if sighting is None else state.facing
@@ -430,5 +452,6 @@ class FaceTarget(FaceParts):
         pose, rest = np.array([sighting.roll, *state.pose[1:]]), self.features.x0
         features = moved(state.features, lambda x: x + (rest - state.features.estimated.state))
         state = state._replace(head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut_time=None)
+        state = state._replace(broken=False, stranger_time=None)
         view = self._view(state, head.estimated.state, frame, due=True)
         return self._followed(rng, state, view, frame, self.head.begun, notes)

@@ -104,9 +104,12 @@ def cast_of(tracks: Sequence[TrackSummary], known: Sequence[FaceDescriptor] = ()
     return Cast(person[found.person[k:]], found.p[k:], told)
 
 
-def same_person(looks: Sequence[FaceDescriptor]) -> Array:
-    """(T, T) log odds, bounded, that two tracks show one person, by what is seen in them."""
-    return np.asarray(_senses(looks).sum(axis=0))
+def same_person(looks: Sequence[FaceDescriptor], *, colours: bool = True) -> Array:
+    """(T, T) log odds, bounded, that two tracks show one person, by what is seen in them.
+
+    Without `colours` by the faces alone.
+    """
+    return np.asarray(_senses(looks, colours=colours).sum(axis=0))
 
 
 def _best(looks: FaceDescriptor) -> Whole:
@@ -120,9 +123,9 @@ def worth_of(looks: FaceDescriptor) -> float:
     return float(np.mean(looks.worth[_best(looks)]))
 
 
-def _senses(looks: Sequence[FaceDescriptor]) -> Array:
+def _senses(looks: Sequence[FaceDescriptor], *, colours: bool = True) -> Array:
     """(S, T, T) the log odds by each sense."""
-    each = [(*SENSES[name], far) for name, far in distances(looks).items()]
+    each = [(*SENSES[name], far) for name, far in distances(looks).items() if colours or name != "colour"]
     return np.array([np.clip(np.tensordot(by, far, 1), -against, most) for by, against, most, far in each])
 
 
