@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,6 +23,7 @@ from facetrack_cli.trackers.face.stabilized import BOX as STILL_BOX
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, SIDE, Similarity, change_between
 from facetrack_cli.trajectory.reader import StartRecord, to_record
 from facetrack_cli.trajectory.trajectory import UNSEEN
+from facetrack_cli.video.shots import Passing
 from tests.support import moving_face as moving
 from tests.support.media import write_pictures
 from tests.support.moving_face import PARTS, Pose
@@ -127,6 +129,16 @@ def test_a_covered_mouth_is_placed_by_the_nose_and_says_so():
     assert gone[18:29, 1:5].mean() > 0.9 and gone[18:29, 0].mean() < 0.3 and not gone[:, 5].any()
     assert np.mean(found[18:29, 1:5]) < 0.25
     assert gone[34:].mean() < 0.2
+
+
+def test_a_blurred_frame_in_which_the_camera_jumps_is_not_lost(monkeypatch):
+    frames = moving.clip([Pose(110 + 16 * (t >= 20), 110) for t in range(24)])
+    blurred = cv2.blur(frames[20].bgr, (15, 1))
+    frames[20] = Frame(20, frames[20].time_s, np.asarray(blurred, np.uint8))
+    looks = iter(["", *["maybe" * (t == 20) for t in range(2, 24)]])
+    monkeypatch.setattr(Passing, "after", lambda self, frame: (self, next(looks)))
+    rows = run(frames, replace(moving.start(Pose(110, 110)), origin="haar"))
+    assert not lost(rows)[19:, 5].any(), "its head is seen, if not its points"
 
 
 def test_a_tiny_face_at_the_border_and_a_flat_frame_are_survived():

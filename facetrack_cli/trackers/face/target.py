@@ -165,6 +165,8 @@ class FaceTarget(FaceParts):
             after, result = self._step(rng, state, frame, footprints)
             if after.cut_time is None or self._stays(after, frame):
                 return after._replace(cut_time=None), result
+            if head_confidence(after.head) >= SETTLED and after.log_odds <= 0:  # a head that is blurred or covered
+                return after, result
         if just_cut or event or self._is_due(state):
             state = self._searched(state, frame)
             if (sighting := state.sighting) is not None and sighting.is_target(frame):
@@ -235,8 +237,11 @@ class FaceTarget(FaceParts):
 
     def _is_stranger(self, state: FaceState, view: FaceView, frame: Frame) -> bool:
         """Whether the face that is seen in the target's place looks like somebody else."""
-        small_face = view.similarity.scale * FACE < SEEN_PX
-        if small_face or embedding_model() is None or likeness(state.looks, look_of(view.image)) >= ALIKE:
+        # faces look alike where they are laid out alike, which boxes drawn by hand and those of cascades are not
+        laid_out = self.sensors.searched and view.detection is not None and view.detection.eyes is not None
+        if not laid_out or view.similarity.scale * FACE < SEEN_PX or embedding_model() is None:
+            return False
+        if likeness(state.looks, look_of(view.image)) >= ALIKE:
             return False
         return bool(by_looks(state.pictures, [view.similarity], frame, colours=False)[0] + AGAIN < 0)
 
