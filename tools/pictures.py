@@ -35,7 +35,7 @@ GRIDS: dict[str, tuple[int, list[tuple[str, list[str], list[int]]]]] = {
     "face.jpg": (384, [
         ("map", ["--config", "face", "--init", "haar"], [30, 75, 110]),
         ("signing", ["--config", "face", "--init", "haar"], [38, 92, 130]),
-        ("passerby", ["--config", "face", "--init", "haar"], [50, 90, 130]),
+        ("passerby", ["--config", "face", "--init", "yunet"], [50, 90, 130]),
     ]),
     "skin-map.jpg": (360, [("map", ["--config", one], [30, 56, 76, 215]) for one in ("skin", "skin_ncc_robust")]),
     "signer.jpg": (360, [("signing", ["--config", "signer"], [20, 52, 92, 208])]),

@@ -10,7 +10,7 @@ target has the log odds
                 target: `same_person` in people/identity.py, where each is bounded by how often it is wrong
     place       NEAR where the target was last seen, -AWAY elsewhere while it is held to be covered; 0 after a cut
 
-A face that is seen in the target's place after it was not seen may be of somebody who walks by. The log odds that it
+A face that is seen in the place of a target that was not seen for a while may be of somebody who walks by. The log odds that it
 is the target are AGAIN + looks, without colours: the light and what is around are those of before. If they speak for
 somebody else, place says nothing any more, and the prior grows from 0 by 1 a second up to SHOT, since who walks by does
 not stay. This takes the extra `people`, since grey views of a head that turns differ as much as those of two people,

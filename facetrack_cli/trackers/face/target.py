@@ -241,7 +241,8 @@ class FaceTarget(FaceParts):
         laid_out = self.sensors.searched and view.detection is not None and view.detection.eyes is not None
         if not laid_out or view.similarity.scale * FACE < SEEN_PX or embedding_model() is None:
             return False
-        if likeness(state.looks, look_of(view.image)) >= ALIKE:
+        in_place = by_place(state.last_seen, [view.similarity], covered=False)[0] > 0
+        if not in_place or likeness(state.looks, look_of(view.image)) >= ALIKE:
             return False
         return bool(by_looks(state.pictures, [view.similarity], frame, colours=False)[0] + AGAIN < 0)
 
