@@ -4,7 +4,6 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
-from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path, PurePath
 from typing import Any, Final
@@ -25,8 +24,8 @@ from facetrack_cli.core.yaml_tree import (
     read_source,
 )
 from facetrack_cli.recipe.messages import locate, problems
-from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, completed, error_of, one_error, to_dict
-from facetrack_cli.recipe.sections import FPS, has_times, suggest
+from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, completed, one_error, to_dict
+from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.trackers.appearance.settings import AffineSettings
 
 TASKS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -153,22 +152,6 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
     except YamlProblems as refused:
         return list(refused.problems)
     return []
-
-
-def in_frames(recipe: Recipe, fps: float | Fraction) -> Recipe:
-    """The recipe with numbers in place of its times, for a clip of `fps` frames per second; RecipeError for a bound."""
-    if not has_times(recipe):
-        return recipe
-    rate = round(float(fps), 6)  # as a trajectory says it, so that a run that is opened again has the same numbers
-    context = {"path": recipe.path, "root": recipe._root, FPS: rate}
-    try:
-        return type(recipe).model_validate(to_dict(recipe), context=context)
-    except ValidationError as error:
-        if recipe._root is None:
-            first = error.errors()[0]
-            wrong = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}, at {rate:g} frames per second"
-            raise RecipeError(f"{recipe.path}: {wrong}") from None
-        raise error_of(problems(error, type(recipe), recipe._root)) from None
 
 
 def files_of(recipe: Recipe) -> list[Path]:

@@ -89,16 +89,14 @@ def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iter
 
 def _said(details: ErrorDetails, node: Node) -> str:
     """What pydantic says, with what stands in the text."""
-    said, shown = details["msg"], _shown(node.value)
+    said = details["msg"]
     for theirs, plain in _PLAIN.items():
         said = re.sub(theirs, plain, said)
     if details["type"] in ("model_type", "model_attributes_type", "dict_type"):
         said = "must be a mapping of keys"
     elif details["type"] == "string_pattern_mismatch":
         said = f"does not fit: {_NAMES}"
-    elif isinstance(node.value, str) and isinstance(details["input"], int | float):  # a time
-        shown = f"{details['input']:g}, which is {node.value} at the clip's frame rate"
-    return said if ", not " in said else f"{said}, not {shown}"
+    return said if ", not " in said else f"{said}, not {_shown(node.value)}"
 
 
 def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:

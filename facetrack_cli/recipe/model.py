@@ -20,7 +20,6 @@ from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems
 from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.sections import (
-    FRAMES,
     Component,
     FilterSettings,
     Kind,
@@ -53,9 +52,9 @@ class ConfidenceSettings(Section):
 
     lost_below: Annotated[float, Field(ge=0, le=1)] = 0.3
     """A part is lost while its confidence stays below this, 0..1."""
-    patience: Annotated[int, Field(ge=1), FRAMES] = 3
+    patience: Annotated[int, Field(ge=1)] = 3
     """For so many frames in a row it must be below, for the part to be lost."""
-    memory: Annotated[int, Field(ge=1), FRAMES] | None = 50
+    memory: Annotated[int, Field(ge=1)] | None = 50
     """Frames over which it is learned how well a part matches when it is there; null: the first frame says so."""
     beside: Annotated[float, Field(ge=0, le=1)] = 0.5
     """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""

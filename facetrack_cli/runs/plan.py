@@ -157,7 +157,7 @@ class ClipRequest:
         moved = []
         for candidate in starts:
             with self.open(start.frame) as source:
-                tracker = tracker_for(recipe, candidate, source.size, source.fps)
+                tracker = tracker_for(recipe, candidate, source.size)
                 results = track(tracker, islice(iter(source), SIGNS_FRAMES), recipe.seed)
                 moved.append(hands_moved([result.rows for result in results]))
         best = int(np.argmax(moved))
