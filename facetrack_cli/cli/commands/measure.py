@@ -342,7 +342,7 @@ def regress_command(
     """
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.goldens import as_junit, regress, tasks
-    from facetrack_cli.recipe.load import check_gallery_file, load_recipe
+    from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trackers.appearance.gallery import load_gallery
@@ -354,17 +354,14 @@ def regress_command(
     if junit is not None:
         check_new(junit, overwrite=overwrite)
     if gallery is not None:  # a mistake in the option is no regression
-        check_gallery_file(str(gallery))
         load_gallery(gallery)
     names = {load_recipe(name, overrides, installed=False).name: name for name in config}
     asked = tasks(folder, names, update=update)
     fails, began, results = "not recorded" if update else "FAILS", time.monotonic(), []
     with Stop().listening() as stopped, progress(quiet) as shown:
         shown.begin(str(folder))
-        for result in regress(
-            folder, asked, update=update, overrides=overrides, stop=stop, gallery=gallery,
-            stopped=stopped, workers=jobs, report=shown.update,
-        ):  # fmt: skip
+        how = {"stopped": stopped, "workers": jobs, "report": shown.update}
+        for result in regress(folder, asked, update=update, overrides=overrides, stop=stop, gallery=gallery, **how):
             results.append(result)
             why = result.message if update else f"ok ({result.message}; {result.seconds:.1f} s)"
             why = f"{fails}: {result.message}" if result.failed else why
@@ -378,6 +375,6 @@ def regress_command(
         return ExitCode.BATCH if failed else ExitCode.DONE
     if junit is not None:
         write_new(junit, as_junit(results).encode(), overwrite=overwrite)
-    count, took = f"{len(results)} golden{'s' * (len(results) != 1)}", time.monotonic() - began
-    click.echo(f"{count} in {took:.0f} s: {len(results) - failed} ok, {failed} FAIL{'S' * (failed == 1)}")
+    count = f"{len(results)} golden{'s' * (len(results) != 1)} in {time.monotonic() - began:.0f} s"
+    click.echo(f"{count}: {len(results) - failed} ok, {failed} FAIL{'S' * (failed == 1)}")
     return ExitCode.REGRESSION if failed else ExitCode.DONE

@@ -204,8 +204,7 @@ def plot_command(
     TRAJECTORY is a trajectory.csv, .json or .jsonl, or the folder of a run. The page shows, over time, position and
     size of every part, confidence and what was lost, particles and their effective sample size, spread, and with
     --truth the error. Of a tracker that adapts it also shows the identity, the scale, noise and error, from its JSON.
-    What the tracker does not report is left out. A long track is drawn by the range of as many frames as fall on a
-    pixel, so that no peak is lost.
+    What the tracker does not report is left out.
 
     With --measure the figure has a panel for each of these measures, with bars where the events named are.
 

@@ -14,10 +14,9 @@ from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, aligned
 from facetrack_cli.evaluation.reliability import ReliabilityBin, calibration_error
 from facetrack_cli.evaluation.summary import clip_name
 from facetrack_cli.report.figures import style
-from facetrack_cli.report.figures.style import Figure, Pen, columns_for, quantiles, render
+from facetrack_cli.report.figures.style import Figure, columns_for, quantiles, render
 
 Curves = Mapping[str, tuple[Array, Array]]
-BINS = 1000
 SQUARE_INCHES = (6.4, 4.6)  # inches, with the legend beside
 WIDE_INCHES = (10.0, 4.0)
 _MARK: Final[Any] = {**style.GUIDE, "linewidth": 0.9, "linestyle": (0, (3, 2)), "zorder": 1}
@@ -68,7 +67,6 @@ def error_over_time_figure(
     """Median over seeds of `errors` (S, T) in pixels by label, in a band of 10 to 90 % of them; `hidden` is shaded."""
     names = [style.clean(label, 40) for label in errors]
     columns, rows = columns_for(names, WIDE_INCHES[0])
-    pen = Pen(BINS, float(frames[-1] - frames[0] + 1) / BINS)
     with style.style():
         from matplotlib.lines import Line2D
 
@@ -77,14 +75,14 @@ def error_over_time_figure(
         figure.legend(handles, names, loc="outside upper left", ncols=columns, handlelength=2.8, borderaxespad=0.3)
         axes = figure.subplots()
         style.frame_axis(axes, frames)
-        pen.shade(axes, frames, hidden, "hidden", 0.2)
+        style.shade(axes, frames, hidden, "hidden", 0.2, float(frames[-1] - frames[0] + 1) / style.BINS)
         drawn = [quantiles(e.astype(np.float64), (0.1, 0.5, 0.9)) for e in errors.values()]
         several = any(len(e) > 1 for e in errors.values())
         for number, (low, middle, high) in enumerate(drawn):
             look = style.line_style(number)
             if several:
-                pen.band(axes, frames, low, high, look["color"], 0.15)
-            pen.line(axes, frames, middle, linewidth=1.3, **look)
+                style.band(axes, frames, low, high, look["color"], 0.15)
+            style.line(axes, frames, middle, linewidth=1.3, **look)
         style.limit(axes, 0.0, 6)
         notes = ["line: median over seeds, band: 10 to 90 %"] if several else []
         style.heading(axes, title, "; ".join([*notes, *(["shaded: hidden"] if hidden.any() else [])]))
