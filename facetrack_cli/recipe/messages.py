@@ -1,9 +1,8 @@
 """The errors that pydantic finds in a recipe, as problems with a place in the text and a remedy."""
 
 import re
-import types
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, Final, Union, get_args, get_origin
+from typing import Any, Final, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -120,11 +119,7 @@ def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return variants(annotation)
-    if get_origin(annotation) in (Union, types.UnionType):
-        return [model for member in get_args(annotation) for model in _models_in(member)]
-    if get_origin(annotation) is dict:
-        return _models_in(get_args(annotation)[1])
-    return _models_in(get_args(annotation)[0]) if get_origin(annotation) is Annotated else []
+    return [model for member in get_args(annotation) for model in _models_in(member)]
 
 
 def _length(node: Node) -> int:

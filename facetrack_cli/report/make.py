@@ -1,8 +1,8 @@
 """HTML pages: one of a finished run, what happened in it, with images, and how it was made; and one of a batch.
 
-Images of key frames are decoded in one pass: the clip's frames with the overlay drawn on them.
-How the run was made is its recipe and start as YAML, and the command that repeats it. Each page is a
-single file that fetches nothing and runs no script; that of a batch links to the files of its runs.
+Images are key frames of the clip with the overlay drawn on them. How the run was made is its recipe and start as YAML,
+and the command that repeats it. Each page is a single file that fetches nothing and runs no script; that of a batch
+links to the files of its runs.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import os
 import re
 import shlex
 import urllib.parse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -30,6 +30,7 @@ from facetrack_cli.core.errors import FacetrackError, InputError, needed
 from facetrack_cli.core.files import TABLES
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.numbers import clock as at_clock
+from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import BOX, Frame
 from facetrack_cli.core.types import Image as Pixels
 from facetrack_cli.evaluation.rows import Pair, match
@@ -38,7 +39,7 @@ from facetrack_cli.recipe.load import calibrated, load_recipe
 from facetrack_cli.recipe.model import completed, to_dict
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import story
-from facetrack_cli.report.story import LostSpan, Stretch, history_of, key_frames
+from facetrack_cli.report.story import Span, Stretch, history_of, key_frames
 from facetrack_cli.run_folder.manifest import (
     REPORT,
     VIDEO,
@@ -57,7 +58,8 @@ from facetrack_cli.trajectory.reader import Header, read_header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
 from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.video.overlay import Overlay
-from facetrack_cli.video.source import given_rate, open_source
+from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import given_rate
 
 
 def recipe_yaml(recipe: Mapping[str, Any]) -> str:
@@ -98,7 +100,6 @@ def command(header: Header, last: int) -> str:
 
 MIN_SIZE: Final = (640, 480)  # images are enlarged to fit this, so that the overlay can be read ...
 MAX_SIZE: Final = (960, 720)  # ... and reduced to fit this
-MAX_BYTES: Final = 220_000  # of one JPEG: twelve stay below 4 MB as text
 _VIEW = 3.5  # an image shows this many times the target's size; larger clips are cut out around it
 _TRAIL_S = 1.0
 _TRAIL = 25  # frames of it that are drawn
@@ -125,14 +126,18 @@ def key_images(
 
     Raises InputError if `clip` is not the run's.
     """
-    path, maker, done, notes = clip or Path(header.source.path), _Maker(table, header), dict[int, Image](), list[str]()
+    source, maker, done, notes = header.source, _Maker(table, header), dict[int, Image](), list[str]()
+    path = clip or Path(source.path)
     try:
         if (other := other_clip(table, path)) is not None:
             raise InputError(other)
-        for frame in _frames(path, header.source.size, header.source.fps, sorted(wanted), report, header.source.stream):
-            done[frame.index] = maker.image(frame)
-        if missing := [index for index in wanted if index not in done]:
-            raise InputError(f"{path}: has no frame {missing[0]}, which the run has")
+        with Frames(path, fps=given_rate(path, source.fps), stream=source.stream) as frames:
+            if frames.size != source.size:
+                is_, was = (f"{width}x{height}" for width, height in (frames.size, source.size))
+                raise InputError(f"{path}: is {is_}, not {was} pixels as in the run")
+            for index in sorted(wanted):
+                done[index] = maker.image(frames.read(index))
+                report(len(done), len(wanted))
     except InputError as e:
         notes.append(str(e) if "--clip" in str(e) else f"{e}; name its clip with --clip")
         if clip is not None:
@@ -155,19 +160,18 @@ class _Maker:
 
     def image(self, frame: Frame) -> Image:
         """The image of a frame of the clip."""
-        view, out = self._layout(frame.index)
-        whole = _scaled(frame.bgr, view, out)
-        then = self._clock.at(frame.index)
-        return Image(_jpeg(self.draw(Frame(frame.index, then, whole, aspect=frame.aspect), view)), out, view=view)
+        (left, top, width, height), out = view, _ = self._layout(frame.index)
+        part = np.ascontiguousarray(frame.bgr[top : top + height, left : left + width])
+        whole = cv2.resize(part, out, interpolation=cv2.INTER_AREA if out[0] < width else cv2.INTER_CUBIC)
+        drawn = self.draw(Frame(frame.index, 0.0, np.asarray(whole, np.uint8), aspect=frame.aspect), view)
+        return Image(_jpeg(drawn), out, view=view)
 
     def draw(self, frame: Frame, view: View) -> Pixels:
-        """A scaled frame with the overlay of `facetrack run`."""
-        overlay = Overlay(frame.size, title=self._title, trail_s=_TRAIL_S)
-        last = int(np.searchsorted(self._clock.frames, frame.index))
-        past = self._clock.frames[max(0, last - math.ceil(self._clip.fps * _TRAIL_S)) : last].tolist()
-        past = [index for index in past if self._clock.at(index) >= frame.time_s - _TRAIL_S]
-        for index in [*past[:: max(1, math.ceil(len(past) / _TRAIL))], frame.index]:  # the trail is of drawn frames
-            now = Frame(index, self._clock.at(index), frame.bgr, aspect=frame.aspect)
+        """A scaled frame with the overlay of `facetrack run`; the trail is of the frames that are drawn before."""
+        overlay, clock = Overlay(frame.size, title=self._title, trail_s=_TRAIL_S), self._clock
+        past = clock.frames[(clock.times >= clock.at(frame.index) - _TRAIL_S) & (clock.frames < frame.index)]
+        for index in [*past[:: max(1, math.ceil(len(past) / _TRAIL))].tolist(), frame.index]:
+            now = Frame(index, clock.at(index), frame.bgr, aspect=frame.aspect)
             drawn = overlay.draw(self._result(now, view, frame.size[0] / view[2]))
         return drawn
 
@@ -199,25 +203,6 @@ class _Maker:
         return (left, top, w, h), _fit((w, h))
 
 
-def _frames(
-    path: Path, size: tuple[int, int], fps: float, wanted: Sequence[int], report: Report, stream: int | None
-) -> Iterator[Frame]:
-    """The wanted frames, in their order, in one pass. InputError if the clip is of another size."""
-    rate = given_rate(path, fps)
-    runs = [(n, n + 1) for n in wanted] if rate else [(wanted[0], wanted[-1] + 1)]
-    total, done = sum(end - begin for begin, end in runs), 0
-    for begin, end in runs:
-        with open_source(path, fps=rate, start=begin, stop=end, stream=stream) as source:
-            if source.size != size:
-                is_, was = (f"{width}x{height}" for width, height in (source.size, size))
-                raise InputError(f"{path}: is {is_}, not {was} pixels as in the run; name its clip with --clip")
-            for frame in source:
-                done += 1
-                report(done, total)
-                if frame.index in wanted:
-                    yield frame
-
-
 def _fit(size: tuple[int, int]) -> tuple[int, int]:
     """The size of an image: enlarged to `MIN_SIZE`, or reduced to `MAX_SIZE`, keeping its shape."""
     grow = min(MIN_SIZE[0] / size[0], MIN_SIZE[1] / size[1])
@@ -225,22 +210,8 @@ def _fit(size: tuple[int, int]) -> tuple[int, int]:
     return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
 
 
-def _scaled(image: Pixels, view: View, size: tuple[int, int]) -> Pixels:
-    left, top, width, height = view
-    part = np.ascontiguousarray(image[top : top + height, left : left + width])
-    if size == (width, height):
-        return part
-    how = cv2.INTER_AREA if size[0] < width else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(part, size, interpolation=how), np.uint8)
-
-
-def _jpeg(image: Pixels) -> bytes:
-    """At the best quality with at most `MAX_BYTES`."""
-    for quality in (88, 80, 70, 55, 40, 25):
-        data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
-        if len(data) <= MAX_BYTES:
-            break
-    return data
+def _jpeg(image: Pixels, quality: int = 85) -> bytes:
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 BATCH_PAGE: Final = "batch.html"
@@ -298,8 +269,7 @@ def make_report(
     title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
     first, last = int(clock.frames[0]), int(clock.frames[-1])
     keys = key_frames(history, first, last)
-    shown = [key.frame for key in keys]
-    images, notes = key_images(table, header, shown, clip, report)
+    images, notes = key_images(table, header, [*keys], clip, report)
     mean, looks = story.confidence_of(table), story.to_look_at(followed, history, clock)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last)
@@ -322,7 +292,7 @@ def make_report(
         pictures={} if people is None else {person.name: picture(person) for person in people.people},
         parts=[part for part in history.parts if part.spans or part.hidings or part.absences],
         looks=looks,
-        leading=next((frame for frame in (*(at for at, _ in looks), *shown) if frame in images), None),
+        leading=next((frame for frame in (*(at for at, _ in looks), *keys) if frame in images), None),
         identities=list(story.identities(table, clock)),
         mean=mean,
         calibrated=calibrated(header.recipe),
@@ -331,10 +301,10 @@ def make_report(
         events=sorted(sorted(table.events, key=lambda event: -event.probability)[:MAX_SPANS]),
         several=len(table.targets) > 1,
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
-        keys=keys,
+        keys=[*keys],
         images=images,
-        some_left_out=not {frame for frame, _ in history.events} <= {*shown},
-        reasons={key.frame: story.reasons(key, followed, history, header.init.origin) for key in keys},
+        some_left_out=not history.events.keys() <= keys.keys(),
+        reasons={at: story.reasons(at, why, followed, history, header.init.origin) for at, why in keys.items()},
         plot=_plot(table, pairs, title),
         reported=reported or bool((table.identity != "").any()),
         truth=measured,
@@ -386,7 +356,7 @@ def _still(folder: Path, clip: ClipStatus) -> Image | None:
     assert image is not None
     size = (_STILL_PX, max(round(_STILL_PX * image.shape[0] / image.shape[1]), 1))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return Image(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes(), size)
+    return Image(_jpeg(np.asarray(small, np.uint8), 80), size)
 
 
 def encoded(document: str) -> bytes:
@@ -435,13 +405,8 @@ def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Image:
     return Image(plots.render(figure, "png", dpi=150), size, "image/png")
 
 
-def _bars(spans: Sequence[LostSpan | Stretch], first: int, scale: float) -> list[tuple[float, float]]:
+def _bars(spans: Sequence[Span | Stretch], first: int, scale: float) -> list[tuple[float, float]]:
     """(left, width) of the bars to paint; bars are joined where there is no room for a gap."""
     least = 2.0 if len(spans) <= _BINS // 20 else 0.5  # a single frame of many must still be seen
-    bars: list[tuple[float, float]] = []
-    for span in spans:
-        left, right = (span.first - first) * scale, (span.last + 1 - first) * scale
-        if bars and left < sum(bars[-1]) + 0.2:
-            left = bars.pop()[0]
-        bars.append((left, max(right - left, least)))
-    return bars
+    bars = union((((span.first - first) * scale, (span.last + 1 - first) * scale) for span in spans), 0.2)
+    return [(left, max(right - left, least)) for left, right in bars]

@@ -37,7 +37,7 @@ def test_the_history_of_each_part(tmp_path):
     assert a.mean == pytest.approx((15 * 0.75 + 4 * 0.05) / 19)  # without the first frame
     assert (history.frames_lost, history.episodes, history.ending("lost")) == (15, ((8, 11), (14, 24)), ["b"])
     assert history.worst == 6, "of the frames in which nothing is lost, as the run says"
-    kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(history, 5, 24)}
+    kinds = {frame: [*events] for frame, events in key_frames(history, 5, 24).items()}
     assert kinds == {5: ["start"], 6: ["worst"], 8: ["lost"], 12: ["back"], 14: ["lost"], 24: ["end"]}
 
 
@@ -50,17 +50,16 @@ def test_key_frames_are_few_and_far_apart(tmp_path, monkeypatch, seed):
     table = read_trajectory(write_run(tmp_path, Path("clip.mp4"), start=0, frames=2000))
     history = history_of(table, Clock(table, 25.0))
     keys = key_frames(history, 0, 1999)
-    at = [key.frame for key in keys]
+    at = [*keys]
     assert len(at) == 12
     assert at == sorted(set(at))
     assert {0, 1999, history.worst} <= set(at)
     longest = max(history.episodes, key=lambda e: e[1] - e[0])
     assert longest[0] in at
     assert max(np.diff(at)) < 700
-    for key in keys:
-        for event in key.events:
-            for span in event.spans:
-                assert key.frame == (span.first if event.kind == "lost" else span.back)
+    for frame, events in keys.items():
+        assert all(span.first == frame for span in events.get("lost", []))
+        assert all(span.back == frame for span in events.get("back", []))
 
 
 def test_the_frames_to_look_at_are_those_that_the_run_names(tmp_path):

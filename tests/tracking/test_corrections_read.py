@@ -199,7 +199,7 @@ def test_a_report_says_what_was_corrected(table):
     assert (lip.absences, lip.frames_absent, nose.frames_absent) == (((5, 7), (10, 12)), 6, 3)
     assert [(span.first, span.last, span.back, span.by_hand) for span in lip.spans] == [(3, 4, None, True)]
     assert (history.ending("lost"), history.ending("absent")) == ([], ["nose", "lip"])
-    kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(history, 0, 12)}
+    kinds = {frame: [*events] for frame, events in key_frames(history, 0, 12).items()}
     assert kinds == {
         0: ["start"], 1: ["worst"], 3: ["lost"], 5: ["corrected"], 8: ["corrected"], 10: ["corrected"], 12: ["end"]
     }  # fmt: skip

@@ -163,9 +163,6 @@ def second_axis(axes: Axes, table: Trajectory, most: int) -> None:
     frame, time_s = table.frames[timed].astype(np.float64), table.times[timed]
     if len(frame) < 2 or (np.diff(time_s) <= 0).any():
         return
-    step = (time_s[-1] - time_s[0]) / (frame[-1] - frame[0])
-    frame = np.array([frame[0] - 1, *frame, frame[-1] + 1])
-    time_s = np.array([time_s[0] - step, *time_s, time_s[-1] + step])
     ways = partial(np.interp, xp=frame, fp=time_s), partial(np.interp, xp=time_s, fp=frame)
     above = axes.secondary_xaxis("top", functions=ways)
     above.xaxis.set_major_locator(MaxNLocator(most, steps=(1, 2, 3, 6, 10)))
@@ -249,14 +246,9 @@ def shade(axes: Axes, frame: Whole, mask: Mask, status: str, alpha: float, least
 
 
 def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
-    """(columns, rows) of a legend of these labels, filled column by column, over `width` inches."""
-    lengths = [len(label) for label in labels]
-    for rows in range(1, len(labels)):
-        columns = math.ceil(len(labels) / rows)
-        widest = [max(column) for column in np.array_split(lengths, columns)]  # as matplotlib deals them out
-        if sum(0.068 * most + 0.56 for most in widest) <= width - 0.2:
-            return columns, rows
-    return 1, len(labels)
+    """(columns, rows) of a legend of these labels over `width` inches; all columns are as wide as the longest."""
+    columns = max(1, int((width - 0.2) / (0.068 * max(map(len, labels), default=1) + 0.56)))
+    return columns, math.ceil(len(labels) / columns)
 
 
 def stacked(series: Sequence[tuple[Whole, Array | Mask]]) -> tuple[Whole, Array]:
