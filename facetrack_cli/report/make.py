@@ -16,7 +16,7 @@ import os
 import re
 import shlex
 import urllib.parse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -33,7 +33,7 @@ from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import BOX, Frame
 from facetrack_cli.core.types import Image as Pixels
-from facetrack_cli.evaluation.rows import Pair, match
+from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import Options, evaluate, facts, sheets
 from facetrack_cli.recipe.load import calibrated, load_recipe
 from facetrack_cli.recipe.model import completed, to_dict
@@ -52,7 +52,6 @@ from facetrack_cli.run_folder.status import ClipStatus, badness, name_of, survey
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.start.init_file import as_yaml
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
-from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.people import PersonRecord, TrackRecord, read_people, read_still
 from facetrack_cli.trajectory.reader import Header, read_header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
@@ -225,14 +224,8 @@ _BINS: Final = 1000  # of the bar that shows when a part was lost
 _UNFIT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
 
 
-class TruthFile(NamedTuple):
-    """The file of ground truth, and how it is read: as the options of `facetrack eval`."""
-
-    path: Path
-    form: str = "auto"
-    shift: int = 0
-    partial: bool = False
-    target: str | None = None
+Pairing: TypeAlias = Callable[[Trajectory, Trajectory, Callable[[str], None]], list[Pair]]
+"""Rows of a trajectory beside those of the ground truth, as `match` makes them; called with what takes its notes."""
 
 
 class ReportPage(NamedTuple):
@@ -245,12 +238,12 @@ class ReportPage(NamedTuple):
 def make_report(
     run: Path,
     *,
-    truth: TruthFile | None = None,
+    truth: tuple[Trajectory, Pairing] | None = None,
     clip: Path | None = None,
     title: str | None = None,
     report: Report = silent,
 ) -> ReportPage:
-    """The report of the run in the folder `run`.
+    """The report of the run in the folder `run`, beside ground truth and what pairs its rows with those of the run.
 
     Raises InputError for a folder without a JSON trajectory, a broken one, a `clip` that is not the run's, and ground
     truth that does not fit; UsageError without matplotlib or Jinja2.
@@ -265,7 +258,7 @@ def make_report(
         boxes = [part for part in table.parts if part.part == BOX]
         followed = joined(boxes, header=table.header, path=table.path)
     history = history_of(followed, clock, header.seams)
-    pairs, measured = ([], None) if truth is None else _measured(table, header, truth)
+    pairs, measured = ([], None) if truth is None else _measured(table, header, *truth)
     title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
     first, last = int(clock.frames[0]), int(clock.frames[-1])
     keys = key_frames(history, first, last)
@@ -383,15 +376,16 @@ def page_template(name: str) -> Any:
     return environment.get_template(name)
 
 
-def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list[Pair], Mapping[str, Any]]:
+def _measured(
+    table: Trajectory, header: Header, truth: Trajectory, pair: Pairing
+) -> tuple[list[Pair], Mapping[str, Any]]:
     """The pairs of the run and its ground truth, and the words and tables of the page."""
-    theirs = read_truth(truth.path, truth.form, shift=truth.shift)
     notes: list[str] = []
-    pairs = match(table, theirs, partial=truth.partial, select=truth.target, note=notes.append)
-    measures = evaluate(pairs, notes, Options(size=header.source.size), reference=theirs.parts)
-    read_as = str(theirs.header.get("read_as", truth.form)) + (f", {truth.shift:+d} frames" if truth.shift else "")
-    about = f"Read as {read_as}; {'; '.join(facts(measures))}."
-    return pairs, {"path": str(theirs.path), "about": about, "tables": list(sheets(measures)), "notes": measures.notes}
+    pairs = pair(table, truth, notes.append)
+    measures = evaluate(pairs, notes, Options(size=header.source.size), reference=truth.parts)
+    shift = f", {truth.header['shift']:+d} frames" if truth.header["shift"] else ""
+    about = f"Read as {truth.header['read_as']}{shift}; {'; '.join(facts(measures))}."
+    return pairs, {"path": str(truth.path), "about": about, "tables": list(sheets(measures)), "notes": measures.notes}
 
 
 def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Image:

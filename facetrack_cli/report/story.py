@@ -56,14 +56,6 @@ class Span(NamedTuple):
     by_hand: bool
 
 
-class CorrectedFrame(NamedTuple):
-    """A frame that is corrected by hand: the parts `given` in it, and those from then on `absent`."""
-
-    frame: int
-    given: tuple[str, ...]
-    absent: tuple[str, ...]
-
-
 @dataclass(frozen=True)
 class PartHistory:
     """One part, and when it was lost (`spans`) and hidden. Confidences are nan where unknown, `worst` is the frame of
@@ -84,21 +76,21 @@ class PartHistory:
     vanishes: bool
 
 
-Events: TypeAlias = dict[Kind, list[Span] | CorrectedFrame | SeamHeader | None]
-"""Why a frame is shown: the spans that begin or end in it, its correction, chunks that meet."""
+Events: TypeAlias = dict[Kind, list[Span] | SeamHeader | None]
+"""Why a frame is shown: the spans that begin or end in it, chunks that meet."""
 
 
 @dataclass(frozen=True)
 class RunHistory:
     """A whole run: its parts, the `episodes` in which any is lost, the frame of the lowest mean confidence of those in
-    which none is, and the `seams` of a clip that was tracked in chunks.
+    which none is, the frames with `corrections`, and the `seams` of a clip that was tracked in chunks.
     """
 
     parts: tuple[PartHistory, ...]
     episodes: tuple[Stretch, ...]
     frames_lost: int
     worst: int | None
-    corrections: tuple[CorrectedFrame, ...]
+    corrections: tuple[int, ...]
     seams: tuple[SeamHeader, ...] = ()
 
     @property
@@ -123,8 +115,8 @@ class RunHistory:
         for seam in self.seams:
             if not seam.agrees:
                 events[seam.frame]["seam"] = seam
-        for fix in self.corrections:
-            events[fix.frame]["corrected"] = fix
+        for frame in self.corrections:
+            events[frame]["corrected"] = None
         return dict(events)
 
 
@@ -142,16 +134,12 @@ def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = 
     # as the run says it: frames in which a part is lost are shown as such
     there = (counted > 0) & ~any_lost
     mean = np.round(np.divide(total, counted, out=np.full(len(total), np.inf), where=there), 12)
-    corrected: dict[int, tuple[list[str], list[str]]] = defaultdict(lambda: ([], []))
-    for rows, part in zip(table.parts, parts, strict=True):
-        for frame, status in zip(rows.frame[rows.corrected].tolist(), rows.status[rows.corrected], strict=True):
-            corrected[frame][status == "absent"].append(part.name)
     return RunHistory(
         parts,
         _stretches(clock.frames, any_lost),
         int(any_lost.sum()),
         int(clock.frames[np.argmin(mean)]) if there.any() else None,
-        tuple(CorrectedFrame(at, tuple(given), tuple(absent)) for at, (given, absent) in sorted(corrected.items())),
+        tuple(np.unique(np.concatenate([rows.frame[rows.corrected] for rows in table.parts])).tolist()),
         seams,
     )
 
@@ -350,22 +338,24 @@ def reasons(
     confidence = dict(zip(parts, rows.confidence.tolist(), strict=True))
     confidences = rows.confidence[np.isfinite(rows.confidence)]
 
+    def called(status: str) -> list[str]:
+        return [parts[i] for i in np.flatnonzero(rows.status == status)]
+
     def words(kind: Kind, event: Any, after: str) -> str:
         match kind:
             case "start":
                 return f"placed by {_DETECTORS.get(origin) or Path(origin).name or origin}"
             case "corrected":
-                gone = f"{_are(event.absent, 5)} absent" if event.absent else ""
-                return "; ".join(filter(None, (names(event.given, 5), gone)))
+                gone = f"{_are(absent, 5)} absent" if (absent := called("absent")) else ""
+                return "; ".join(filter(None, (names(called("init"), 5), gone)))
             case "seam":
                 return f"they agree in {percent(event.agreement)} of the frames that both have"
             case "worst":
                 mean = number(float(confidences.mean()) if confidences.size else None)
                 return mean + (f", the mean over {len(parts):,} parts" if len(parts) > 1 else "")
             case "end":
-                ends = [(kind, [parts[i] for i in np.flatnonzero(rows.status == kind)]) for kind in ("lost", "absent")]
-                text = "; ".join(f"called {kind}: {names(gone, 5)}" for kind, gone in ends if gone)
-                return text or "nothing is called lost"
+                ends = [f"called {each}: {names(called(each), 5)}" for each in ("lost", "absent") if called(each)]
+                return "; ".join(ends) or "nothing is called lost"
         return names([
             f"{s.name}{after.format(lasting(s.seconds))} (confidence {number(confidence.get(s.name))})" for s in event
         ], 5)  # fmt: skip

@@ -90,7 +90,7 @@ def eval_command(
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.identities import identified
     from facetrack_cli.evaluation.rows import check_normalise
-    from facetrack_cli.evaluation.summary import About, Options, evaluate, to_csv, to_json, to_text
+    from facetrack_cli.evaluation.summary import Options, evaluate, to_csv, to_json, to_text
     from facetrack_cli.run_folder.manifest import check_run, other_clip
     from facetrack_cli.trajectory.formats.read import read_results
     from facetrack_cli.trajectory.reader import clip_of, frame_size_of
@@ -125,18 +125,17 @@ def eval_command(
     pairs = reference.pairs(ours, theirs, notes.append)
     settings = Options(normalise, failure, frame_size_of(ours))
     evaluation = evaluate(pairs, notes, settings, reference=theirs.parts, people=persons)
-    read_as = str(theirs.header.get("read_as", reference.truth_format))
-    about = About(ours.path, theirs.path, read_as, reference.shift, ours.header.get("read_as"))
 
     texts = {"--json": to_json, "--csv": to_csv}
-    made = {name: texts[name](evaluation, about).encode(errors="backslashreplace") for name in files if name in texts}
+    both = ours, theirs
+    made = {name: texts[name](evaluation, *both).encode(errors="backslashreplace") for name in files if name in texts}
     if plot is not None:
         made["--plot"] = _plot(evaluation, ours.path)
     for name, content in made.items():
         write_new(files[name], content, overwrite=overwrite)
         say(f"{trajectory} -> {files[name]}")
     printed = next((texts[name] for name, to in outputs.items() if to == "-"), None)
-    text = printed(evaluation, about) if printed else to_text(evaluation, about, colour=colour())
+    text = printed(evaluation, *both) if printed else to_text(evaluation, *both, colour=colour())
     if not (sys.stdout.encoding or "utf-8").lower().startswith("utf"):
         text = text.replace("\N{EN DASH}", "-")
     click.echo(text, nl=False)

@@ -160,7 +160,7 @@ def report_command(
       facetrack report results
     """
     from facetrack_cli.core.files import check_new, check_plain, write_new
-    from facetrack_cli.report.make import BATCH_PAGE, TruthFile, make_batch_report, make_report
+    from facetrack_cli.report.make import BATCH_PAGE, make_batch_report, make_report
     from facetrack_cli.run_folder.manifest import REPORT, trajectory_of
     from facetrack_cli.run_folder.status import is_batch
     from facetrack_cli.runs.progress import progress
@@ -177,7 +177,7 @@ def report_command(
     check_new(to, overwrite=overwrite, inputs=(truth, clip))
     with progress(quiet) as shown:
         shown.begin(folder.name or str(folder), "clips" if batch else "frames")
-        measured = None if truth is None else TruthFile(truth, *vars(reference).values())
+        measured = None if truth is None else (reference.read(truth), reference.pairs)
         if batch:
             page = make_batch_report(folder, to, report=shown.update)
         else:
