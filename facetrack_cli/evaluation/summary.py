@@ -8,6 +8,7 @@
 """
 
 import math
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -43,6 +44,7 @@ from facetrack_cli.evaluation.rows import (
     rows_of,
     unit_of,
 )
+from facetrack_cli.recipe.load import OVERRIDES
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 WIDTH: Final = 100  # columns of a table that is not printed on a terminal
@@ -75,8 +77,9 @@ class Sheet:
         if not ruled:
             look = {"box": None, "padding": (0, 2, 0, 0), "header_style": "dim"}
         table = Table(pad_edge=False, show_edge=False, **look)  # type: ignore[arg-type]
+        rows = [[_broken(cell) if i in self.left else cell for i, cell in enumerate(row)] for row in self.rows]
         tall = max(head.count("\n") for head in self.heads)
-        for i, (head, *below) in enumerate(zip(self.heads, *self.rows, strict=True)):
+        for i, (head, *below) in enumerate(zip(self.heads, *rows, strict=True)):
             left = i in self.left
             longest = max(len(line) for cell in (head, *below) for line in cell.split("\n"))
             table.add_column(
@@ -86,7 +89,7 @@ class Sheet:
                 overflow="fold",
                 min_width=min(longest, MIN_NAME) if left else longest,
             )
-        for row in self.rows:
+        for row in rows:
             table.add_row(*(Text(visible(cell)) for cell in row))
         return table
 
@@ -113,6 +116,14 @@ class Sheet:
 def trimmed(text: str) -> str:
     """Lines without blanks at their ends."""
     return "".join(f"{line.rstrip()}\n" for line in text.splitlines())
+
+
+def _broken(label: str) -> str:
+    """A long label of a recipe and its overrides, with a line for each of them."""
+    name, colon, rest = label.partition(":")
+    if len(label) <= MIN_NAME or "=" not in rest:
+        return label
+    return "\n".join([f"{name}{colon}", *(f"  {override}" for override in re.split(OVERRIDES, rest))])
 
 
 def clip_name(clip: Path) -> str:

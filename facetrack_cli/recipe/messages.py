@@ -31,24 +31,17 @@ def locate(root: Node, path: Steps) -> tuple[Node, list[str], bool]:
 
     pydantic's paths also name the chosen member of a union (`filter`, `sir`, `particles`): such a step has no place.
     """
-    node, keys, exact = root, [], True
-    union_open = False
+    node, keys, exact = root, list[str](), True
     for step in path:
         value = node.value
-        if isinstance(value, dict):
-            kind = value.get("type")
-            if union_open and kind is not None and kind.value == step:
-                union_open = False
-                continue
-            if isinstance(step, str) and step in value:
-                node, union_open, exact = value[step], True, True
-                keys.append(step)
-                continue
+        if isinstance(value, dict) and isinstance(step, str) and step in value:
+            node, exact = value[step], True
+            keys.append(step)
         elif isinstance(value, list) and isinstance(step, int) and step < len(value):
-            node, union_open, exact = value[step], True, True
+            node, exact = value[step], True
             keys.append(f"[{step + 1}]")
-            continue
-        exact = False
+        elif not isinstance(value, dict) or "type" not in value or value["type"].value != step:
+            exact = False
     return node, keys, exact
 
 
@@ -106,8 +99,7 @@ def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
         if named_by_user:
             named_by_user = False
             continue
-        named = [kind for kind in here if len(here) > 1 and type_of(kind) == step]
-        if named:
+        if named := [kind for kind in here if len(here) > 1 and type_of(kind) == step]:
             here = named
             continue
         fields = [kind.model_fields[step] for kind in here if isinstance(step, str) and step in kind.model_fields]

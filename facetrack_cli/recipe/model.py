@@ -170,10 +170,6 @@ class Recipe(Section):
         return {name: settings.head for name, settings in self.filters.items() if settings.head is not None}
 
     @property
-    def has_head(self) -> bool:
-        return bool(self.heads)
-
-    @property
     def points(self) -> tuple[str, ...]:
         """The points that a start must place in every target; none for a tracker that begins with a box."""
         return ()

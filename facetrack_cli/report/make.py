@@ -261,8 +261,9 @@ def make_report(
     pairs, measured = ([], None) if truth is None else _measured(table, header, *truth)
     title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
     first, last = int(clock.frames[0]), int(clock.frames[-1])
-    keys = key_frames(history, first, last)
-    images, notes = key_images(table, header, [*keys], clip, report)
+    reasons = story.reasons(followed, history, header.init.origin, first, last)
+    keys = key_frames(history, reasons, first, last)
+    images, notes = key_images(table, header, keys, clip, report)
     mean, looks = story.confidence_of(table), story.to_look_at(followed, history, clock)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last)
@@ -294,10 +295,10 @@ def make_report(
         events=sorted(sorted(table.events, key=lambda event: -event.probability)[:MAX_SPANS]),
         several=len(table.targets) > 1,
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
-        keys=[*keys],
+        keys=keys,
         images=images,
-        some_left_out=not history.events.keys() <= keys.keys(),
-        reasons={at: story.reasons(at, why, followed, history, header.init.origin) for at, why in keys.items()},
+        some_left_out=not reasons.keys() <= {*keys},
+        reasons={frame: reasons[frame] for frame in keys},
         plot=_plot(table, pairs, title),
         reported=reported or bool((table.identity != "").any()),
         truth=measured,

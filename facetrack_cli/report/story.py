@@ -5,10 +5,10 @@ Frames are source frames.
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -22,15 +22,12 @@ from facetrack_cli.trajectory.reader import Header, SeamHeader
 from facetrack_cli.trajectory.trajectory import Trajectory, mean_confidence
 from facetrack_cli.trajectory.views import Clock
 
-Kind: TypeAlias = Literal["start", "corrected", "seam", "lost", "hidden", "back", "worst", "end"]
 MAX_KEY_FRAMES: Final = 12
-_HEADINGS: Final[Mapping[Kind, tuple[str, str]]] = {
-    "start": ("Start", ""), "corrected": ("Corrected by hand", ""), "seam": ("Two chunks differ", ""),
-    "lost": ("Called lost", ""), "hidden": ("Hidden", " for {}"), "back": ("No longer called lost", " after {}"),
-    "worst": ("Lowest confidence", ""), "end": ("End", ""),
+_HEADINGS: Final = {
+    "start": "Start", "corrected": "Corrected by hand", "seam": "Two chunks differ", "lost": "Called lost",
+    "hidden": "Hidden", "back": "No longer called lost", "worst": "Lowest confidence", "end": "End",
 }  # fmt: skip
-"""The heading of each kind, in the order in which the reasons of one frame stand, and what follows a part that was lost
-or hidden so long."""
+"""Of each kind of reason to show a frame, in the order in which those of one frame stand."""
 _DETECTORS: Final[Mapping[str, str]] = {"haar": "the Haar cascades", "yunet": "YuNet"}
 
 
@@ -43,7 +40,7 @@ class Stretch(NamedTuple):
 
 class Span(NamedTuple):
     """A part lost or hidden in `first` to `last`; `back`: where it is tracked again, if so; `by_hand`: a correction
-    ended it.
+    ended it. Confidences are that in `first`, the lowest, and that in the frame after `last`.
     """
 
     name: str
@@ -52,8 +49,10 @@ class Span(NamedTuple):
     back: int | None
     frames: int
     seconds: float
-    lowest: float
     by_hand: bool
+    confidence: float
+    lowest: float
+    after: float
 
 
 @dataclass(frozen=True)
@@ -74,10 +73,6 @@ class PartHistory:
     last_status: str
     judged: bool
     vanishes: bool
-
-
-Events: TypeAlias = dict[Kind, list[Span] | SeamHeader | None]
-"""Why a frame is shown: the spans that begin or end in it, chunks that meet."""
 
 
 @dataclass(frozen=True)
@@ -103,21 +98,9 @@ class RunHistory:
         return [part.name for part in self.parts if part.last_status == status]
 
     @property
-    def events(self) -> dict[int, Events]:
-        """The events after the start, by frame."""
-        back = [span for span in self.spans if span.back is not None and not span.by_hand]
-        hidden = sorted(span for part in self.parts for span in part.hidings)
-        spans: list[tuple[int | None, Kind, Span]] = [(span.first, "lost", span) for span in self.spans]
-        spans += [(span.back, "back", span) for span in back] + [(span.first, "hidden", span) for span in hidden]
-        events: dict[Any, Any] = defaultdict(lambda: defaultdict(list))
-        for frame, kind, span in spans:
-            events[frame][kind].append(span)
-        for seam in self.seams:
-            if not seam.agrees:
-                events[seam.frame]["seam"] = seam
-        for frame in self.corrections:
-            events[frame]["corrected"] = None
-        return dict(events)
+    def hidings(self) -> list[Span]:
+        """When parts were hidden."""
+        return sorted(span for part in self.parts for span in part.hidings)
 
 
 def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = ()) -> RunHistory:
@@ -156,8 +139,9 @@ def _part(rows: Trajectory, name: str, clock: Clock) -> PartHistory:
             ends = b < len(frames)
             stop = clock.at(frames[b]) if ends else clock.at(frames[b - 1] + 1)
             back, by_hand = (frames[b] if ends and status[b] != "absent" else None), ends and bool(rows.corrected[b])
-            lowest = float(np.fmin.reduce(sure[a:b]))
-            yield Span(name, frames[a], frames[b - 1], back, b - a, stop - clock.at(frames[a]), lowest, by_hand)
+            sures = sure[a], np.fmin.reduce(sure[a:b]), sure[b] if ends else math.nan
+            seconds = stop - clock.at(frames[a])
+            yield Span(name, frames[a], frames[b - 1], back, b - a, seconds, by_hand, *map(float, sures))
 
     is_sure = np.isfinite(sure)
     tracked = sure[(status != "init") & is_sure]
@@ -177,24 +161,18 @@ def _part(rows: Trajectory, name: str, clock: Clock) -> PartHistory:
     )
 
 
-def key_frames(history: RunHistory, first: int, last: int, most: int = MAX_KEY_FRAMES) -> dict[int, Events]:
-    """At most `most` frames: the first, the last, that of the lowest mean confidence, and of events. Of too many
+def key_frames(history: RunHistory, events: Iterable[int], first: int, last: int) -> list[int]:
+    """At most MAX_KEY_FRAMES: the first, the last, that of the lowest mean confidence, and of `events`. Of too many
     events that where the longest episode begins, then, one by one, that furthest in time from all taken.
     """
-    by_frame = history.events
-    events, taken = np.array(sorted(by_frame), dtype=np.int64), set[int]()
-    fixed: list[tuple[int | None, Kind]] = [(first, "start"), (history.worst, "worst"), (last, "end")]
-    for frame, kind in fixed:
-        if frame is not None:
-            by_frame.setdefault(frame, {})[kind] = None
-            taken.add(frame)
+    left, taken = np.array(sorted({*events, first})), {first, last} | ({history.worst} - {None})
     taken |= {span.first for span in sorted(history.episodes, key=lambda e: e.first - e.last)[:1]}
-    while len(events) and len(taken) < most:
-        away = np.abs(events[:, None] - np.array(sorted(taken))).min(axis=1)
+    while len(taken) < MAX_KEY_FRAMES:
+        away = np.abs(left[:, None] - np.array(sorted(taken))).min(axis=1)
         if not away.max():
             break
-        taken.add(int(events[np.argmax(away)]))
-    return {at: {kind: by_frame[at][kind] for kind in _HEADINGS if kind in by_frame[at]} for at in sorted(taken)}
+        taken.add(int(left[np.argmax(away)]))
+    return sorted(taken)
 
 
 # --- in words --------------------------------------------------------------------------------------------------------
@@ -254,7 +232,7 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
         facts.append(f"Called lost in {share}, in {times}: {names(lost)}.")
         gone = history.ending("lost")
         facts.append(f"In the last frame {_are(gone) if gone else 'none is'} called lost.")
-    if hidden := len({at for part in history.parts for gap in part.hidings for at in range(gap.first, gap.last + 1)}):
+    if hidden := len({at for span in history.hidings for at in range(span.first, span.last + 1)}):
         facts.append(f"Something was hidden, at a likely place, in {count(hidden, 'frame')}.")
     if (mean := confidence_of(table)) is not None:
         facts.append(_trust(calibrated(header.recipe), mean))
@@ -330,38 +308,40 @@ def identities(table: Trajectory, clock: Clock) -> Iterator[str]:
 
 
 def reasons(
-    frame: int, events: Events, table: Trajectory, history: RunHistory, origin: str
-) -> list[tuple[str, str, str]]:
-    """(kind, heading, words) of each event of a frame; `origin` is that of the start, as `--box`."""
-    rows = table.at(frame)
-    parts = [history.parts[part].name for part in rows.which.tolist()]
-    confidence = dict(zip(parts, rows.confidence.tolist(), strict=True))
-    confidences = rows.confidence[np.isfinite(rows.confidence)]
+    table: Trajectory, history: RunHistory, origin: str, first: int, last: int
+) -> dict[int, list[tuple[str, str, str]]]:
+    """By frame, (kind, heading, words) of each reason to show it; `origin` is that of the start, as `--box`."""
+    found: dict[int, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
 
-    def called(status: str) -> list[str]:
-        return [parts[i] for i in np.flatnonzero(rows.status == status)]
+    def called(frame: int, status: str) -> list[str]:
+        rows = table.at(frame)
+        return [history.parts[part].name for part in rows.which[rows.status == status].tolist()]
 
-    def words(kind: Kind, event: Any, after: str) -> str:
-        match kind:
-            case "start":
-                return f"placed by {_DETECTORS.get(origin) or Path(origin).name or origin}"
-            case "corrected":
-                gone = f"{_are(absent, 5)} absent" if (absent := called("absent")) else ""
-                return "; ".join(filter(None, (names(called("init"), 5), gone)))
-            case "seam":
-                return f"they agree in {percent(event.agreement)} of the frames that both have"
-            case "worst":
-                mean = number(float(confidences.mean()) if confidences.size else None)
-                return mean + (f", the mean over {len(parts):,} parts" if len(parts) > 1 else "")
-            case "end":
-                ends = [f"called {each}: {names(called(each), 5)}" for each in ("lost", "absent") if called(each)]
-                return "; ".join(ends) or "nothing is called lost"
-        return names([
-            f"{s.name}{after.format(lasting(s.seconds))} (confidence {number(confidence.get(s.name))})" for s in event
-        ], 5)  # fmt: skip
-
-    headings = [(kind, event, *_HEADINGS[kind]) for kind, event in events.items()]
-    return [(kind, heading, words(kind, event, after)) for kind, event, heading, after in headings]
+    found[first]["start"] = [f"placed by {_DETECTORS.get(origin) or Path(origin).name or origin}"]
+    for frame in history.corrections:
+        gone = f"{_are(absent, 5)} absent" if (absent := called(frame, "absent")) else ""
+        found[frame]["corrected"] = ["; ".join(filter(None, (names(called(frame, "init"), 5), gone)))]
+    for seam in history.seams:
+        if not seam.agrees:
+            found[seam.frame]["seam"] = [f"they agree in {percent(seam.agreement)} of the frames that both have"]
+    for span in history.spans:
+        found[span.first]["lost"].append(f"{span.name} (confidence {number(span.confidence)})")
+        if span.back is not None and not span.by_hand:
+            then = f"{span.name} after {lasting(span.seconds)} (confidence {number(span.after)})"
+            found[span.back]["back"].append(then)
+    for span in history.hidings:
+        then = f"{span.name} for {lasting(span.seconds)} (confidence {number(span.confidence)})"
+        found[span.first]["hidden"].append(then)
+    if history.worst is not None:
+        confidence = table.at(history.worst).confidence
+        over = f", the mean over {len(confidence):,} parts" if len(confidence) > 1 else ""
+        found[history.worst]["worst"] = [f"{number(float(np.nanmean(confidence)))}{over}"]
+    ends = [f"called {status}: {names(gone, 5)}" for status in ("lost", "absent") if (gone := called(last, status))]
+    found[last]["end"] = ["; ".join(ends) or "nothing is called lost"]
+    return {
+        frame: [(kind, heading, names(why[kind], 5)) for kind, heading in _HEADINGS.items() if kind in why]
+        for frame, why in found.items()
+    }
 
 
 def _are(items: Sequence[str], most: int = 8) -> str:

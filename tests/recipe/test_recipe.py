@@ -1,4 +1,4 @@
-"""Recipes: shipped ones, how they are found, values, times, what is refused and where, and the schema."""
+"""Recipes: shipped ones, how they are found, values, what is refused and where, and the schema."""
 
 import json
 import re

@@ -19,7 +19,7 @@ from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import make
 from facetrack_cli.report.make import Image, command, init_yaml, recipe_yaml
-from facetrack_cli.report.story import history_of, key_frames
+from facetrack_cli.report.story import history_of, key_frames, reasons
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
@@ -195,7 +195,8 @@ def test_a_report_says_what_was_corrected(table):
     assert (lip.absences, lip.frames_absent, nose.frames_absent) == (((5, 7), (10, 12)), 6, 3)
     assert [(span.first, span.last, span.back, span.by_hand) for span in lip.spans] == [(3, 4, None, True)]
     assert (history.ending("lost"), history.ending("absent")) == ([], ["nose", "lip"])
-    kinds = {frame: [*events] for frame, events in key_frames(history, 0, 12).items()}
+    events = reasons(table, history, "x", 0, 12)
+    kinds = {frame: [kind for kind, *_ in events[frame]] for frame in key_frames(history, events, 0, 12)}
     assert kinds == {
         0: ["start"], 1: ["worst"], 3: ["lost"], 5: ["corrected"], 8: ["corrected"], 10: ["corrected"], 12: ["end"]
     }  # fmt: skip

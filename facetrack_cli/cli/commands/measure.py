@@ -6,7 +6,7 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -359,7 +359,7 @@ def regress_command(
     fails, began, results = "not recorded" if update else "FAILS", time.monotonic(), []
     with Stop().listening() as stopped, progress(quiet) as shown:
         shown.begin(str(folder))
-        how = {"stopped": stopped, "workers": jobs, "report": shown.update}
+        how: dict[str, Any] = {"stopped": stopped, "workers": jobs, "report": shown.update}
         for result in regress(folder, asked, update=update, overrides=overrides, stop=stop, gallery=gallery, **how):
             results.append(result)
             why = result.message if update else f"ok ({result.message}; {result.seconds:.1f} s)"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
@@ -119,27 +118,24 @@ def calibration_figure(bins: Sequence[ReliabilityBin]) -> Figure:
         return figure
 
 
+CURVES: Final = (  # of Score, thresholds, title, labels, what the legend has, and the threshold that it is read off at
+    ("success", SUCCESS_THRESHOLDS, "Success", ("overlap threshold (IoU)", "share of frames above it"), "AUC", None),
+    ("precision", PRECISION_THRESHOLDS, "Precision", ("distance threshold (px)", "share of frames within it"),
+     "at 20 px", 20.0),
+    ("cumulative", 100 * CUMULATIVE_AT, "Cumulative error", ("error (% of the size)", "share of rows below it"),
+     f"below {100 * FAILURE:.3g} % of the size", 100 * FAILURE),
+)  # fmt: skip
+
+
 def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     """Success, precision, cumulative error and error over time, of what is measured; recipes in their order."""
     entries = [place.entry for place in comparison.places if place.entry.scores]
-
     clip = clip_name(comparison.clip)
-
-    def drawn(
-        name: str, at: Array, title: str, labels: tuple[str, str], measure: str = "AUC", mark: float | None = None
-    ) -> Iterator[tuple[str, bytes]]:
-        of = attrgetter(name)
-        by_label = {entry.label: [of(score) for score in entry.scores if of(score) is not None] for entry in entries}
-        curves = {label: (at, np.stack(values)) for label, values in by_label.items() if values}
+    for name, at, title, labels, measure, mark in CURVES:
+        values = {entry.label: [getattr(score, name) for score in entry.scores] for entry in entries}
+        curves = {label: (at, np.stack(each)) for label, each in values.items() if each[0] is not None}
         if curves:
             yield f"{name}.png", render(curves_figure(curves, f"{title} on {clip}", labels, measure, mark))
-
-    yield from drawn("success", SUCCESS_THRESHOLDS, "Success", ("overlap threshold (IoU)", "share of frames above it"))
-    labels = "distance threshold (px)", "share of frames within it"
-    yield from drawn("precision", PRECISION_THRESHOLDS, "Precision", labels, "at 20 px", 20.0)
-    labels, percent = ("error (% of the size)", "share of rows below it"), 100 * FAILURE
-    below = f"below {percent:.3g} % of the size"
-    yield from drawn("cumulative", 100 * CUMULATIVE_AT, "Cumulative error", labels, below, percent)
     frame, errors = aligned(entries)
     hidden = np.unique(np.concatenate([score.hidden for entry in entries for score in entry.scores]))
     figure = error_over_time_figure(frame, errors, np.isin(frame, hidden), title=f"Error on {clip}")

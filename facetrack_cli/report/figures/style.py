@@ -163,6 +163,9 @@ def second_axis(axes: Axes, table: Trajectory, most: int) -> None:
     frame, time_s = table.frames[timed].astype(np.float64), table.times[timed]
     if len(frame) < 2 or (np.diff(time_s) <= 0).any():
         return
+    step = (time_s[-1] - time_s[0]) / (frame[-1] - frame[0])
+    frame = np.array([frame[0] - 1, *frame, frame[-1] + 1])
+    time_s = np.array([time_s[0] - step, *time_s, time_s[-1] + step])
     ways = partial(np.interp, xp=frame, fp=time_s), partial(np.interp, xp=time_s, fp=frame)
     above = axes.secondary_xaxis("top", functions=ways)
     above.xaxis.set_major_locator(MaxNLocator(most, steps=(1, 2, 3, 6, 10)))
@@ -236,7 +239,8 @@ def band(axes: Axes, frame: Whole, low: Array, high: Array, colour: str, alpha: 
     if len(frame) > 2 * BINS:
         first = np.linspace(0, len(frame), BINS, endpoint=False).astype(np.int64)
         frame, low, high = frame[first], np.fmin.reduceat(low, first), np.fmax.reduceat(high, first)
-    axes.fill_between(*broken(frame, low, high), color=colour, alpha=alpha, linewidth=0)
+    x, bottom, top = broken(frame, low, high)
+    axes.fill_between(x, bottom, top, color=colour, alpha=alpha, linewidth=0)
 
 
 def shade(axes: Axes, frame: Whole, mask: Mask, status: str, alpha: float, least: float) -> None:
