@@ -365,14 +365,8 @@ def test_schema_describes_every_field():
         assert reference.removeprefix("#/$defs/") in schema["$defs"]
     of_filter = schema["$defs"]["ParticleRecipe"]["properties"]["filter"]["oneOf"]
     kinds = [ref["$ref"].rpartition("/")[2] for ref in of_filter]
-    assert kinds == [
-        "SirSettings",
-        "AuxiliarySettings",
-        "FactorizedSettings",
-        "IndependentSettings",
-        "AdaptiveSettings",
-        "GuidedSettings",
-    ]
+    names = ("Sir", "Auxiliary", "Factorized", "Independent", "Adaptive", "Guided")
+    assert kinds == [f"{name}Settings" for name in names]
     length = json.dumps(schema["$defs"]["LengthPerPart"])
     assert '"maximum": 1000000.0' in length and "px" in length
     assert models["VisibleWalkSettings"]["properties"]["hidden"]["default"] == 0.1, "as a recipe writes it"
