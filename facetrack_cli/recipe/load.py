@@ -232,7 +232,11 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
                 who = f"{recipe.name} says who somebody is, of the people of a gallery"
                 raise UsageError(f"--gallery is missing: {who}; {remedy}")
         return list(recipes)
-    check_gallery_file(file)
+    there = False
+    with suppress(OSError, ValueError):  # a name that the file system does not take
+        there = Path(file).is_file()
+    if not there:
+        raise InputError(f"--gallery {printable(file)}: no such file; name one {_MADE_BY}")
     recognising = any(map(_recognising, recipes))
     if not recognising and not any(map(_affine, recipes)):
         what = f"{recipes[0].name} follows no affine target, by which alone people are recognised"
@@ -252,14 +256,6 @@ def _affine(recipe: Recipe) -> list[str]:
 def wants_gallery(recipe: Recipe) -> bool:
     """Whether it recognises and does not say whom."""
     return any(settings.recognition and settings.recognition.gallery is None for settings in recipe.filters.values())
-
-
-def check_gallery_file(file: str) -> None:
-    """Raises InputError for what is no file."""
-    with suppress(OSError, ValueError):  # a name that the file system does not take
-        if Path(file).is_file():
-            return
-    raise InputError(f"--gallery {printable(file)}: no such file; name one {_MADE_BY}")
 
 
 def put_gallery(recipe: Recipe, file: str) -> Recipe:

@@ -217,7 +217,6 @@ BATCH_PAGE: Final = "batch.html"
 MAX_SPANS: Final = 100  # rows of a table
 MAX_NOTES: Final = 5  # lines on clips of a batch without a picture
 _MAX_SVG_BYTES: Final = 1_000_000  # a larger drawing becomes a PNG
-_WIDTH_INCHES: Final = 10.0
 _PERSON_PX, _STILL_PX = 120, 320  # the width of a picture of a person, and of a frame of a clip of a batch
 _BINS: Final = 1000  # of the bar that shows when a part was lost
 # what HTML forbids, and lone surrogates, which names of files may hold and UTF-8 may not
@@ -240,7 +239,6 @@ def make_report(
     *,
     truth: tuple[Trajectory, Pairing] | None = None,
     clip: Path | None = None,
-    title: str | None = None,
     report: Report = silent,
 ) -> ReportPage:
     """The report of the run in the folder `run`, beside ground truth and what pairs its rows with those of the run.
@@ -259,7 +257,7 @@ def make_report(
         followed = joined(boxes, header=table.header, path=table.path)
     history = history_of(followed, clock, header.seams)
     pairs, measured = ([], None) if truth is None else _measured(table, header, *truth)
-    title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
+    title = f"{header.clip_name}, {header.recipe_name}"
     first, last = int(clock.frames[0]), int(clock.frames[-1])
     reasons = story.reasons(followed, history, header.init.origin, first, last)
     keys = key_frames(history, reasons, first, last)
@@ -312,7 +310,7 @@ def make_report(
     return ReportPage(encoded(document), tuple(notes))
 
 
-def make_batch_report(batch: Path, to: Path, title: str | None = None, report: Report = silent) -> ReportPage:
+def make_batch_report(batch: Path, to: Path, report: Report = silent) -> ReportPage:
     """The page about the runs in the folder `batch`, to be written to the file `to`: its clips, the worst first.
 
     Raises InputError for a folder without runs, UsageError without Jinja2.
@@ -333,7 +331,7 @@ def make_batch_report(batch: Path, to: Path, title: str | None = None, report: R
         rows.append({"clip": clip, "name": name_of(clip), "still": still, "links": links})
     if not rows:
         raise InputError(f"{batch}: has no runs yet; wait for the first, or look at facetrack status {batch}")
-    title = f"{batch.resolve().name}, {len(rows)} clips" if title is None else title
+    title = f"{batch.resolve().name}, {len(rows)} clips"
     if len(notes) > MAX_NOTES:
         notes[MAX_NOTES:] = [f"and {len(notes) - MAX_NOTES} more clips without a picture"]
     return ReportPage(encoded(template.render(title=title, rows=rows, counts=progress.counts)), tuple(notes))
@@ -391,7 +389,7 @@ def _measured(
 
 def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Image:
     """The plots, as a drawing that scales if it is small."""
-    figure = plots.page_figure(table, pairs, title=title, width=_WIDTH_INCHES)
+    figure = plots.page_figure(table, pairs, title=title)
     width, height = figure.get_size_inches()
     size = (round(96 * width), round(96 * height))
     drawing = plots.render(figure, "svg")

@@ -165,7 +165,8 @@ def key_frames(history: RunHistory, events: Iterable[int], first: int, last: int
     """At most MAX_KEY_FRAMES: the first, the last, that of the lowest mean confidence, and of `events`. Of too many
     events that where the longest episode begins, then, one by one, that furthest in time from all taken.
     """
-    left, taken = np.array(sorted({*events, first})), {first, last} | ({history.worst} - {None})
+    left, taken = np.array(sorted({*events, first})), {first, last}
+    taken |= set() if history.worst is None else {history.worst}
     taken |= {span.first for span in sorted(history.episodes, key=lambda e: e.first - e.last)[:1]}
     while len(taken) < MAX_KEY_FRAMES:
         away = np.abs(left[:, None] - np.array(sorted(taken))).min(axis=1)

@@ -17,9 +17,6 @@ from facetrack_cli.recipe.model import OpenCvRecipe, json_schema, to_dict
 from facetrack_cli.recipe.sections import FactorizedSettings, IndependentSettings, Length, SirSettings
 from facetrack_cli.trackers.points.settings import ColourRatioSettings, PointsSettings
 
-# from the tracker that Zhou et al. improve on to the whole of theirs, in this order, and what goes beyond it
-
-
 GOOD = """\
 description: A recipe for tests
 target:

@@ -57,9 +57,7 @@ def page_figure(
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
 
 
-def measures_figure(
-    table: Trajectory, names: Sequence[str], *, title: str | None = None, width: float = style.WIDTH
-) -> Figure:
+def measures_figure(table: Trajectory, names: Sequence[str]) -> Figure:
     """Measures over seconds with a band of a standard deviation of their noise, and bars where events of `names` are.
 
     `names` are measures, tiers of events or their values. An event is shown in the panel of the measure that tells it.
@@ -74,7 +72,7 @@ def measures_figure(
         others = f"choose among {', '.join(choices)}" if choices else "it has no measures, which the recipe face gives"
         raise UsageError(f"{table.path}: has no {', '.join(missing)}; {others}")
     with style.style():
-        figure = style.new_figure(width, 0.7 + 1.3 * len(rows))
+        figure = style.new_figure(style.WIDTH, 0.7 + 1.3 * len(rows))
         column = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
         for axes, name in zip(column, rows, strict=True):
             measured = {target: each[name] for target, each in table.measures.items() if name in each}
@@ -92,8 +90,6 @@ def measures_figure(
         if len(table.targets) > 1:
             column[0].legend(loc="upper right")
         column[-1].set_xlabel("seconds")
-        if title:
-            figure.suptitle(title)
     return figure
 
 
