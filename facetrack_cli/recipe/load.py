@@ -90,8 +90,8 @@ def _read_file(path: Path) -> Source:
 def _find_file(recipe: Recipe, name: str, key: str) -> Path:
     span = Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1)
     if recipe._root is not None:
-        node, _, exact = locate(recipe._root, tuple(key.split(".")))
-        span = node.span if exact else span
+        node, keys = locate(recipe._root, tuple(key.split(".")))
+        span = node.span if keys == key.split(".") else span
     # that of --set is the working directory
     folders = list(dict.fromkeys([span.source.folder, recipe.path.parent, shipped_folder()]))
     for folder in folders:

@@ -26,33 +26,31 @@ def problems(error: ValidationError, model: type[BaseModel], root: Node) -> list
     return sorted(listed, key=lambda p: (not p.span.source.is_file, p.span.line, p.span.column))
 
 
-def locate(root: Node, path: Steps) -> tuple[Node, list[str], bool]:
-    """The value at a path, or the nearest above it; the keys that lead there; and whether it is the value itself.
+def locate(root: Node, path: Steps) -> tuple[Node, list[str]]:
+    """The value at a path, or the nearest above it, and the keys that lead there.
 
     pydantic's paths also name the chosen member of a union (`filter`, `sir`, `particles`): such a step has no place.
     """
-    node, keys, exact = root, list[str](), True
+    node, keys = root, list[str]()
     for step in path:
         value = node.value
         if isinstance(value, dict) and isinstance(step, str) and step in value:
-            node, exact = value[step], True
+            node = value[step]
             keys.append(step)
         elif isinstance(value, list) and isinstance(step, int) and step < len(value):
-            node, exact = value[step], True
+            node = value[step]
             keys.append(f"[{step + 1}]")
-        elif not isinstance(value, dict) or "type" not in value or value["type"].value != step:
-            exact = False
-    return node, keys, exact
+    return node, keys
 
 
 def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iterator[Problem]:
     kind, path = details["type"], details["loc"]
     if kind == "refused":
         for refusal in details["ctx"]["refusals"]:
-            node, _, _ = locate(root, (*path, *refusal.path))
+            node, _ = locate(root, (*path, *refusal.path))
             yield Problem(node.key if refusal.at_key and node.key else _value_span(node), refusal.message)
         return
-    node, keys, _ = locate(root, path)
+    node, keys = locate(root, path)
     where, at = _dotted(keys), node.key or node.span
     if kind == "missing":
         what = f"item {path[-1] + 1}" if isinstance(path[-1], int) else f'the key "{path[-1]}"'

@@ -221,7 +221,7 @@ class Recipe(Section):
         """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
         if self._root is None:
             return RecipeError(f"{self._path}: {message}")
-        node, _, _ = locate(self._root, tuple(key.split(".")))
+        node, _ = locate(self._root, tuple(key.split(".")))
         return error_of([Problem(node.span, message)])
 
 

@@ -37,8 +37,9 @@ from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import Options, evaluate, facts, sheets
 from facetrack_cli.recipe.load import calibrated, load_recipe
 from facetrack_cli.recipe.model import completed, to_dict
-from facetrack_cli.report import figures as plots
 from facetrack_cli.report import story
+from facetrack_cli.report.figures.page import page_figure
+from facetrack_cli.report.figures.style import need_matplotlib, render
 from facetrack_cli.report.story import Span, Stretch, history_of, key_frames
 from facetrack_cli.run_folder.manifest import (
     REPORT,
@@ -246,7 +247,7 @@ def make_report(
     Raises InputError for a folder without a JSON trajectory, a broken one, a `clip` that is not the run's, and ground
     truth that does not fit; UsageError without matplotlib or Jinja2.
     """
-    plots.need_matplotlib()
+    need_matplotlib()
     template = page_template("report.html.j2")
     table = read_run(trajectory_of(run))
     header, people, manifest = read_header(table), read_people(run), read_manifest(run)
@@ -389,13 +390,13 @@ def _measured(
 
 def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Image:
     """The plots, as a drawing that scales if it is small."""
-    figure = plots.page_figure(table, pairs, title=title)
+    figure = page_figure(table, pairs, title=title)
     width, height = figure.get_size_inches()
     size = (round(96 * width), round(96 * height))
-    drawing = plots.render(figure, "svg")
+    drawing = render(figure, "svg")
     if len(drawing) <= _MAX_SVG_BYTES:
         return Image(drawing, size, "image/svg+xml")
-    return Image(plots.render(figure, "png", dpi=150), size, "image/png")
+    return Image(render(figure, "png", dpi=150), size, "image/png")
 
 
 def _bars(spans: Sequence[Span | Stretch], first: int, scale: float) -> list[tuple[float, float]]:

@@ -16,8 +16,9 @@ from facetrack_cli.evaluation.accuracy import measure_points, measure_recovery, 
 from facetrack_cli.evaluation.reliability import measure_confidence, measure_coverage, measure_lost
 from facetrack_cli.evaluation.rows import match
 from facetrack_cli.evaluation.summary import evaluate
-from facetrack_cli.report import figures as plots
 from facetrack_cli.report import make
+from facetrack_cli.report.figures import page
+from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.make import Image, command, init_yaml, recipe_yaml
 from facetrack_cli.report.story import history_of, key_frames, reasons
 from facetrack_cli.start.init_file import read_init
@@ -174,7 +175,7 @@ def test_what_is_absent_has_no_row_or_no_place_in_other_formats(table):
 
 def test_the_plots_shade_what_is_absent_and_mark_what_was_corrected(table):
     pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
-    figure = plots.page_figure(table)
+    figure = page.page_figure(table)
     head = figure.subfigs[0]
     assert "corrected by hand in 3 of them" in "".join(text.get_text() for text in head.texts)
     labels = [text.get_text() for text in head.legends[0].texts]
@@ -183,9 +184,9 @@ def test_the_plots_shade_what_is_absent_and_mark_what_was_corrected(table):
     assert [line.get_xdata().tolist() for line in marks] == [[5, 8, 10]]
     plain = table.between(0, 5)
     assert not {"absent", "corrected by hand"} & {
-        t.get_text() for t in plots.page_figure(plain).subfigs[0].legends[0].texts
+        t.get_text() for t in page.page_figure(plain).subfigs[0].legends[0].texts
     }
-    assert plots.render(figure).startswith(b"\x89PNG")
+    assert plot_style.render(figure).startswith(b"\x89PNG")
 
 
 def test_a_report_says_what_was_corrected(table):

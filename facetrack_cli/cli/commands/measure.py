@@ -157,7 +157,8 @@ def _truth_beside(ours: Trajectory) -> Path:
 
 
 def _plot(evaluation: Evaluation, path: Path) -> bytes:
-    from facetrack_cli.report.figures import calibration_figure, render
+    from facetrack_cli.report.figures.compare import calibration_figure
+    from facetrack_cli.report.figures.style import render
 
     confidence = evaluation.all.confidence
     if confidence is None or not confidence.bins:

@@ -216,7 +216,7 @@ def plot_command(
       facetrack plot out/ --truth groundtruth_rect.txt --partial --overwrite
       facetrack plot out/ --measure mouth_opening,blink -o figure.pdf
     """
-    from facetrack_cli.report.figures import measures_figure, page_figure
+    from facetrack_cli.report.figures.page import measures_figure, page_figure
     from facetrack_cli.run_folder.manifest import PLOT, read_run
     from facetrack_cli.trajectory.views import choose
 
