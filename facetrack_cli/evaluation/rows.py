@@ -282,7 +282,7 @@ def _size(truth: Sequence[Trajectory], frames: Whole) -> tuple[float, str]:
     centres = [np.where(part.status == "absent", np.nan, [part.x, part.y]).T for part in truth]
     points = np.stack([at(frames, part.frame, each) for part, each in zip(truth, centres, strict=True)])  # (K, F, 2)
     together = np.flatnonzero(np.isfinite(points).all(axis=(0, 2)))
-    size = size_of_points(points[:, together[0]]) if together.size and len(truth) > 1 else 0
+    size = size_of_points(points[:, together[0]]) if together.size else 0
     if not size:
         return math.nan, "size: no frame of the ground truth has all points, two or more, apart from each other"
     first = frames[together[0]]
