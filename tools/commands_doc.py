@@ -165,8 +165,6 @@ def value(schema: Schema, field: Schema) -> str:
         return named[name] if name in named else value(schema, schema["$defs"][name])
     if field.get("title") in ("Length", "LengthOrNone"):
         return "length"
-    if field.get("title") == "Time":
-        return "time"
     if field.get("type") == "object":
         return "`{name: section}`"
     if "anyOf" in field:

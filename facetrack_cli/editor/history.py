@@ -183,7 +183,7 @@ class Fixer:
             remedy = f"the run can be from {run.first + 1} to {run.last}"
             raise InputError(f"frame {frame} cannot be corrected{why}; {remedy}")
         if not correction.confirmed:
-            tracker_for(run.recipe, replace(run.start, corrections=(correction,)), source.size, source.fps)
+            tracker_for(run.recipe, replace(run.start, corrections=(correction,)), source.size)
 
     def saved(self, rows: Trajectory) -> None:
         """The run's files have the corrections of now, and these rows."""
@@ -323,8 +323,8 @@ class _Live:
     def __init__(self, run: Run, task: Task, first: Frame) -> None:
         self.task, self.place = task, run.rows.targets.index(task.target)
         corrections = () if task.begin is None else (task.begin,)
-        start, fps = replace(run.start, corrections=corrections), run.header.source.fps
-        self.target: Target = build_tracker(run.recipe, start, fps)[self.place]
+        start = replace(run.start, corrections=corrections)
+        self.target: Target = build_tracker(run.recipe, start)[self.place]
         if run.film:
             self.target = among_others(self.target)
         if task.begin is not None:

@@ -87,7 +87,7 @@ def _tracked_again(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Traject
     collected, beliefs = Collector(), {name: list[tuple[Belief, ...]]() for name in run.rows.targets}
     total, stream = run.last - run.first + 1, run.header.source.stream
     with open_source(run.clip, fps=run.fps, start=run.first, stop=run.last + 1, stream=stream) as source:
-        tracker = tracker_for(run.recipe, fixer.start, source.size, source.fps)
+        tracker = tracker_for(run.recipe, fixer.start, source.size)
         results = track(tracker, iter(source), run.recipe.seed, clip=str(run.clip))
         for done, result in enumerate(lagged(results, lag) if lag else results, 1):
             if stop():

@@ -35,7 +35,6 @@ from facetrack_cli.evaluation.rows import COUNT, HALVES, PERCENT, PX, UNIT, Meas
 SUCCESS_THRESHOLDS: Array = np.linspace(0.0, 1.0, 21)  # overlap; OTB
 PRECISION_THRESHOLDS: Array = np.arange(51.0)  # pixels
 NORMALISED_THRESHOLDS: Array = np.linspace(0.0, 0.5, 51)  # error of the centre in sizes of the true box
-GOT10K_THRESHOLDS: Array = np.linspace(0.0, 1.0, 101)  # overlap
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +49,11 @@ class BoxMeasures:
     normalised_auc  mean of `normalised_precision`, the shares with `normalised_errors` at most NORMALISED_THRESHOLDS
                     (Müller et al. 2018; Fan et al. 2019), as LaSOT's table and got10k report; `normalised_20` is at 0.2
     ao, sr50, sr75  mean IoU, and the shares strictly above 0.5 and 0.75 (Huang, Zhao and Huang 2019; got10k's
-                    ExperimentGOT10k); `got10k_success` is its curve over GOT10K_THRESHOLDS
+                    ExperimentGOT10k)
     good_rate, strict_rate  share of rows `within` 0.5 and 0.25 of the box
     hidden_rows     hidden rows with a true box, which no other measure counts; `hidden_overlap` is their mean IoU
 
-    `overlap` (T,) is the IoU as in OTB, nan where no row counts; `centre_error` (T,) in pixels, inf without our box.
+    `overlap` (T,) is the IoU as in OTB, nan where no row counts.
     """
 
     rows: Annotated[int, Measure("visible\nrows", COUNT)]
@@ -71,11 +70,9 @@ class BoxMeasures:
     hidden_rows: Annotated[int, Measure("hidden\nrows", COUNT, rare=True)]
     hidden_overlap: Annotated[Value, Measure("mean\nIoU", UNIT, "more", rare=True)]
     overlap: Array
-    centre_error: Array
     success: Array
     precision: Array
     normalised_precision: Array
-    got10k_success: Array
 
 
 def centre_errors(ours: Array, truth: Array) -> Array:
@@ -159,11 +156,9 @@ def measure_boxes(
         hidden_rows=int(covered.sum()),
         hidden_overlap=mean(np.nan_to_num(iou(ours, truth)[covered])),
         overlap=overlap,
-        centre_error=np.where(counts, distance, np.nan),
         success=success,
         precision=precision,
         normalised_precision=normalised_precision,
-        got10k_success=share_above(clipped, GOT10K_THRESHOLDS),
     )
 
 

@@ -1,11 +1,10 @@
 """Goldens: what the rows of a recipe's run on a clip were, and whether those of later runs are the same.
 
 A golden holds a checksum of the rows of each frame of a run with seed 0, and `spread`: the range over SEEDS seeds of
-the mean of each quantity after the first frame, of each part and of all parts ("").
-
-With the settings and versions that it was recorded with, a run must give the same rows. With others it gives those of
-another seed, at best, since a rounding changes what is drawn: RUNS seeds are run that were not recorded, and the golden
-fails if all of them are on the same side outside of a spread, which is widened by MARGIN.
+the mean of each quantity after the first frame, of each part and of all parts (""). With the same settings and versions
+a run must give the same rows. With others it gives those of another seed, at best, since a rounding changes what is
+drawn: RUNS seeds are run that were not recorded, and the golden fails if all of them are on the same side outside of a
+spread, which is widened by MARGIN.
 """
 
 from __future__ import annotations
@@ -59,10 +58,8 @@ UPDATE: Final = "record again with --update if that is meant"
 
 
 class Golden(BaseModel):
-    """What was recorded, as the file holds it.
-
-    `recipe` is a shipped name or a path from the folder of clips, `gallery` such a path; `names` who each target is at
-    the end, if anybody; `frames` first and last; `checksums` four hexadecimal digits a frame.
+    """What was recorded. `recipe` is a shipped name or a path from the folder of clips, `gallery` such a path; `names`
+    who each target is at the end, if anybody; `frames` first and last; `checksums` four hexadecimal digits a frame.
     """
 
     model_config = ConfigDict(allow_inf_nan=False)
@@ -94,7 +91,7 @@ class Task(NamedTuple):
     path: Path
     clip: Path
     recipe: str
-    golden: Golden | None
+    golden: Golden | None = None
 
 
 @dataclass(frozen=True)
@@ -217,11 +214,10 @@ def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> 
             raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
         if twice := sorted(stem for stem, n in Counter(clip.stem for clip in clips).items() if n > 1):
             raise InputError(f"{folder}: two clips are called {twice[0]}; rename one, goldens are kept by that name")
-        new = list[Task]()
-        for clip, (name, recipe) in product(clips, recipes.items()):
-            new.append(Task(place / f"{clip.stem}.{name}.json", clip, recipe, None))
+        new = [Task(place / f"{clip.stem}.{name}.json", clip, recipes[name]) for clip, name in product(clips, recipes)]
+        for i, task in enumerate(new):
             with contextlib.suppress(InputError):  # it may be that there is none yet, or none that can be read
-                new[-1] = new[-1]._replace(golden=read_golden(new[-1].path))
+                new[i] = task._replace(golden=read_golden(task.path))
         return new
     goldens = [(path, read_golden(path)) for path in sorted(place.glob("*.json"))]
     there = {Path(golden.recipe).stem: golden.recipe for _, golden in goldens}
@@ -230,8 +226,8 @@ def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> 
         what = f"no golden of {absent}, only of {', '.join(sorted(there))}" if goldens else "no goldens"
         raise InputError(f"{folder}: has {what}; record some with facetrack regress {folder} --config RECIPE --update")
     use = recipes or {name: str(folder / file) if file.endswith(".yaml") else file for name, file in there.items()}
-    named = ((path, golden, use.get(Path(golden.recipe).stem)) for path, golden in goldens)
-    return [Task(path, folder / golden.clip, recipe, golden) for path, golden, recipe in named if recipe is not None]
+    named = ((Path(golden.recipe).stem, path, golden) for path, golden in goldens)
+    return [Task(path, folder / golden.clip, use[name], golden) for name, path, golden in named if name in use]
 
 
 def regress(
@@ -243,9 +239,8 @@ def regress(
     `overrides` are set in all recipes. Those that recognise know the people of `gallery`, else of the golden's, else
     their own. A golden is recorded up to the frame `stop`, else that of the golden before it.
     """
-    stopped = stopped or Stop()
-
-    def plan_of(task: Task) -> SeedPlan | Verdict:
+    stopped, plans, refused = stopped or Stop(), dict[Path, SeedPlan](), dict[Path, FacetrackError]()
+    for task in asked:
         golden = task.golden
         try:
             recipe = load_recipe(task.recipe, overrides, installed=False)
@@ -255,44 +250,41 @@ def regress(
             if update or golden is None:
                 clip = ClipRequest(task.clip, stop=stop or (golden.stop if golden else None))
                 start = replace(clip.find(recipe, stopped=stopped), detector="", placed=False)  # cascades are anywhere
-                tried = range(SEEDS if recipe.random else 1)
-                return SeedPlan(task.path.stem, task.clip, recipe, start, tuple(tried), clip.stop)
-            if clip_digest(task.clip) != golden.sha256:
+                until, seeds = clip.stop, range(SEEDS)
+            elif clip_digest(task.clip) != golden.sha256:
                 raise InputError(f"the clip {task.clip} is not the one recorded; put that one back, or {UPDATE}")
-            tried = range(UNSEEN, UNSEEN + RUNS) if recipe.random and differences(golden, recipe) else range(1)
-            start = golden.start.start_from(str(task.path))
-            return SeedPlan(task.path.stem, task.clip, recipe, start, tuple(tried), golden.stop)
+            else:
+                start, until = golden.start.start_from(str(task.path)), golden.stop
+                seeds = range(UNSEEN, UNSEEN + RUNS) if differences(golden, recipe) else range(1)
+            tried = tuple(seeds) if recipe.random else (0,)
+            plans[task.path] = SeedPlan(task.path.stem, task.clip, recipe, start, tried, until)
         except FacetrackError as e:
             if str(e).startswith("--set"):  # a mistake in the option is no regression
                 raise
-            return Verdict(task, True, str(e))
-
-    plans = [plan_of(task) for task in asked]
-    with contextlib.closing(run_plans([p for p in plans if isinstance(p, SeedPlan)], stopped=stopped, **how)) as ends:
-        for task, plan in zip(asked, plans, strict=True):
-            ended = None if isinstance(plan, Verdict) else next(ends, None)
+            refused[task.path] = e
+    with contextlib.closing(run_plans([*plans.values()], stopped=stopped, **how)) as ends:
+        for task in asked:
+            ended = next(ends, None) if task.path in plans else None
             if stopped():
                 return
-            if isinstance(plan, Verdict):
-                yield plan
-            elif ended is None or ended.error is not None:
-                yield Verdict(task, True, str(ended and ended.error))
+            error = ended.error if ended else refused[task.path]
+            if ended is None or error is not None:
+                yield Verdict(task, True, str(error))
+                continue
+            now = record(folder, ended.plan, [run.trajectory for run in ended.runs])
+            if update or task.golden is None:
+                write_golden(task.path, now)
+                yield Verdict(task, message=f"wrote {task.path} ({len(ended.runs)} seeds)")
             else:
-                now = record(folder, ended.plan, [run.trajectory for run in ended.runs])
-                if update or task.golden is None:
-                    write_golden(task.path, now)
-                    yield Verdict(task, message=f"wrote {task.path} ({len(ended.runs)} seeds)")
-                else:
-                    seconds = sum(len(run.trajectory.frames) / run.frames_per_s for run in ended.runs)
-                    changed = differences(task.golden, ended.plan.recipe)
-                    yield compared(Verdict(task, seconds=seconds), task.golden, now, changed)
+                seconds = sum(len(run.trajectory.frames) / run.frames_per_s for run in ended.runs)
+                changed = differences(task.golden, ended.plan.recipe)
+                yield compared(Verdict(task, seconds=seconds), task.golden, now, changed)
 
 
 def compared(verdict: Verdict, golden: Golden, now: Golden, changed: list[str]) -> Verdict:
     """The verdict on what is recorded `now`; `changed` are the `differences` of recipe and versions."""
-    if golden.tracks != now.tracks:
-        what = f"tracks {now.tracks}; recorded were {golden.tracks}; {UPDATE}"
-        return replace(verdict, failed=True, message=what)
+    if (was := golden.tracks) != now.tracks:
+        return replace(verdict, failed=True, message=f"tracks {now.tracks}; recorded were {was}; {UPDATE}")
     far: list[tuple[float, str]] = []
     for part, (quantity, (least, offset)) in product(golden.spread, QUANTITIES.items()):
         if (band := golden.spread[part].get(quantity)) is not None:
@@ -304,31 +296,30 @@ def compared(verdict: Verdict, golden: Golden, now: Golden, changed: list[str]) 
             far.append((max(ends[0] - sum(band) / 2, sum(band) / 2 - ends[1], 0.0) / half, text))
     off = [text for share, text in sorted(far, reverse=True) if share > 1][:3]
     note = f"not as recorded: {', '.join(changed)}"
-    if changed and not off:
-        share = f"at {100 * max(far)[0]:.0f} % of the spread of {golden.seeds} seeds"
-        return replace(verdict, message=share, details=(note,))
-    if changed:
-        off.append(f"{note}; {UPDATE}")
-    else:
+    if not changed:
         sums = zip(*(re.findall("....", each.checksums) for each in (golden, now)), strict=False)
         other = next((golden.frames[0] + i for i, (was, own) in enumerate(sums) if was != own), None)
         if other is None:
             return replace(verdict, message="the same rows")
         first = f"other rows than recorded from frame {other} on, by the same recipe and versions"
         off = [first, *(off or ["they are within the spread of seeds"])]
+    elif off:
+        off.append(f"{note}; {UPDATE}")
+    else:
+        share = f"at {100 * max(far)[0]:.0f} % of the spread of {golden.seeds} seeds"
+        return replace(verdict, message=share, details=(note,))
     return replace(verdict, failed=True, message=off[0], details=tuple(off[1:]))
 
 
 def as_junit(verdicts: Sequence[Verdict]) -> str:
     """JUnit XML: a test case for each golden, the clip is its class, the recipe its name."""
-    root, failures = ElementTree.Element("testsuites"), sum(verdict.failed for verdict in verdicts)
-    about = {"name": "facetrack regress", "tests": str(len(verdicts)), "failures": str(failures), "errors": "0"}
-    suite = ElementTree.SubElement(root, "testsuite", about)
+    root = ElementTree.Element("testsuites")
+    counts = {"tests": str(len(verdicts)), "failures": str(sum(verdict.failed for verdict in verdicts)), "errors": "0"}
+    suite = ElementTree.SubElement(root, "testsuite", counts, name="facetrack regress")
     for verdict in verdicts:  # XML cannot hold control characters
         names = verdict.task.clip.name, Path(verdict.task.recipe).stem
         clip, recipe, *lines = map(flat, (*names, verdict.message, *verdict.details))
-        about = {"classname": clip, "name": recipe, "time": f"{verdict.seconds:.3f}"}
-        case = ElementTree.SubElement(suite, "testcase", about)
+        case = ElementTree.SubElement(suite, "testcase", classname=clip, name=recipe, time=f"{verdict.seconds:.3f}")
         if verdict.failed:
             ElementTree.SubElement(case, "failure", {"message": lines[0]}).text = "\n".join(lines)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

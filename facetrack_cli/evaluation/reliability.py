@@ -126,11 +126,6 @@ def measure_jitter(parts: Sequence[Rows]) -> JitterMeasures | None:
     return JitterMeasures(len(ours), median(ours), median(truth)) if len(ours) else None
 
 
-def _share(rows: Mask, others: Mask) -> Value:
-    """The share of the first rows that are also among the others, 0 to 1; None if there are none."""
-    return mean(others[rows])
-
-
 def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
     """None if no row has a status."""
     parts = [part.take(part.stated) for part in parts]
@@ -144,13 +139,13 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
         rows=len(lost),
         covered=int(np.sum(covered)),
         called=int(np.sum(lost)),
-        precision=_share(lost, covered),
-        precision_gone=_share(lost & judged_rows, gone),
-        recall=_share(covered, lost),
-        recall_gone=_share(gone, lost),
-        false_alarms=_share(visible & judged & near, lost),
-        tracked_near=_share(~lost & judged, near),
-        tracked_visible_near=_share(~lost & judged & visible, near),
+        precision=mean(covered[lost]),
+        precision_gone=mean(gone[lost & judged_rows]),
+        recall=mean(lost[covered]),
+        recall_gone=mean(lost[gone]),
+        false_alarms=mean(lost[visible & judged & near]),
+        tracked_near=mean(near[~lost & judged]),
+        tracked_visible_near=mean(near[~lost & judged & visible]),
     )
 
 

@@ -279,18 +279,12 @@ def _pair(how: str, truth: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory
 
 def _size(truth: Sequence[Trajectory], frames: Whole) -> tuple[float, str]:
     """The unit of recipes and what it is; nan if there is none."""
-    if len(truth) < 2:
-        return math.nan, "size: one point has none"
     centres = [np.where(part.status == "absent", np.nan, [part.x, part.y]).T for part in truth]
-    points = np.stack(
-        [at(frames, part.frame, centre) for part, centre in zip(truth, centres, strict=True)]
-    )  # (K, F, 2)
+    points = np.stack([at(frames, part.frame, each) for part, each in zip(truth, centres, strict=True)])  # (K, F, 2)
     together = np.flatnonzero(np.isfinite(points).all(axis=(0, 2)))
-    if not together.size:
-        return math.nan, "size: no frame of the ground truth has all points"
-    size = size_of_points(points[:, together[0]])
-    if size == 0:
-        return math.nan, "size: all points of the ground truth are at one place"
+    size = size_of_points(points[:, together[0]]) if together.size else 0
+    if not size:
+        return math.nan, "size: no frame of the ground truth has all points, two or more, apart from each other"
     first = frames[together[0]]
     return size, f"size, the largest distance between two points in frame {first}, {size:.1f} px"
 
@@ -328,40 +322,32 @@ def match(
 
 
 def _pair_names(ours: Trajectory, truth: Trajectory, select: str | None, note: Callable[[str], None]) -> list[Pair]:
-    theirs = truth.parts
-    if truth.targets == ("",):
-        return [_nameless(ours, truth, note)]
-    pairs = [Pair(part, other) for part in ours.parts if (other := truth.find(part.target, part.part))]
-    if not pairs and len(ours.targets) == len(truth.targets) == 1:
-        renamed = {part.part: part.renamed(ours.target, part.part) for part in theirs}
-        pairs = [Pair(part, renamed[part.part]) for part in ours.parts if part.part in renamed]
-        if pairs and ours.target:
+    if truth.targets == ("",):  # boxes without names are those of the only part that has a size
+        boxed = [part for part in ours.parts if np.any(np.isfinite(part.w) & np.isfinite(part.h))]
+        if len(boxed) != 1:
+            what = f"its boxes have no names, and {ours.path} has {_names(boxed) or 'no part with w and h'}"
+            remedy = "choose one with --target NAME/PART, or give ground truth of its points"
+            raise InputError(f"{truth.path}: {what}; {remedy}")
+        if boxed[0].part != BOX:
+            note(f"{truth.path}: its boxes are taken for {boxed[0].name}, the only part with a size")
+        return [Pair(boxed[0], truth.parts[0])]
+    theirs, common = truth.parts, {part for _, part in ours.names} & {part for _, part in truth.names}
+    if common and len(ours.targets) == len(truth.targets) == 1 and ours.target != truth.target:
+        theirs = tuple(part.renamed(ours.target, part.part) for part in theirs)
+        if ours.target:
             note(f"{truth.target} of the ground truth is taken for {ours.target}: both have one target")
-            theirs = tuple(renamed.values())
+    named = {part.name: part for part in theirs}
+    pairs = [Pair(part, named[part.name]) for part in ours.parts if part.name in named]
     if not pairs:
         both = f"no part in common with {ours.path}; it has {_names(theirs)}, the trajectory {_names(ours.parts)}"
         remedy = "name targets and parts alike, or let --people of eval find which target is whom"
         raise InputError(f"{truth.path}: {both}: {remedy}; points are not measured by boxes, nor boxes by points")
     paired = {pair.ours.name for pair in pairs}
-    alone = [part for part in theirs if part.name not in paired]
-    if alone and select is None:
+    if select is None and (alone := [part for part in theirs if part.name not in paired]):
         note(f"{truth.path}: {_names(alone)} {'are' if len(alone) > 1 else 'is'} not in the trajectory, and left out")
     if unknown := [part for part in ours.parts if part.name not in paired]:
         note(f"{truth.path}: says nothing of {_names(unknown)}")
     return pairs
-
-
-def _nameless(ours: Trajectory, truth: Trajectory, note: Callable[[str], None]) -> Pair:
-    """The boxes of ground truth without names, paired with the only part that has a size."""
-    boxed = [part for part in ours.parts if np.any(np.isfinite(part.w) & np.isfinite(part.h))]
-    if len(boxed) != 1:
-        what = f"its boxes have no names, and {ours.path} has {_names(boxed) or 'no part with w and h'}"
-        raise InputError(
-            f"{truth.path}: {what}; choose one with --target NAME/PART, or give ground truth of its points"
-        )
-    if boxed[0].part != BOX:
-        note(f"{truth.path}: its boxes are taken for {boxed[0].name}, the only part with a size")
-    return Pair(boxed[0], truth.parts[0])
 
 
 def _names(parts: Sequence[Trajectory]) -> str:

@@ -312,24 +312,13 @@ CURVES: Final = ("success", "precision", "normalised_precision")
 MAX_PARTS: Final = 12  # in tables of status, confidence, spread and jitter
 
 
-@dataclass(frozen=True)
-class About:
-    """What was compared: the files, how they were read (the trajectory: if not facetrack's own), and the shift."""
-
-    trajectory: Path
-    truth: Path
-    read_as: str
-    shift: int = 0
-    results_read_as: str | None = None
-
-
-def to_json(evaluation: Evaluation, about: About) -> str:
+def to_json(evaluation: Evaluation, ours: Trajectory, truth: Trajectory) -> str:
     """Figures stand below the groups of their names, as `all.points.mean_px`; an undefined figure is null."""
     options, frames = evaluation.options, evaluation.frames
     fields = {
-        "trajectory": str(about.trajectory),
-        **({"trajectory_read_as": about.results_read_as} if about.results_read_as else {}),
-        "truth": {"path": str(about.truth), "read_as": about.read_as, "shift": about.shift},
+        "trajectory": str(ours.path),
+        **({"trajectory_read_as": ours.header["read_as"]} if "read_as" in ours.header else {}),
+        "truth": {"path": str(truth.path)} | {key: truth.header[key] for key in ("read_as", "shift")},
         "options": {"normalise": options.normalise, "failure": options.failure},
         "frames": {"count": len(frames), "first": int(frames[0]), "last": int(frames[-1])},
         "rows": evaluation.counts,
@@ -357,10 +346,10 @@ def _groups(part: PartMeasures) -> dict[str, Any]:
     return groups
 
 
-def to_csv(evaluation: Evaluation, about: About) -> str:
+def to_csv(evaluation: Evaluation, ours: Trajectory, truth: Trajectory) -> str:
     """A header with all MEASURES, a row for each part, then a row for all parts together, whose target is "all"."""
     rows = [
-        [about.trajectory, about.truth, part.target, part.part]
+        [ours.path, truth.path, part.target, part.part]
         + ["" if value is None else repr(value) for value in part.figures.values()]
         for part in (*evaluation.parts, evaluation.all)
     ]
@@ -381,15 +370,15 @@ _TABLES: Final = {
 }
 
 
-def to_text(evaluation: Evaluation, about: About, *, colour: bool = False) -> str:
+def to_text(evaluation: Evaluation, ours: Trajectory, truth: Trajectory, *, colour: bool = False) -> str:
     """All tables; with `colour`, with the escapes of a terminal."""
     console = Console(
         width=MAX_WIDTH, force_terminal=colour, color_system="standard" if colour else None, markup=False, emoji=False
     )
     with console.capture() as captured:
-        ours = f"{about.trajectory}" + (f" (read as {about.results_read_as})" if about.results_read_as else "")
-        shift = f", shifted by {about.shift:+d} frames" if about.shift else ""
-        title = f"{ours} against {about.truth} (read as {about.read_as}{shift})"
+        read_as = f" (read as {ours.header['read_as']})" if "read_as" in ours.header else ""
+        shift = f", shifted by {truth.header['shift']:+d} frames" if truth.header["shift"] else ""
+        title = f"{ours.path}{read_as} against {truth.path} (read as {truth.header['read_as']}{shift})"
         console.print(Text(flat(title), "bold"))
         for line in facts(evaluation):
             console.print(Text(flat(line)))

@@ -4,7 +4,6 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
-from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path, PurePath
 from typing import Any, Final
@@ -25,8 +24,8 @@ from facetrack_cli.core.yaml_tree import (
     read_source,
 )
 from facetrack_cli.recipe.messages import locate, problems
-from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, completed, error_of, one_error, to_dict
-from facetrack_cli.recipe.sections import FPS, has_times, suggest
+from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, completed, one_error, to_dict
+from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.trackers.appearance.settings import AffineSettings
 
 TASKS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -91,8 +90,8 @@ def _read_file(path: Path) -> Source:
 def _find_file(recipe: Recipe, name: str, key: str) -> Path:
     span = Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1)
     if recipe._root is not None:
-        node, _, exact = locate(recipe._root, tuple(key.split(".")))
-        span = node.span if exact else span
+        node, keys = locate(recipe._root, tuple(key.split(".")))
+        span = node.span if keys == key.split(".") else span
     # that of --set is the working directory
     folders = list(dict.fromkeys([span.source.folder, recipe.path.parent, shipped_folder()]))
     for folder in folders:
@@ -153,22 +152,6 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
     except YamlProblems as refused:
         return list(refused.problems)
     return []
-
-
-def in_frames(recipe: Recipe, fps: float | Fraction) -> Recipe:
-    """The recipe with numbers in place of its times, for a clip of `fps` frames per second; RecipeError for a bound."""
-    if not has_times(recipe):
-        return recipe
-    rate = round(float(fps), 6)  # as a trajectory says it, so that a run that is opened again has the same numbers
-    context = {"path": recipe.path, "root": recipe._root, FPS: rate}
-    try:
-        return type(recipe).model_validate(to_dict(recipe), context=context)
-    except ValidationError as error:
-        if recipe._root is None:
-            first = error.errors()[0]
-            wrong = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}, at {rate:g} frames per second"
-            raise RecipeError(f"{recipe.path}: {wrong}") from None
-        raise error_of(problems(error, type(recipe), recipe._root)) from None
 
 
 def files_of(recipe: Recipe) -> list[Path]:
@@ -249,7 +232,11 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
                 who = f"{recipe.name} says who somebody is, of the people of a gallery"
                 raise UsageError(f"--gallery is missing: {who}; {remedy}")
         return list(recipes)
-    check_gallery_file(file)
+    there = False
+    with suppress(OSError, ValueError):  # a name that the file system does not take
+        there = Path(file).is_file()
+    if not there:
+        raise InputError(f"--gallery {printable(file)}: no such file; name one {_MADE_BY}")
     recognising = any(map(_recognising, recipes))
     if not recognising and not any(map(_affine, recipes)):
         what = f"{recipes[0].name} follows no affine target, by which alone people are recognised"
@@ -269,14 +256,6 @@ def _affine(recipe: Recipe) -> list[str]:
 def wants_gallery(recipe: Recipe) -> bool:
     """Whether it recognises and does not say whom."""
     return any(settings.recognition and settings.recognition.gallery is None for settings in recipe.filters.values())
-
-
-def check_gallery_file(file: str) -> None:
-    """Raises InputError for what is no file."""
-    with suppress(OSError, ValueError):  # a name that the file system does not take
-        if Path(file).is_file():
-            return
-    raise InputError(f"--gallery {printable(file)}: no such file; name one {_MADE_BY}")
 
 
 def put_gallery(recipe: Recipe, file: str) -> Recipe:

@@ -1,9 +1,8 @@
 """The errors that pydantic finds in a recipe, as problems with a place in the text and a remedy."""
 
 import re
-import types
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, Final, Union, get_args, get_origin
+from typing import Any, Final, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -27,40 +26,31 @@ def problems(error: ValidationError, model: type[BaseModel], root: Node) -> list
     return sorted(listed, key=lambda p: (not p.span.source.is_file, p.span.line, p.span.column))
 
 
-def locate(root: Node, path: Steps) -> tuple[Node, list[str], bool]:
-    """The value at a path, or the nearest above it; the keys that lead there; and whether it is the value itself.
+def locate(root: Node, path: Steps) -> tuple[Node, list[str]]:
+    """The value at a path, or the nearest above it, and the keys that lead there.
 
     pydantic's paths also name the chosen member of a union (`filter`, `sir`, `particles`): such a step has no place.
     """
-    node, keys, exact = root, [], True
-    union_open = False
+    node, keys = root, list[str]()
     for step in path:
         value = node.value
-        if isinstance(value, dict):
-            kind = value.get("type")
-            if union_open and kind is not None and kind.value == step:
-                union_open = False
-                continue
-            if isinstance(step, str) and step in value:
-                node, union_open, exact = value[step], True, True
-                keys.append(step)
-                continue
+        if isinstance(value, dict) and isinstance(step, str) and step in value:
+            node = value[step]
+            keys.append(step)
         elif isinstance(value, list) and isinstance(step, int) and step < len(value):
-            node, union_open, exact = value[step], True, True
+            node = value[step]
             keys.append(f"[{step + 1}]")
-            continue
-        exact = False
-    return node, keys, exact
+    return node, keys
 
 
 def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iterator[Problem]:
     kind, path = details["type"], details["loc"]
     if kind == "refused":
         for refusal in details["ctx"]["refusals"]:
-            node, _, _ = locate(root, (*path, *refusal.path))
+            node, _ = locate(root, (*path, *refusal.path))
             yield Problem(node.key if refusal.at_key and node.key else _value_span(node), refusal.message)
         return
-    node, keys, _ = locate(root, path)
+    node, keys = locate(root, path)
     where, at = _dotted(keys), node.key or node.span
     if kind == "missing":
         what = f"item {path[-1] + 1}" if isinstance(path[-1], int) else f'the key "{path[-1]}"'
@@ -89,16 +79,14 @@ def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iter
 
 def _said(details: ErrorDetails, node: Node) -> str:
     """What pydantic says, with what stands in the text."""
-    said, shown = details["msg"], _shown(node.value)
+    said = details["msg"]
     for theirs, plain in _PLAIN.items():
         said = re.sub(theirs, plain, said)
     if details["type"] in ("model_type", "model_attributes_type", "dict_type"):
         said = "must be a mapping of keys"
     elif details["type"] == "string_pattern_mismatch":
         said = f"does not fit: {_NAMES}"
-    elif isinstance(node.value, str) and isinstance(details["input"], int | float):  # a time
-        shown = f"{details['input']:g}, which is {node.value} at the clip's frame rate"
-    return said if ", not " in said else f"{said}, not {shown}"
+    return said if ", not " in said else f"{said}, not {_shown(node.value)}"
 
 
 def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
@@ -109,8 +97,7 @@ def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
         if named_by_user:
             named_by_user = False
             continue
-        named = [kind for kind in here if len(here) > 1 and type_of(kind) == step]
-        if named:
+        if named := [kind for kind in here if len(here) > 1 and type_of(kind) == step]:
             here = named
             continue
         fields = [kind.model_fields[step] for kind in here if isinstance(step, str) and step in kind.model_fields]
@@ -122,11 +109,7 @@ def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return variants(annotation)
-    if get_origin(annotation) in (Union, types.UnionType):
-        return [model for member in get_args(annotation) for model in _models_in(member)]
-    if get_origin(annotation) is dict:
-        return _models_in(get_args(annotation)[1])
-    return _models_in(get_args(annotation)[0]) if get_origin(annotation) is Annotated else []
+    return [model for member in get_args(annotation) for model in _models_in(member)]
 
 
 def _length(node: Node) -> int:

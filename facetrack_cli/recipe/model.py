@@ -20,7 +20,6 @@ from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems
 from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.sections import (
-    FRAMES,
     Component,
     FilterSettings,
     Kind,
@@ -53,9 +52,9 @@ class ConfidenceSettings(Section):
 
     lost_below: Annotated[float, Field(ge=0, le=1)] = 0.3
     """A part is lost while its confidence stays below this, 0..1."""
-    patience: Annotated[int, Field(ge=1), FRAMES] = 3
+    patience: Annotated[int, Field(ge=1)] = 3
     """For so many frames in a row it must be below, for the part to be lost."""
-    memory: Annotated[int, Field(ge=1), FRAMES] | None = 50
+    memory: Annotated[int, Field(ge=1)] | None = 50
     """Frames over which it is learned how well a part matches when it is there; null: the first frame says so."""
     beside: Annotated[float, Field(ge=0, le=1)] = 0.5
     """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""
@@ -171,10 +170,6 @@ class Recipe(Section):
         return {name: settings.head for name, settings in self.filters.items() if settings.head is not None}
 
     @property
-    def has_head(self) -> bool:
-        return bool(self.heads)
-
-    @property
     def points(self) -> tuple[str, ...]:
         """The points that a start must place in every target; none for a tracker that begins with a box."""
         return ()
@@ -226,7 +221,7 @@ class Recipe(Section):
         """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
         if self._root is None:
             return RecipeError(f"{self._path}: {message}")
-        node, _, _ = locate(self._root, tuple(key.split(".")))
+        node, _ = locate(self._root, tuple(key.split(".")))
         return error_of([Problem(node.span, message)])
 
 

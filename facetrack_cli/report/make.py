@@ -1,8 +1,8 @@
 """HTML pages: one of a finished run, what happened in it, with images, and how it was made; and one of a batch.
 
-Images of key frames are decoded in one pass: the clip's frames with the overlay drawn on them.
-How the run was made is its recipe and start as YAML, and the command that repeats it. Each page is a
-single file that fetches nothing and runs no script; that of a batch links to the files of its runs.
+Images are key frames of the clip with the overlay drawn on them. How the run was made is its recipe and start as YAML,
+and the command that repeats it. Each page is a single file that fetches nothing and runs no script; that of a batch
+links to the files of its runs.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import os
 import re
 import shlex
 import urllib.parse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -30,15 +30,17 @@ from facetrack_cli.core.errors import FacetrackError, InputError, needed
 from facetrack_cli.core.files import TABLES
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.numbers import clock as at_clock
+from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import BOX, Frame
 from facetrack_cli.core.types import Image as Pixels
-from facetrack_cli.evaluation.rows import Pair, match
+from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import Options, evaluate, facts, sheets
 from facetrack_cli.recipe.load import calibrated, load_recipe
 from facetrack_cli.recipe.model import completed, to_dict
-from facetrack_cli.report import figures as plots
 from facetrack_cli.report import story
-from facetrack_cli.report.story import LostSpan, Stretch, history_of, key_frames
+from facetrack_cli.report.figures.page import page_figure
+from facetrack_cli.report.figures.style import need_matplotlib, render
+from facetrack_cli.report.story import Span, Stretch, history_of, key_frames
 from facetrack_cli.run_folder.manifest import (
     REPORT,
     VIDEO,
@@ -51,13 +53,13 @@ from facetrack_cli.run_folder.status import ClipStatus, badness, name_of, survey
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.start.init_file import as_yaml
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
-from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.people import PersonRecord, TrackRecord, read_people, read_still
 from facetrack_cli.trajectory.reader import Header, read_header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
 from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.video.overlay import Overlay
-from facetrack_cli.video.source import given_rate, open_source
+from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import given_rate
 
 
 def recipe_yaml(recipe: Mapping[str, Any]) -> str:
@@ -98,7 +100,6 @@ def command(header: Header, last: int) -> str:
 
 MIN_SIZE: Final = (640, 480)  # images are enlarged to fit this, so that the overlay can be read ...
 MAX_SIZE: Final = (960, 720)  # ... and reduced to fit this
-MAX_BYTES: Final = 220_000  # of one JPEG: twelve stay below 4 MB as text
 _VIEW = 3.5  # an image shows this many times the target's size; larger clips are cut out around it
 _TRAIL_S = 1.0
 _TRAIL = 25  # frames of it that are drawn
@@ -125,14 +126,18 @@ def key_images(
 
     Raises InputError if `clip` is not the run's.
     """
-    path, maker, done, notes = clip or Path(header.source.path), _Maker(table, header), dict[int, Image](), list[str]()
+    source, maker, done, notes = header.source, _Maker(table, header), dict[int, Image](), list[str]()
+    path = clip or Path(source.path)
     try:
         if (other := other_clip(table, path)) is not None:
             raise InputError(other)
-        for frame in _frames(path, header.source.size, header.source.fps, sorted(wanted), report, header.source.stream):
-            done[frame.index] = maker.image(frame)
-        if missing := [index for index in wanted if index not in done]:
-            raise InputError(f"{path}: has no frame {missing[0]}, which the run has")
+        with Frames(path, fps=given_rate(path, source.fps), stream=source.stream) as frames:
+            if frames.size != source.size:
+                is_, was = (f"{width}x{height}" for width, height in (frames.size, source.size))
+                raise InputError(f"{path}: is {is_}, not {was} pixels as in the run")
+            for index in sorted(wanted):
+                done[index] = maker.image(frames.read(index))
+                report(len(done), len(wanted))
     except InputError as e:
         notes.append(str(e) if "--clip" in str(e) else f"{e}; name its clip with --clip")
         if clip is not None:
@@ -155,19 +160,18 @@ class _Maker:
 
     def image(self, frame: Frame) -> Image:
         """The image of a frame of the clip."""
-        view, out = self._layout(frame.index)
-        whole = _scaled(frame.bgr, view, out)
-        then = self._clock.at(frame.index)
-        return Image(_jpeg(self.draw(Frame(frame.index, then, whole, aspect=frame.aspect), view)), out, view=view)
+        (left, top, width, height), out = view, _ = self._layout(frame.index)
+        part = np.ascontiguousarray(frame.bgr[top : top + height, left : left + width])
+        whole = cv2.resize(part, out, interpolation=cv2.INTER_AREA if out[0] < width else cv2.INTER_CUBIC)
+        drawn = self.draw(Frame(frame.index, 0.0, np.asarray(whole, np.uint8), aspect=frame.aspect), view)
+        return Image(_jpeg(drawn), out, view=view)
 
     def draw(self, frame: Frame, view: View) -> Pixels:
-        """A scaled frame with the overlay of `facetrack run`."""
-        overlay = Overlay(frame.size, title=self._title, trail_s=_TRAIL_S)
-        last = int(np.searchsorted(self._clock.frames, frame.index))
-        past = self._clock.frames[max(0, last - math.ceil(self._clip.fps * _TRAIL_S)) : last].tolist()
-        past = [index for index in past if self._clock.at(index) >= frame.time_s - _TRAIL_S]
-        for index in [*past[:: max(1, math.ceil(len(past) / _TRAIL))], frame.index]:  # the trail is of drawn frames
-            now = Frame(index, self._clock.at(index), frame.bgr, aspect=frame.aspect)
+        """A scaled frame with the overlay of `facetrack run`; the trail is of the frames that are drawn before."""
+        overlay, clock = Overlay(frame.size, title=self._title, trail_s=_TRAIL_S), self._clock
+        past = clock.frames[(clock.times >= clock.at(frame.index) - _TRAIL_S) & (clock.frames < frame.index)]
+        for index in [*past[:: max(1, math.ceil(len(past) / _TRAIL))].tolist(), frame.index]:
+            now = Frame(index, clock.at(index), frame.bgr, aspect=frame.aspect)
             drawn = overlay.draw(self._result(now, view, frame.size[0] / view[2]))
         return drawn
 
@@ -199,25 +203,6 @@ class _Maker:
         return (left, top, w, h), _fit((w, h))
 
 
-def _frames(
-    path: Path, size: tuple[int, int], fps: float, wanted: Sequence[int], report: Report, stream: int | None
-) -> Iterator[Frame]:
-    """The wanted frames, in their order, in one pass. InputError if the clip is of another size."""
-    rate = given_rate(path, fps)
-    runs = [(n, n + 1) for n in wanted] if rate else [(wanted[0], wanted[-1] + 1)]
-    total, done = sum(end - begin for begin, end in runs), 0
-    for begin, end in runs:
-        with open_source(path, fps=rate, start=begin, stop=end, stream=stream) as source:
-            if source.size != size:
-                is_, was = (f"{width}x{height}" for width, height in (source.size, size))
-                raise InputError(f"{path}: is {is_}, not {was} pixels as in the run; name its clip with --clip")
-            for frame in source:
-                done += 1
-                report(done, total)
-                if frame.index in wanted:
-                    yield frame
-
-
 def _fit(size: tuple[int, int]) -> tuple[int, int]:
     """The size of an image: enlarged to `MIN_SIZE`, or reduced to `MAX_SIZE`, keeping its shape."""
     grow = min(MIN_SIZE[0] / size[0], MIN_SIZE[1] / size[1])
@@ -225,43 +210,22 @@ def _fit(size: tuple[int, int]) -> tuple[int, int]:
     return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
 
 
-def _scaled(image: Pixels, view: View, size: tuple[int, int]) -> Pixels:
-    left, top, width, height = view
-    part = np.ascontiguousarray(image[top : top + height, left : left + width])
-    if size == (width, height):
-        return part
-    how = cv2.INTER_AREA if size[0] < width else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(part, size, interpolation=how), np.uint8)
-
-
-def _jpeg(image: Pixels) -> bytes:
-    """At the best quality with at most `MAX_BYTES`."""
-    for quality in (88, 80, 70, 55, 40, 25):
-        data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
-        if len(data) <= MAX_BYTES:
-            break
-    return data
+def _jpeg(image: Pixels, quality: int = 85) -> bytes:
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 BATCH_PAGE: Final = "batch.html"
 MAX_SPANS: Final = 100  # rows of a table
 MAX_NOTES: Final = 5  # lines on clips of a batch without a picture
 _MAX_SVG_BYTES: Final = 1_000_000  # a larger drawing becomes a PNG
-_WIDTH_INCHES: Final = 10.0
 _PERSON_PX, _STILL_PX = 120, 320  # the width of a picture of a person, and of a frame of a clip of a batch
 _BINS: Final = 1000  # of the bar that shows when a part was lost
 # what HTML forbids, and lone surrogates, which names of files may hold and UTF-8 may not
 _UNFIT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
 
 
-class TruthFile(NamedTuple):
-    """The file of ground truth, and how it is read: as the options of `facetrack eval`."""
-
-    path: Path
-    form: str = "auto"
-    shift: int = 0
-    partial: bool = False
-    target: str | None = None
+Pairing: TypeAlias = Callable[[Trajectory, Trajectory, Callable[[str], None]], list[Pair]]
+"""Rows of a trajectory beside those of the ground truth, as `match` makes them; called with what takes its notes."""
 
 
 class ReportPage(NamedTuple):
@@ -274,17 +238,16 @@ class ReportPage(NamedTuple):
 def make_report(
     run: Path,
     *,
-    truth: TruthFile | None = None,
+    truth: tuple[Trajectory, Pairing] | None = None,
     clip: Path | None = None,
-    title: str | None = None,
     report: Report = silent,
 ) -> ReportPage:
-    """The report of the run in the folder `run`.
+    """The report of the run in the folder `run`, beside ground truth and what pairs its rows with those of the run.
 
     Raises InputError for a folder without a JSON trajectory, a broken one, a `clip` that is not the run's, and ground
     truth that does not fit; UsageError without matplotlib or Jinja2.
     """
-    plots.need_matplotlib()
+    need_matplotlib()
     template = page_template("report.html.j2")
     table = read_run(trajectory_of(run))
     header, people, manifest = read_header(table), read_people(run), read_manifest(run)
@@ -294,12 +257,12 @@ def make_report(
         boxes = [part for part in table.parts if part.part == BOX]
         followed = joined(boxes, header=table.header, path=table.path)
     history = history_of(followed, clock, header.seams)
-    pairs, measured = ([], None) if truth is None else _measured(table, header, truth)
-    title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
+    pairs, measured = ([], None) if truth is None else _measured(table, header, *truth)
+    title = f"{header.clip_name}, {header.recipe_name}"
     first, last = int(clock.frames[0]), int(clock.frames[-1])
-    keys = key_frames(history, first, last)
-    shown = [key.frame for key in keys]
-    images, notes = key_images(table, header, shown, clip, report)
+    reasons = story.reasons(followed, history, header.init.origin, first, last)
+    keys = key_frames(history, reasons, first, last)
+    images, notes = key_images(table, header, keys, clip, report)
     mean, looks = story.confidence_of(table), story.to_look_at(followed, history, clock)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last)
@@ -322,7 +285,7 @@ def make_report(
         pictures={} if people is None else {person.name: picture(person) for person in people.people},
         parts=[part for part in history.parts if part.spans or part.hidings or part.absences],
         looks=looks,
-        leading=next((frame for frame in (*(at for at, _ in looks), *shown) if frame in images), None),
+        leading=next((frame for frame in (*(at for at, _ in looks), *keys) if frame in images), None),
         identities=list(story.identities(table, clock)),
         mean=mean,
         calibrated=calibrated(header.recipe),
@@ -333,8 +296,8 @@ def make_report(
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
         keys=keys,
         images=images,
-        some_left_out=not {frame for frame, _ in history.events} <= {*shown},
-        reasons={key.frame: story.reasons(key, followed, history, header.init.origin) for key in keys},
+        some_left_out=not reasons.keys() <= {*keys},
+        reasons={frame: reasons[frame] for frame in keys},
         plot=_plot(table, pairs, title),
         reported=reported or bool((table.identity != "").any()),
         truth=measured,
@@ -348,7 +311,7 @@ def make_report(
     return ReportPage(encoded(document), tuple(notes))
 
 
-def make_batch_report(batch: Path, to: Path, title: str | None = None, report: Report = silent) -> ReportPage:
+def make_batch_report(batch: Path, to: Path, report: Report = silent) -> ReportPage:
     """The page about the runs in the folder `batch`, to be written to the file `to`: its clips, the worst first.
 
     Raises InputError for a folder without runs, UsageError without Jinja2.
@@ -369,7 +332,7 @@ def make_batch_report(batch: Path, to: Path, title: str | None = None, report: R
         rows.append({"clip": clip, "name": name_of(clip), "still": still, "links": links})
     if not rows:
         raise InputError(f"{batch}: has no runs yet; wait for the first, or look at facetrack status {batch}")
-    title = f"{batch.resolve().name}, {len(rows)} clips" if title is None else title
+    title = f"{batch.resolve().name}, {len(rows)} clips"
     if len(notes) > MAX_NOTES:
         notes[MAX_NOTES:] = [f"and {len(notes) - MAX_NOTES} more clips without a picture"]
     return ReportPage(encoded(template.render(title=title, rows=rows, counts=progress.counts)), tuple(notes))
@@ -386,7 +349,7 @@ def _still(folder: Path, clip: ClipStatus) -> Image | None:
     assert image is not None
     size = (_STILL_PX, max(round(_STILL_PX * image.shape[0] / image.shape[1]), 1))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return Image(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes(), size)
+    return Image(_jpeg(np.asarray(small, np.uint8), 80), size)
 
 
 def encoded(document: str) -> bytes:
@@ -413,35 +376,31 @@ def page_template(name: str) -> Any:
     return environment.get_template(name)
 
 
-def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list[Pair], Mapping[str, Any]]:
+def _measured(
+    table: Trajectory, header: Header, truth: Trajectory, pair: Pairing
+) -> tuple[list[Pair], Mapping[str, Any]]:
     """The pairs of the run and its ground truth, and the words and tables of the page."""
-    theirs = read_truth(truth.path, truth.form, shift=truth.shift)
     notes: list[str] = []
-    pairs = match(table, theirs, partial=truth.partial, select=truth.target, note=notes.append)
-    measures = evaluate(pairs, notes, Options(size=header.source.size), reference=theirs.parts)
-    read_as = str(theirs.header.get("read_as", truth.form)) + (f", {truth.shift:+d} frames" if truth.shift else "")
-    about = f"Read as {read_as}; {'; '.join(facts(measures))}."
-    return pairs, {"path": str(theirs.path), "about": about, "tables": list(sheets(measures)), "notes": measures.notes}
+    pairs = pair(table, truth, notes.append)
+    measures = evaluate(pairs, notes, Options(size=header.source.size), reference=truth.parts)
+    shift = f", {truth.header['shift']:+d} frames" if truth.header["shift"] else ""
+    about = f"Read as {truth.header['read_as']}{shift}; {'; '.join(facts(measures))}."
+    return pairs, {"path": str(truth.path), "about": about, "tables": list(sheets(measures)), "notes": measures.notes}
 
 
 def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Image:
     """The plots, as a drawing that scales if it is small."""
-    figure = plots.page_figure(table, pairs, title=title, width=_WIDTH_INCHES)
+    figure = page_figure(table, pairs, title=title)
     width, height = figure.get_size_inches()
     size = (round(96 * width), round(96 * height))
-    drawing = plots.render(figure, "svg")
+    drawing = render(figure, "svg")
     if len(drawing) <= _MAX_SVG_BYTES:
         return Image(drawing, size, "image/svg+xml")
-    return Image(plots.render(figure, "png", dpi=150), size, "image/png")
+    return Image(render(figure, "png", dpi=150), size, "image/png")
 
 
-def _bars(spans: Sequence[LostSpan | Stretch], first: int, scale: float) -> list[tuple[float, float]]:
+def _bars(spans: Sequence[Span | Stretch], first: int, scale: float) -> list[tuple[float, float]]:
     """(left, width) of the bars to paint; bars are joined where there is no room for a gap."""
     least = 2.0 if len(spans) <= _BINS // 20 else 0.5  # a single frame of many must still be seen
-    bars: list[tuple[float, float]] = []
-    for span in spans:
-        left, right = (span.first - first) * scale, (span.last + 1 - first) * scale
-        if bars and left < sum(bars[-1]) + 0.2:
-            left = bars.pop()[0]
-        bars.append((left, max(right - left, least)))
-    return bars
+    bars = union((((span.first - first) * scale, (span.last + 1 - first) * scale) for span in spans), 0.2)
+    return [(left, max(right - left, least)) for left, right in bars]

@@ -5,16 +5,16 @@ Frames are source frames.
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypeAlias, get_args
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, Array
+from facetrack_cli.core.types import BOX, Mask, Whole
 from facetrack_cli.recipe.load import calibrated, fitted
 from facetrack_cli.runs.verdict import LOW
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL, SURE
@@ -22,15 +22,12 @@ from facetrack_cli.trajectory.reader import Header, SeamHeader
 from facetrack_cli.trajectory.trajectory import Trajectory, mean_confidence
 from facetrack_cli.trajectory.views import Clock
 
-Kind: TypeAlias = Literal["start", "corrected", "seam", "lost", "hidden", "back", "worst", "end"]
-"""Why a frame is shown, in the order in which the reasons of one frame stand."""
 MAX_KEY_FRAMES: Final = 12
-_HEADINGS: Final[Mapping[Kind, tuple[str, str]]] = {
-    "start": ("Start", ""), "corrected": ("Corrected by hand", ""), "seam": ("Two chunks differ", ""),
-    "lost": ("Called lost", ""), "hidden": ("Hidden", " for {}"), "back": ("No longer called lost", " after {}"),
-    "worst": ("Lowest confidence", ""), "end": ("End", ""),
+_HEADINGS: Final = {
+    "start": "Start", "corrected": "Corrected by hand", "seam": "Two chunks differ", "lost": "Called lost",
+    "hidden": "Hidden", "back": "No longer called lost", "worst": "Lowest confidence", "end": "End",
 }  # fmt: skip
-"""The heading of each kind, and what follows a part that was lost or hidden so long."""
+"""Of each kind of reason to show a frame, in the order in which those of one frame stand."""
 _DETECTORS: Final[Mapping[str, str]] = {"haar": "the Haar cascades", "yunet": "YuNet"}
 
 
@@ -41,8 +38,10 @@ class Stretch(NamedTuple):
     last: int
 
 
-class LostSpan(NamedTuple):
-    """A part lost in `first` to `last`; `back`: where it is tracked again, if so; `by_hand`: a correction ended it."""
+class Span(NamedTuple):
+    """A part lost or hidden in `first` to `last`; `back`: where it is tracked again, if so; `by_hand`: a correction
+    ended it. Confidences are that in `first`, the lowest, and that in the frame after `last`.
+    """
 
     name: str
     first: int
@@ -50,66 +49,48 @@ class LostSpan(NamedTuple):
     back: int | None
     frames: int
     seconds: float
-    lowest: float
     by_hand: bool
-
-
-class CorrectedFrame(NamedTuple):
-    """A frame that is corrected by hand: the parts `given` in it, and those from then on `absent`."""
-
-    frame: int
-    given: tuple[str, ...]
-    absent: tuple[str, ...]
+    confidence: float
+    lowest: float
+    after: float
 
 
 @dataclass(frozen=True)
 class PartHistory:
-    """One part; confidences are nan where unknown, `worst` is the frame of the lowest; `judged`: it has a status."""
+    """One part, and when it was lost (`spans`) and hidden. Confidences are nan where unknown, `worst` is the frame of
+    the lowest; `judged`: it has a status.
+    """
 
     name: str
     rows: int
-    spans: tuple[LostSpan, ...]
+    spans: tuple[Span, ...]
+    hidings: tuple[Span, ...]
+    absences: tuple[Stretch, ...]
+    frames_absent: int
     mean: float
     lowest: float
     worst: int
     last_status: str
     judged: bool
-    absences: tuple[Stretch, ...]
-    hidings: tuple[LostSpan, ...]
-    frames_absent: int
     vanishes: bool
-
-
-class Event(NamedTuple):
-    """Why a frame is shown: the spans that begin or end in it, its correction, chunks that meet."""
-
-    kind: Kind
-    spans: tuple[LostSpan, ...] = ()
-    corrected: CorrectedFrame | None = None
-    seam: SeamHeader | None = None
-
-
-class KeyFrame(NamedTuple):
-    frame: int
-    events: tuple[Event, ...]
 
 
 @dataclass(frozen=True)
 class RunHistory:
     """A whole run: its parts, the `episodes` in which any is lost, the frame of the lowest mean confidence of those in
-    which none is, and the `seams` of a clip that was tracked in chunks.
+    which none is, the frames with `corrections`, and the `seams` of a clip that was tracked in chunks.
     """
 
     parts: tuple[PartHistory, ...]
     episodes: tuple[Stretch, ...]
     frames_lost: int
     worst: int | None
-    corrections: tuple[CorrectedFrame, ...]
+    corrections: tuple[int, ...]
     seams: tuple[SeamHeader, ...] = ()
 
     @property
-    def spans(self) -> list[LostSpan]:
-        """Of all parts, in the order in which they begin."""
+    def spans(self) -> list[Span]:
+        """When parts were lost, in the order in which that begins."""
         return sorted((s for part in self.parts for s in part.spans), key=lambda s: (s.first, s.name))
 
     def ending(self, status: str) -> list[str]:
@@ -117,18 +98,9 @@ class RunHistory:
         return [part.name for part in self.parts if part.last_status == status]
 
     @property
-    def events(self) -> dict[tuple[int, Kind], Event]:
-        """The events after the start, by frame and kind."""
-        spans: dict[tuple[int, Kind], list[LostSpan]] = defaultdict(list)
-        for span in self.spans:
-            spans[span.first, "lost"].append(span)
-            if span.back is not None and not span.by_hand:
-                spans[span.back, "back"].append(span)
-        for span in sorted(hiding for part in self.parts for hiding in part.hidings):
-            spans[span.first, "hidden"].append(span)
-        events = {(frame, kind): Event(kind, tuple(each)) for (frame, kind), each in spans.items()}
-        events |= {(seam.frame, "seam"): Event("seam", seam=seam) for seam in self.seams if not seam.agrees}
-        return events | {(fix.frame, "corrected"): Event("corrected", corrected=fix) for fix in self.corrections}
+    def hidings(self) -> list[Span]:
+        """When parts were hidden."""
+        return sorted(span for part in self.parts for span in part.hidings)
 
 
 def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = ()) -> RunHistory:
@@ -138,74 +110,70 @@ def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = 
         _part(rows, (rows.target if boxes else rows.name) if several else rows.part, clock) for rows in table.parts
     )
     place = np.searchsorted(clock.frames, table.frame)
-    any_lost = np.zeros(len(clock.frames), dtype=np.bool_)
-    any_lost[place[table.status == "lost"]] = True
+    any_lost = np.bincount(place[table.status == "lost"], minlength=len(clock.frames)) > 0
     sure = np.isfinite(table.confidence) & (table.status != "init")
     counted = np.bincount(place[sure], minlength=len(clock.frames))
     total = np.bincount(place[sure], table.confidence[sure], len(clock.frames))
     # as the run says it: frames in which a part is lost are shown as such
     there = (counted > 0) & ~any_lost
     mean = np.round(np.divide(total, counted, out=np.full(len(total), np.inf), where=there), 12)
-    episodes = tuple(Stretch(int(clock.frames[a]), int(clock.frames[b - 1])) for a, b in spans(any_lost))
-    worst = int(clock.frames[np.argmin(mean)]) if there.any() else None
-    corrected: dict[int, tuple[list[str], list[str]]] = {}
-    for rows, part in zip(table.parts, parts, strict=True):
-        for at in np.flatnonzero(rows.corrected).tolist():
-            fixed, absent = corrected.setdefault(int(rows.frame[at]), ([], []))
-            (absent if rows.status[at] == "absent" else fixed).append(part.name)
-    fixes = tuple(CorrectedFrame(at, tuple(fixed), tuple(absent)) for at, (fixed, absent) in sorted(corrected.items()))
-    return RunHistory(parts, episodes, int(any_lost.sum()), worst, fixes, seams)
+    return RunHistory(
+        parts,
+        _stretches(clock.frames, any_lost),
+        int(any_lost.sum()),
+        int(clock.frames[np.argmin(mean)]) if there.any() else None,
+        tuple(np.unique(np.concatenate([rows.frame[rows.corrected] for rows in table.parts])).tolist()),
+        seams,
+    )
+
+
+def _stretches(frames: Whole, mask: Mask) -> tuple[Stretch, ...]:
+    return tuple(Stretch(int(frames[a]), int(frames[b - 1])) for a, b in spans(mask))
 
 
 def _part(rows: Trajectory, name: str, clock: Clock) -> PartHistory:
     sure, frames, status = rows.confidence, rows.frame.tolist(), rows.status
-    unseen: dict[str, list[LostSpan]] = {"lost": [], "hidden": []}
-    for kind, (a, b) in ((state, span) for state in unseen for span in spans(status == state)):
-        ends = b < len(frames)
-        stop = clock.at(frames[b]) if ends else clock.at(frames[b - 1] + 1)
-        back = frames[b] if ends and status[b] != "absent" else None
-        seconds, by_hand = stop - clock.at(frames[a]), ends and bool(rows.corrected[b])
-        unseen[kind].append(LostSpan(name, frames[a], frames[b - 1], back, b - a, seconds, _least(sure[a:b]), by_hand))
+
+    def unseen(kind: str) -> Iterator[Span]:
+        for a, b in spans(status == kind):
+            ends = b < len(frames)
+            stop = clock.at(frames[b]) if ends else clock.at(frames[b - 1] + 1)
+            back, by_hand = (frames[b] if ends and status[b] != "absent" else None), ends and bool(rows.corrected[b])
+            sures = sure[a], np.fmin.reduce(sure[a:b]), sure[b] if ends else math.nan
+            seconds = stop - clock.at(frames[a])
+            yield Span(name, frames[a], frames[b - 1], back, b - a, seconds, by_hand, *map(float, sures))
+
     is_sure = np.isfinite(sure)
     tracked = sure[(status != "init") & is_sure]
     return PartHistory(
         name=name,
         rows=len(rows),
-        spans=tuple(unseen["lost"]),
-        hidings=tuple(unseen["hidden"]),
+        spans=tuple(unseen("lost")),
+        hidings=tuple(unseen("hidden")),
+        absences=_stretches(rows.frame, status == "absent"),
+        frames_absent=int((status == "absent").sum()),
         mean=float(tracked.mean()) if len(tracked) else math.nan,
-        lowest=_least(sure),
+        lowest=float(np.fmin.reduce(sure)),
         worst=frames[np.nanargmin(sure)] if is_sure.any() else frames[0],
         last_status=str(status[-1]),
         judged=bool((status != "init").any() or is_sure.any()),
-        absences=tuple(Stretch(frames[a], frames[b - 1]) for a, b in spans(status == "absent")),
-        frames_absent=int((status == "absent").sum()),
         vanishes=bool(rows.vanished.any()),
     )
 
 
-def _least(values: Array) -> float:
-    return float(np.fmin.reduce(values, initial=math.nan))
-
-
-def key_frames(history: RunHistory, first: int, last: int, most: int = MAX_KEY_FRAMES) -> list[KeyFrame]:
-    """At most `most` frames: the first, the last, that of the lowest mean confidence, and of events. Of too many
+def key_frames(history: RunHistory, events: Iterable[int], first: int, last: int) -> list[int]:
+    """At most MAX_KEY_FRAMES: the first, the last, that of the lowest mean confidence, and of `events`. Of too many
     events that where the longest episode begins, then, one by one, that furthest in time from all taken.
     """
-    by_frame = history.events
-    events = np.array(sorted({frame for frame, _ in by_frame}), dtype=np.int64)
-    worst = [] if history.worst is None else [(history.worst, Event("worst"))]
-    fixed = [(first, Event("start")), *worst, (last, Event("end"))]
-    by_frame |= {(frame, event.kind): event for frame, event in fixed}
-    taken = {frame for frame, _ in fixed}
+    left, taken = np.array(sorted({*events, first})), {first, last}
+    taken |= set() if history.worst is None else {history.worst}
     taken |= {span.first for span in sorted(history.episodes, key=lambda e: e.first - e.last)[:1]}
-    while len(events) and len(taken) < most:
-        away = np.abs(events[:, None] - np.array(sorted(taken))).min(axis=1)
+    while len(taken) < MAX_KEY_FRAMES:
+        away = np.abs(left[:, None] - np.array(sorted(taken))).min(axis=1)
         if not away.max():
             break
-        taken.add(int(events[np.argmax(away)]))
-    kinds: tuple[Kind, ...] = get_args(Kind)
-    return [KeyFrame(at, tuple(by_frame[at, kind] for kind in kinds if (at, kind) in by_frame)) for at in sorted(taken)]
+        taken.add(int(left[np.argmax(away)]))
+    return sorted(taken)
 
 
 # --- in words --------------------------------------------------------------------------------------------------------
@@ -265,7 +233,7 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
         facts.append(f"Called lost in {share}, in {times}: {names(lost)}.")
         gone = history.ending("lost")
         facts.append(f"In the last frame {_are(gone) if gone else 'none is'} called lost.")
-    if hidden := len({at for part in history.parts for gap in part.hidings for at in range(gap.first, gap.last + 1)}):
+    if hidden := len({at for span in history.hidings for at in range(span.first, span.last + 1)}):
         facts.append(f"Something was hidden, at a likely place, in {count(hidden, 'frame')}.")
     if (mean := confidence_of(table)) is not None:
         facts.append(_trust(calibrated(header.recipe), mean))
@@ -340,40 +308,41 @@ def identities(table: Trajectory, clock: Clock) -> Iterator[str]:
         yield f"{sentence}."
 
 
-def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) -> list[tuple[str, str, str]]:
-    """(kind, heading, words) of each event of a key frame; `origin` is that of the start, as `--box`."""
-    rows = table.at(key.frame)
-    parts = [history.parts[part].name for part in rows.which.tolist()]
-    confidence = dict(zip(parts, rows.confidence.tolist(), strict=True))
-    confidences = rows.confidence[np.isfinite(rows.confidence)]
-    mean = number(float(confidences.mean()) if confidences.size else None)
+def reasons(
+    table: Trajectory, history: RunHistory, origin: str, first: int, last: int
+) -> dict[int, list[tuple[str, str, str]]]:
+    """By frame, (kind, heading, words) of each reason to show it; `origin` is that of the start, as `--box`."""
+    found: dict[int, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
 
-    def words(event: Event) -> tuple[str, str]:
-        heading, after = _HEADINGS[event.kind]
-        match event.kind:
-            case "start":
-                text = f"placed by {_DETECTORS.get(origin) or Path(origin).name or origin}"
-            case "corrected":
-                placed, absent = event.corrected[1:] if event.corrected else ((), ())
-                gone = f"{_are(absent, 5)} absent" if absent else ""
-                text = "; ".join(filter(None, (names(placed, 5), gone)))
-            case "seam":
-                share = None if event.seam is None else event.seam.agreement
-                text = f"they agree in {percent(share)} of the frames that both have"
-            case "hidden" | "lost" | "back":
-                text = names([
-                    f"{s.name}{after.format(lasting(s.seconds))} (confidence {number(confidence.get(s.name))})"
-                    for s in event.spans
-                ], 5)  # fmt: skip
-            case "worst":
-                text = mean + (f", the mean over {len(parts):,} parts" if len(parts) > 1 else "")
-            case _:
-                ends = [(kind, [parts[i] for i in np.flatnonzero(rows.status == kind)]) for kind in ("lost", "absent")]
-                text = "; ".join(f"called {kind}: {names(gone, 5)}" for kind, gone in ends if gone)
-                text = text or "nothing is called lost"
-        return heading, text
+    def called(frame: int, status: str) -> list[str]:
+        rows = table.at(frame)
+        return [history.parts[part].name for part in rows.which[rows.status == status].tolist()]
 
-    return [(event.kind, *words(event)) for event in key.events]
+    found[first]["start"] = [f"placed by {_DETECTORS.get(origin) or Path(origin).name or origin}"]
+    for frame in history.corrections:
+        gone = f"{_are(absent, 5)} absent" if (absent := called(frame, "absent")) else ""
+        found[frame]["corrected"] = ["; ".join(filter(None, (names(called(frame, "init"), 5), gone)))]
+    for seam in history.seams:
+        if not seam.agrees:
+            found[seam.frame]["seam"] = [f"they agree in {percent(seam.agreement)} of the frames that both have"]
+    for span in history.spans:
+        found[span.first]["lost"].append(f"{span.name} (confidence {number(span.confidence)})")
+        if span.back is not None and not span.by_hand:
+            then = f"{span.name} after {lasting(span.seconds)} (confidence {number(span.after)})"
+            found[span.back]["back"].append(then)
+    for span in history.hidings:
+        then = f"{span.name} for {lasting(span.seconds)} (confidence {number(span.confidence)})"
+        found[span.first]["hidden"].append(then)
+    if history.worst is not None:
+        confidence = table.at(history.worst).confidence
+        over = f", the mean over {len(confidence):,} parts" if len(confidence) > 1 else ""
+        found[history.worst]["worst"] = [f"{number(float(np.nanmean(confidence)))}{over}"]
+    ends = [f"called {status}: {names(gone, 5)}" for status in ("lost", "absent") if (gone := called(last, status))]
+    found[last]["end"] = ["; ".join(ends) or "nothing is called lost"]
+    return {
+        frame: [(kind, heading, names(why[kind], 5)) for kind, heading in _HEADINGS.items() if kind in why]
+        for frame, why in found.items()
+    }
 
 
 def _are(items: Sequence[str], most: int = 8) -> str:

@@ -197,7 +197,7 @@ def _check_rows(main: Path, run: Run) -> None:
     """InputError if the rows are not what this recipe makes of this start and its corrections."""
     try:
         check_start(run.start, run.header.source.size, run.recipe.points)
-        tracker = build_tracker(run.recipe, run.start, run.header.source.fps)
+        tracker = build_tracker(run.recipe, run.start)
     except FacetrackError as e:
         raise InputError(f"{main}: its start and its recipe do not go together: {e}") from None
     if run.first != run.start.frame or [(target.name, target.parts) for target in tracker] != list(run.parts.items()):

@@ -403,7 +403,7 @@ class Tracker:
             if not waiting:
                 return
             self.start = start = completed(self.recipe, start, lambda: waiting[0], IMAGES)
-            self._tracker = tracker_for(self.recipe, start, waiting[0].size, self.fps)
+            self._tracker = tracker_for(self.recipe, start, waiting[0].size)
         for result in track(self._tracker, iter(waiting), self.recipe.seed, clip=IMAGES, at=self._at):
             yield replace(result, start=start) if result.frame.index == start.frame else result
 
@@ -440,7 +440,7 @@ class Tracker:
             for index, time_s, image in kept:
                 self._search.give(Frame(index, time_s, image))
         if self._at.states and self.start is not None and self._size is not None:
-            self._tracker = tracker_for(self.recipe, self.start, self._size, self.fps)
+            self._tracker = tracker_for(self.recipe, self.start, self._size)
 
     @property
     def _key(self) -> str:

@@ -163,11 +163,10 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
                 if shots:
                     from facetrack_cli.start.presence import MultiFaceTracker
 
-                    size, fps = source.size, float(source.fps)
-                    faces = MultiFaceTracker(job.recipe, shots, detector(job.by), size, fps, job.recipe.seed)
+                    faces = MultiFaceTracker(job.recipe, shots, detector(job.by), source.size, job.recipe.seed)
                     yield from faces.follow(frames, state.at)
                     return
-                tracker = tracker_for(job.recipe, start, source.size, source.fps)
+                tracker = tracker_for(job.recipe, start, source.size)
                 state.at.states = restored(tracker, state.at.states, job.frame)
                 results = track(tracker, frames, job.recipe.seed, clip=str(job.clip), at=state.at)
                 if job.lag:

@@ -266,7 +266,7 @@ class LiveCast:
         for number, passed in groupby(passing_shots(frames), key=lambda numbered: numbered[0]):
             first = next(passed)[1]
             shot = Shot(first.index, None, first.index, None)
-            film = MultiFaceTracker(recipe, [shot], self._detector, first.size, self._fps, recipe.seed)
+            film = MultiFaceTracker(recipe, [shot], self._detector, first.size, recipe.seed)
             for result in film.follow(chain([first], (frame for _, frame in passed)), at):
                 self._see(result, number)
                 yield result

@@ -129,7 +129,7 @@ class ClipRequest:
                 "change --start or --stop, or begin elsewhere with --init or --box"
             )
         if start is not None:
-            if start.origin not in DETECTORS and recipe.has_head:
+            if start.origin not in DETECTORS and recipe.heads:
                 start = replace(start, detector=start.detector or detector().name)
             start = replace(start, frame=at, placed=start.placed and start.frame == at)
             return completed(recipe, start, lambda: self.frame(at, origin), str(self.clip))
@@ -157,7 +157,7 @@ class ClipRequest:
         moved = []
         for candidate in starts:
             with self.open(start.frame) as source:
-                tracker = tracker_for(recipe, candidate, source.size, source.fps)
+                tracker = tracker_for(recipe, candidate, source.size)
                 results = track(tracker, islice(iter(source), SIGNS_FRAMES), recipe.seed)
                 moved.append(hands_moved([result.rows for result in results]))
         best = int(np.argmax(moved))
@@ -407,7 +407,7 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
 
 def follows_everyone(recipe: Recipe) -> bool:
     """Whether a recipe follows everybody over cuts, where all faces are asked for."""
-    return recipe.has_head and not recipe.followed
+    return bool(recipe.heads) and not recipe.followed
 
 
 def digest_of(job: Job) -> str:

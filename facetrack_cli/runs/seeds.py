@@ -27,7 +27,7 @@ from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import cores, side_by_side
 from facetrack_cli.start.assembly import check_gallery, tracker_for
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, joined, one_part
-from facetrack_cli.video.source import FOLDER_FPS, open_source
+from facetrack_cli.video.source import open_source
 
 
 def variant(config: str) -> tuple[str, tuple[str, ...]]:
@@ -137,7 +137,7 @@ def outline(plan: SeedPlan, frames: Whole, size: tuple[int, int]) -> Trajectory:
 
     Raises the errors of recipe and start that show before a frame is read.
     """
-    tracker = tracker_for(plan.recipe, plan.start, size, plan.fps or FOLDER_FPS)  # names alone, whatever the rate
+    tracker = tracker_for(plan.recipe, plan.start, size)
     ones = np.ones(len(frames))  # every part of every tracker has a size
     rows = [one_part(target.name, part, frames, w=ones, h=ones) for target in tracker for part in target.parts]
     return joined(rows, path=plan.clip, header={"source": {"size": list(size)}})
@@ -153,7 +153,7 @@ def _work(task: tuple[SeedPlan, tuple[int, ...]], stop: Stop, report: Callable[[
             yield Frame(frame.index, frame.time_s, frame.yuv or frame.pixels, aspect=frame.aspect)
 
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
-        tracker = tracker_for(plan.recipe, plan.start, source.size, source.fps)
+        tracker = tracker_for(plan.recipe, plan.start, source.size)
         runs = [track(tracker, present(), seed, clip=str(plan.clip)) for seed in seeds]
         logs, seconds = [Collector() for _ in seeds], [0.0 for _ in seeds]
         count, notes = 0, tuple[str, ...]()

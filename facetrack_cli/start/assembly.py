@@ -8,7 +8,6 @@ head's skin colour beside the face, named from left to right. Nothing here is ra
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from fractions import Fraction
 from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Final
@@ -23,7 +22,6 @@ from facetrack_cli.engine.corrected import CorrectedTarget, RestartPolicy, corre
 from facetrack_cli.engine.loop import Target, Tracker
 from facetrack_cli.engine.spaces import MIN_BOX_PX, box_of, check_size
 from facetrack_cli.engine.target import ParticleTarget, particle_target
-from facetrack_cli.recipe.load import in_frames
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.start.init_file import TARGET, check_start
 from facetrack_cli.start.search import box_start
@@ -45,13 +43,8 @@ SHARED: Final = 0.3  # of the smaller box's area: a region that shares as much w
 MAX_REACH: Final = 5.0  # sizes of the face's box: hands are no farther from the face's middle
 
 
-def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> Tracker:
+def build_tracker(recipe: Recipe, start: Start) -> Tracker:
     """The tracker of a recipe for a clip that begins at `start`, whose every point lies in the frame.
-
-    Parameters
-    ----------
-    fps
-        Frames per second of the clip, by which the recipe's times become frames.
 
     Raises
     ------
@@ -60,7 +53,6 @@ def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> T
     RecipeError
         Parts of the recipe disagree.
     """
-    recipe = in_frames(recipe, fps)
     if isinstance(recipe, OpenCvRecipe):
         from facetrack_cli.trackers import opencv
 
@@ -113,10 +105,10 @@ def _target(recipe: Recipe, start: Start, name: str) -> Target:
     return particle_target(recipe, key, filter_settings, start, name, ParticleTarget, exclusion)
 
 
-def tracker_for(recipe: Recipe, start: Start, size: tuple[int, int], fps: float | Fraction) -> Tracker:
+def tracker_for(recipe: Recipe, start: Start, size: tuple[int, int]) -> Tracker:
     """As `build_tracker`, for a clip of this (width, height); raises also where start or windows do not fit it."""
     check_start(start, size, recipe.points)
-    tracker = build_tracker(recipe, start, fps)
+    tracker = build_tracker(recipe, start)
     check_windows(recipe, tracker, size, start.origin)
     return tracker
 

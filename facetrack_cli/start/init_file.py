@@ -256,7 +256,7 @@ def _correction(frame: int, name: str, node: Node, start: TargetStart) -> Correc
     lists = {"absent": record.absent, "confirmed": record.confirmed}
     for key, names in {"points": record.points, "kept": record.kept, **lists}.items():
         for at, part in enumerate(() if names is True else names):
-            child, _, _ = locate(node, (key, at if key in lists else part))
+            child, _ = locate(node, (key, at if key in lists else part))
             if part in placed:
                 _refuse(child, f"{part} is in {placed[part]} already; leave it in one place", at_key=True)
             _check_part(child, key, part, parts)

@@ -76,13 +76,12 @@ class FilmState:
 
 @dataclass(frozen=True)
 class MultiFaceTracker:
-    """What is followed: faces by a recipe that has a head, in the `shots` of a film of this size and rate."""
+    """What is followed: faces by a recipe that has a head, in the `shots` of a film of this size."""
 
     recipe: Recipe
     shots: Sequence[Shot]
     detector: Detector
     size: tuple[int, int]
-    fps: float
     seed: int
 
     def follow(self, frames: Iterable[Frame], at: TrackState) -> Iterator[FrameResult]:
@@ -139,7 +138,7 @@ class MultiFaceTracker:
         return results
 
     def _target(self, start: Start) -> FaceTarget:
-        [target] = tracker_for(self.recipe, start, self.size, self.fps)
+        [target] = tracker_for(self.recipe, start, self.size)
         face_target = among_others(target)
         assert isinstance(face_target, FaceTarget)
         return face_target

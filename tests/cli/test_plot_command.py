@@ -7,8 +7,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.options import FIGURES
-from facetrack_cli.report import figures
-from facetrack_cli.report.figures import style
+from facetrack_cli.report.figures import page, style
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
 
@@ -80,9 +79,9 @@ def test_every_form_by_its_ending(capsys, run, form):
 
 def test_truth_adds_the_error(capsys, run, truth, monkeypatch):
     seen = []
-    draw = figures.page_figure
+    draw = page.page_figure
     monkeypatch.setattr(
-        figures, "page_figure", lambda table, pairs, **more: seen.append((table, pairs)) or draw(table, pairs, **more)
+        page, "page_figure", lambda table, pairs, **more: seen.append((table, pairs)) or draw(table, pairs, **more)
     )
     assert facetrack(capsys, run, "--truth", truth)[0] == 0
     assert facetrack(capsys, run, "--truth", truth, "--target", "face/chin", "--overwrite")[0] == 0

@@ -98,7 +98,6 @@ def test_measures_of_an_example_worked_out_by_hand():
     found = measure_boxes(ours, truth, visible=valid)
     assert (found.rows, found.missing) == (5, 1)
     np.testing.assert_allclose(found.overlap, [1, 1, 3 / 13, 0, np.nan, np.nan, 0.5], rtol=1e-12)
-    np.testing.assert_allclose(found.centre_error, [0, 0, 25, np.inf, np.nan, np.nan, 10])
     # strictly above: IoU 1 misses the last threshold, 0.5 the one at 0.5; 3/13 is above 0, .05, .1, .15, .2
     success = [4 / 5] * 5 + [3 / 5] * 5 + [2 / 5] * 10 + [0]
     np.testing.assert_allclose(found.success, success)
@@ -112,7 +111,6 @@ def test_measures_of_an_example_worked_out_by_hand():
     assert found.normalised_20 == 2 / 5
     assert found.ao == pytest.approx((1 + 3 / 13 + 0 + 0.5) / 4)
     assert (found.sr50, found.sr75) == (1 / 4, 1 / 4)
-    assert found.got10k_success[50] == 1 / 4 and found.got10k_success[49] == 2 / 4 and found.got10k_success[-1] == 0
     assert (found.good_rate, found.strict_rate) == (3 / 5, 3 / 5)
 
 
@@ -121,7 +119,6 @@ def test_without_an_initial_row_the_first_counts_as_any():
     found = measure_boxes(ours, truth, visible=valid, init=np.zeros(7, bool))
     first = 38 / 42
     assert found.overlap[0] == pytest.approx(first)
-    assert found.centre_error[0] == 2
     assert found.ao == pytest.approx((first + 1 + 3 / 13 + 0 + 0.5) / 5)
 
 
@@ -131,7 +128,7 @@ def test_nothing_to_measure_has_no_value(rows):
     assert (found.rows, found.missing, found.hidden_rows) == (0, 0, 0)
     for name in SHARES:
         assert getattr(found, name) is None, name
-    assert found.success.shape == (21,) and found.got10k_success.shape == (101,)
+    assert found.success.shape == (21,)
     assert np.isnan(found.precision).all() and found.overlap.shape == (rows,)
 
 
@@ -183,7 +180,7 @@ def ours(case):
         },
         "otb_success_of_all": found.success_auc * known.sum() / len(known),
         "normalised": {"curve": found.normalised_precision, "score": found.normalised_auc},
-        "got10k": {"ao": found.ao, "sr": found.sr50, "sr75": found.sr75, "succ_curve": found.got10k_success},
+        "got10k": {"ao": found.ao, "sr": found.sr50, "sr75": found.sr75},
     }
 
 
@@ -204,6 +201,7 @@ def check(case, theirs):
     # a single missing box makes their AO nan, and we count it as 0
     missing = np.isnan(case.ours).any(axis=1) & ~np.isnan(case.truth).any(axis=1)
     with_nan = theirs.pop("got10k_ao_with_nan")
+    theirs["got10k"] = {name: theirs["got10k"][name] for name in mine["got10k"]}
     assert with_nan is None if missing[1:].any() else with_nan == theirs["got10k"]["ao"]
     assert not differences(mine, theirs)
 

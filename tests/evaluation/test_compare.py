@@ -55,38 +55,31 @@ def places(*entries, measure=MEASURE):
 # --- order -------------------------------------------------------------------------------------------------------
 
 
-def test_clear_differences_are_ranked():
-    good, fair, bad = entry("good", [1.0, 1.1, 0.9]), entry("fair", [2.0, 2.1, 1.9]), entry("bad", [9.0, 8.0, 10.0])
-    assert places(bad, good, fair) == {"good": "1", "fair": "2", "bad": "3"}
-    assert list(places(bad, good, fair)) == ["good", "fair", "bad"]
+AROUND = np.array([-1.0, 1.0]) * 0.1  # two runs: the standard error is half their distance, the interval 0.2 wide
+A, B, C = (entry(name, middle + AROUND) for name, middle in (("a", 1.0), ("b", 1.3), ("c", 1.6)))
+FIXED, SAME, OTHER = (entry(n, [v], deterministic=True) for n, v in (("fixed", 2.0), ("same", 2.0), ("other", 3.0)))
+BROKEN = Entry("broken", error=InputError("no box"))
+
+
+@pytest.mark.parametrize(
+    ("entries", "order"),
+    [
+        ([entry("bad", [9, 8, 10]), entry("good", [1, 1.1, 0.9]), B], {"good": "1-2", "b": "1-2", "bad": "3"}),
+        ([A, B, C], {"a": "1-2", "b": "1-3", "c": "2-3"}),  # a and b overlap, b and c too, a and c do not
+        ([entry("single", [1.0]), FIXED, OTHER], {"single": "1-3", "fixed": "1-2", "other": "2-3"}),
+        ([OTHER, FIXED], {"fixed": "1", "other": "2"}),  # one run of a deterministic tracker tells all
+        ([FIXED, SAME], {"fixed": "1-2", "same": "1-2"}),
+        ([BROKEN, entry("good", [1, 1]), entry("blind", [None])], {"good": "1", "broken": "-", "blind": "-"}),
+    ],
+)
+def test_what_overlaps_shares_its_rank(entries, order):
+    assert [*places(*entries).items()] == [*order.items()]
 
 
 def test_more_is_better_for_shares():
     low, high = (entry(n, [v, v + 0.01], measure="boxes.success_auc") for n, v in (("low", 0.2), ("high", 0.8)))
     assert list(places(low, high, measure="boxes.success_auc")) == ["high", "low"]
-
-
-def test_what_overlaps_shares_its_rank():
-    """Intervals: a 1 +- 0.2, b 1.3 +- 0.2, c 1.6 +- 0.2: a and b overlap, b and c too, a and c do not."""
-    around = np.array([-1.0, 1.0]) * 0.1  # two runs: the standard error is half their distance
-    a, b, c = (entry(name, middle + around) for name, middle in (("a", 1.0), ("b", 1.3), ("c", 1.6)))
-    assert a.interval(MEASURE) == pytest.approx((0.8, 1.2))
-    assert places(a, b, c) == {"a": "1-2", "b": "1-3", "c": "2-3"}
-
-
-def test_one_seed_tells_nothing_but_one_run_of_a_deterministic_tracker_does():
-    single = entry("single", [1.0])
-    fixed, other = entry("fixed", [2.0], deterministic=True), entry("other", [3.0], deterministic=True)
-    assert places(single, fixed, other) == {"single": "1-3", "fixed": "1-2", "other": "2-3"}
-    assert places(fixed, other) == {"fixed": "1", "other": "2"}
-    same = entry("same", [2.0], deterministic=True)
-    assert places(fixed, same) == {"fixed": "1-2", "same": "1-2"}
-
-
-def test_without_a_value_there_is_no_rank():
-    assert places(Entry("broken", error=InputError("no box")), entry("good", [1.0, 1.0]), entry("blind", [None])) == {
-        "good": "1", "broken": "-", "blind": "-",
-    }  # fmt: skip
+    assert A.interval(MEASURE) == pytest.approx((0.8, 1.2))
 
 
 @given(st.lists(st.lists(st.floats(0, 100), min_size=2, max_size=4), min_size=1, max_size=6))

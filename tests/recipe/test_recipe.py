@@ -1,7 +1,6 @@
-"""Recipes: shipped ones, how they are found, values, times, what is refused and where, and the schema."""
+"""Recipes: shipped ones, how they are found, values, what is refused and where, and the schema."""
 
 import json
-import math
 import re
 from pathlib import Path
 
@@ -13,13 +12,10 @@ from pydantic import ValidationError
 from facetrack_cli.core.errors import ExitCode, RecipeError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.yaml_tree import MAX_BYTES, Source, YamlProblems, parse
-from facetrack_cli.recipe.load import check_recipe, in_frames, load_recipe, read_recipe, resolve_file
-from facetrack_cli.recipe.model import KINDS, OpenCvRecipe, json_schema, to_dict
+from facetrack_cli.recipe.load import check_recipe, load_recipe, read_recipe, resolve_file
+from facetrack_cli.recipe.model import OpenCvRecipe, json_schema, to_dict
 from facetrack_cli.recipe.sections import FactorizedSettings, IndependentSettings, Length, SirSettings
 from facetrack_cli.trackers.points.settings import ColourRatioSettings, PointsSettings
-
-# from the tracker that Zhou et al. improve on to the whole of theirs, in this order, and what goes beyond it
-
 
 GOOD = """\
 description: A recipe for tests
@@ -366,72 +362,9 @@ def test_schema_describes_every_field():
         assert reference.removeprefix("#/$defs/") in schema["$defs"]
     of_filter = schema["$defs"]["ParticleRecipe"]["properties"]["filter"]["oneOf"]
     kinds = [ref["$ref"].rpartition("/")[2] for ref in of_filter]
-    assert kinds == [
-        "SirSettings",
-        "AuxiliarySettings",
-        "FactorizedSettings",
-        "IndependentSettings",
-        "AdaptiveSettings",
-        "GuidedSettings",
-    ]
+    names = ("Sir", "Auxiliary", "Factorized", "Independent", "Adaptive", "Guided")
+    assert kinds == [f"{name}Settings" for name in names]
     length = json.dumps(schema["$defs"]["LengthPerPart"])
     assert '"maximum": 1000000.0' in length and "px" in length
     assert models["VisibleWalkSettings"]["properties"]["hidden"]["default"] == 0.1, "as a recipe writes it"
     assert schema["$defs"]["ColourRatioSettings"]["properties"]["robust"]["enum"][0] == "l1"
-
-
-TIMES = {
-    "confidence.patience": "120 ms",
-    "confidence.memory": "2s",
-    "likelihood.rate": "2s",
-    "likelihood.every": "80ms",
-}
-
-
-def settings(fps, overrides=TIMES):
-    recipe = in_frames(load_recipe("correlation_filter", overrides), fps)
-    return recipe.confidence, recipe.likelihood
-
-
-@pytest.mark.parametrize(
-    ("fps", "expected"), [(25, (3, 50, 2)), (50, (6, 100, 4)), (120, (14, 240, 10)), (1, (1, 2, 1))]
-)
-def test_times_become_frames_by_the_rate_of_the_clip(fps, expected):
-    confidence, likelihood = settings(fps)
-    assert (confidence.patience, confidence.memory, likelihood.every) == expected
-    assert (1 - likelihood.rate) ** (2 * fps) == pytest.approx(1 / math.e)  # what is left after 2 s
-
-
-def test_a_recipe_without_times_is_the_same_at_any_rate():
-    recipe = load_recipe("face")
-    assert in_frames(recipe, 120) is recipe
-
-
-def test_times_stay_times_where_a_recipe_is_written_and_read_again():
-    written = to_dict(load_recipe("correlation_filter", TIMES))
-    assert written["confidence"]["patience"] == "120ms" and written["likelihood"]["rate"] == "2s"
-    assert to_dict(KINDS[written["type"]].model_validate(written)) == written
-
-
-@pytest.mark.parametrize("given", ["1 m", "s", "-1s", "0s", "1e9s", "nan s", "50", "1px"])
-def test_what_is_no_time_is_refused_with_its_place(given):
-    wanted = (
-        r"--set confidence.memory=.*: .*must be a whole number of frames, or a time .* as in 1s or 40ms, not the text"
-    )
-    with pytest.raises(RecipeError, match=wanted):
-        load_recipe("factorized", {"confidence.memory": given})
-
-
-def test_a_time_beyond_the_bounds_of_its_setting_is_refused_once_the_rate_is_known(tmp_path):
-    path = tmp_path / "own.yaml"
-    text = (load_recipe("correlation_filter").path).read_text()
-    path.write_text(re.sub(r"(?m)^( +)type: correlation_filter$", r"\g<0>\n\1every: 300 ms", text))
-    recipe = load_recipe(str(path))
-    assert in_frames(recipe, 30).likelihood.every == 9
-    with pytest.raises(
-        RecipeError, match=r"own.yaml:\d+:\d+: likelihood.every must be at most 10, not 15, which is 300 ms at"
-    ):
-        in_frames(recipe, 50)
-    opened = type(recipe).model_validate(to_dict(recipe), context={"path": path, "root": None})
-    with pytest.raises(RecipeError, match=r"own.yaml: likelihood.*less than or equal to 10, at 50 frames per second"):
-        in_frames(opened, 50)

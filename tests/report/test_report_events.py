@@ -13,7 +13,7 @@ from facetrack_cli.core.types import Start
 from facetrack_cli.recipe.load import _shipped, calibrated, load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report.make import command, init_yaml, recipe_yaml
-from facetrack_cli.report.story import _trust, doubts, history_of, key_frames, number, to_look_at
+from facetrack_cli.report.story import _trust, doubts, history_of, key_frames, number, reasons, to_look_at
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, mean_confidence
@@ -37,7 +37,9 @@ def test_the_history_of_each_part(tmp_path):
     assert a.mean == pytest.approx((15 * 0.75 + 4 * 0.05) / 19)  # without the first frame
     assert (history.frames_lost, history.episodes, history.ending("lost")) == (15, ((8, 11), (14, 24)), ["b"])
     assert history.worst == 6, "of the frames in which nothing is lost, as the run says"
-    kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(history, 5, 24)}
+    events = reasons(table, history, "haar", 5, 24)
+    assert key_frames(history, events, 5, 24) == sorted(events)
+    kinds = {frame: [kind for kind, *_ in why] for frame, why in events.items()}
     assert kinds == {5: ["start"], 6: ["worst"], 8: ["lost"], 12: ["back"], 14: ["lost"], 24: ["end"]}
 
 
@@ -49,18 +51,17 @@ def test_key_frames_are_few_and_far_apart(tmp_path, monkeypatch, seed):
     monkeypatch.setitem(LOST, "b", lost["b"])
     table = read_trajectory(write_run(tmp_path, Path("clip.mp4"), start=0, frames=2000))
     history = history_of(table, Clock(table, 25.0))
-    keys = key_frames(history, 0, 1999)
-    at = [key.frame for key in keys]
+    events = reasons(table, history, "haar", 0, 1999)
+    at = key_frames(history, events, 0, 1999)
     assert len(at) == 12
     assert at == sorted(set(at))
     assert {0, 1999, history.worst} <= set(at)
     longest = max(history.episodes, key=lambda e: e[1] - e[0])
     assert longest[0] in at
     assert max(np.diff(at)) < 700
-    for key in keys:
-        for event in key.events:
-            for span in event.spans:
-                assert key.frame == (span.first if event.kind == "lost" else span.back)
+    ends = {"lost": {span.first for span in history.spans}, "back": {span.back for span in history.spans} - {None}}
+    for kind, frames in ends.items():
+        assert frames == {frame for frame, why in events.items() if kind in {each[0] for each in why}}
 
 
 def test_the_frames_to_look_at_are_those_that_the_run_names(tmp_path):

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.report.make import make_report
-from facetrack_cli.report.story import history_of, key_frames
+from facetrack_cli.report.story import history_of, key_frames, reasons
 from facetrack_cli.runs import batch, split
 from facetrack_cli.runs.plan import Split
 from facetrack_cli.runs.split import OVERLAP_S, Seam, agreeing, cut_by_length, renamed, stitch
@@ -120,7 +120,8 @@ def test_what_no_chunk_found_is_missing_and_said(facetrack, clips):
     # the report has the place as an event, and does not call it corrected
     history = history_of(table, Clock(table, 5.0), read_header(table).seams)
     assert history.corrections == ()
-    assert any(event.kind == "seam" for key in key_frames(history, 0, 274) for event in key.events)
+    events = reasons(table, history, "x", 0, 274)
+    assert any(kind == "seam" for frame in key_frames(history, events, 0, 274) for kind, *_ in events[frame])
     page = make_report(out).html.decode()
     assert "Two chunks differ" in page
     assert "--split 75f" in page

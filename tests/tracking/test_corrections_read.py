@@ -16,10 +16,11 @@ from facetrack_cli.evaluation.accuracy import measure_points, measure_recovery, 
 from facetrack_cli.evaluation.reliability import measure_confidence, measure_coverage, measure_lost
 from facetrack_cli.evaluation.rows import match
 from facetrack_cli.evaluation.summary import evaluate
-from facetrack_cli.report import figures as plots
 from facetrack_cli.report import make
+from facetrack_cli.report.figures import page
+from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.make import Image, command, init_yaml, recipe_yaml
-from facetrack_cli.report.story import history_of, key_frames
+from facetrack_cli.report.story import history_of, key_frames, reasons
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
@@ -174,7 +175,7 @@ def test_what_is_absent_has_no_row_or_no_place_in_other_formats(table):
 
 def test_the_plots_shade_what_is_absent_and_mark_what_was_corrected(table):
     pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
-    figure = plots.page_figure(table)
+    figure = page.page_figure(table)
     head = figure.subfigs[0]
     assert "corrected by hand in 3 of them" in "".join(text.get_text() for text in head.texts)
     labels = [text.get_text() for text in head.legends[0].texts]
@@ -183,23 +184,20 @@ def test_the_plots_shade_what_is_absent_and_mark_what_was_corrected(table):
     assert [line.get_xdata().tolist() for line in marks] == [[5, 8, 10]]
     plain = table.between(0, 5)
     assert not {"absent", "corrected by hand"} & {
-        t.get_text() for t in plots.page_figure(plain).subfigs[0].legends[0].texts
+        t.get_text() for t in page.page_figure(plain).subfigs[0].legends[0].texts
     }
-    assert plots.render(figure).startswith(b"\x89PNG")
+    assert plot_style.render(figure).startswith(b"\x89PNG")
 
 
 def test_a_report_says_what_was_corrected(table):
     history = history_of(table, Clock(table, 25.0))
-    assert [(one.frame, one.given, one.absent) for one in history.corrections] == [
-        (5, (), ("lip",)),
-        (8, ("lip",), ()),
-        (10, (), ("nose", "lip")),
-    ]
+    assert history.corrections == (5, 8, 10)
     nose, lip = history.parts
     assert (lip.absences, lip.frames_absent, nose.frames_absent) == (((5, 7), (10, 12)), 6, 3)
     assert [(span.first, span.last, span.back, span.by_hand) for span in lip.spans] == [(3, 4, None, True)]
     assert (history.ending("lost"), history.ending("absent")) == ([], ["nose", "lip"])
-    kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(history, 0, 12)}
+    events = reasons(table, history, "x", 0, 12)
+    kinds = {frame: [kind for kind, *_ in events[frame]] for frame in key_frames(history, events, 0, 12)}
     assert kinds == {
         0: ["start"], 1: ["worst"], 3: ["lost"], 5: ["corrected"], 8: ["corrected"], 10: ["corrected"], 12: ["end"]
     }  # fmt: skip

@@ -185,7 +185,7 @@ MOVED = Correction(60, "face", TargetStart(points={"nose": (175.0, 120.0)}))
 def results_of(name, stop=112, corrections=(), overrides=None, seed=0):
     recipe = load_recipe(name, overrides or {})
     start = replace(CLIP.start, corrections=tuple(corrections))
-    tracker = tracker_for(recipe, start, CLIP.frames[0].size, 25)
+    tracker = tracker_for(recipe, start, CLIP.frames[0].size)
     return list(track(tracker, iter(CLIP.frames[:stop]), seed))
 
 

@@ -21,7 +21,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.numbers import csv_text
-from facetrack_cli.report import figures as plots
+from facetrack_cli.report.figures import page
 from facetrack_cli.trajectory.face_events import FaceEvent
 from facetrack_cli.trajectory.formats.keypoints import write_dlc, write_dlc_h5
 from facetrack_cli.trajectory.formats.tables import (
@@ -284,12 +284,12 @@ def test_measures_and_events_are_data_frames():
 
 
 def test_a_plot_of_measures_has_a_panel_each_and_bars_of_events():
-    figure = plots.measures_figure(face(), ["mouth_opening", "open", "blink"])
+    figure = page.measures_figure(face(), ["mouth_opening", "open", "blink"])
     assert len(figure.axes) == 2  # of the opening, and of what tells a blink
     assert [sum(isinstance(one, Rectangle) for one in axes.patches) for axes in figure.axes] == [1, 3]
     assert figure.axes[-1].get_xlabel() == "seconds"
     cut = face().take((face().frame < 40) | (face().frame > 60))
-    (line, *_) = plots.measures_figure(cut, ["mouth_opening"]).axes[0].lines
+    (line, *_) = page.measures_figure(cut, ["mouth_opening"]).axes[0].lines
     assert np.isnan(line.get_ydata()).sum() == 1, "a line ends where nobody is seen"
     with pytest.raises(UsageError, match="has no ears; choose among mouth_opening"):
-        plots.measures_figure(face(), ["ears"])
+        page.measures_figure(face(), ["ears"])

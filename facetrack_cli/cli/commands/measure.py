@@ -6,7 +6,7 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -90,7 +90,7 @@ def eval_command(
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.identities import identified
     from facetrack_cli.evaluation.rows import check_normalise
-    from facetrack_cli.evaluation.summary import About, Options, evaluate, to_csv, to_json, to_text
+    from facetrack_cli.evaluation.summary import Options, evaluate, to_csv, to_json, to_text
     from facetrack_cli.run_folder.manifest import check_run, other_clip
     from facetrack_cli.trajectory.formats.read import read_results
     from facetrack_cli.trajectory.reader import clip_of, frame_size_of
@@ -125,18 +125,17 @@ def eval_command(
     pairs = reference.pairs(ours, theirs, notes.append)
     settings = Options(normalise, failure, frame_size_of(ours))
     evaluation = evaluate(pairs, notes, settings, reference=theirs.parts, people=persons)
-    read_as = str(theirs.header.get("read_as", reference.truth_format))
-    about = About(ours.path, theirs.path, read_as, reference.shift, ours.header.get("read_as"))
 
     texts = {"--json": to_json, "--csv": to_csv}
-    made = {name: texts[name](evaluation, about).encode(errors="backslashreplace") for name in files if name in texts}
+    both = ours, theirs
+    made = {name: texts[name](evaluation, *both).encode(errors="backslashreplace") for name in files if name in texts}
     if plot is not None:
         made["--plot"] = _plot(evaluation, ours.path)
     for name, content in made.items():
         write_new(files[name], content, overwrite=overwrite)
         say(f"{trajectory} -> {files[name]}")
     printed = next((texts[name] for name, to in outputs.items() if to == "-"), None)
-    text = printed(evaluation, about) if printed else to_text(evaluation, about, colour=colour())
+    text = printed(evaluation, *both) if printed else to_text(evaluation, *both, colour=colour())
     if not (sys.stdout.encoding or "utf-8").lower().startswith("utf"):
         text = text.replace("\N{EN DASH}", "-")
     click.echo(text, nl=False)
@@ -158,7 +157,8 @@ def _truth_beside(ours: Trajectory) -> Path:
 
 
 def _plot(evaluation: Evaluation, path: Path) -> bytes:
-    from facetrack_cli.report.figures import calibration_figure, render
+    from facetrack_cli.report.figures.compare import calibration_figure
+    from facetrack_cli.report.figures.style import render
 
     confidence = evaluation.all.confidence
     if confidence is None or not confidence.bins:
@@ -342,7 +342,7 @@ def regress_command(
     """
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.goldens import as_junit, regress, tasks
-    from facetrack_cli.recipe.load import check_gallery_file, load_recipe
+    from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trackers.appearance.gallery import load_gallery
@@ -354,17 +354,14 @@ def regress_command(
     if junit is not None:
         check_new(junit, overwrite=overwrite)
     if gallery is not None:  # a mistake in the option is no regression
-        check_gallery_file(str(gallery))
         load_gallery(gallery)
     names = {load_recipe(name, overrides, installed=False).name: name for name in config}
     asked = tasks(folder, names, update=update)
     fails, began, results = "not recorded" if update else "FAILS", time.monotonic(), []
     with Stop().listening() as stopped, progress(quiet) as shown:
         shown.begin(str(folder))
-        for result in regress(
-            folder, asked, update=update, overrides=overrides, stop=stop, gallery=gallery,
-            stopped=stopped, workers=jobs, report=shown.update,
-        ):  # fmt: skip
+        how: dict[str, Any] = {"stopped": stopped, "workers": jobs, "report": shown.update}
+        for result in regress(folder, asked, update=update, overrides=overrides, stop=stop, gallery=gallery, **how):
             results.append(result)
             why = result.message if update else f"ok ({result.message}; {result.seconds:.1f} s)"
             why = f"{fails}: {result.message}" if result.failed else why
@@ -378,6 +375,6 @@ def regress_command(
         return ExitCode.BATCH if failed else ExitCode.DONE
     if junit is not None:
         write_new(junit, as_junit(results).encode(), overwrite=overwrite)
-    count, took = f"{len(results)} golden{'s' * (len(results) != 1)}", time.monotonic() - began
-    click.echo(f"{count} in {took:.0f} s: {len(results) - failed} ok, {failed} FAIL{'S' * (failed == 1)}")
+    count = f"{len(results)} golden{'s' * (len(results) != 1)} in {time.monotonic() - began:.0f} s"
+    click.echo(f"{count}: {len(results) - failed} ok, {failed} FAIL{'S' * (failed == 1)}")
     return ExitCode.REGRESSION if failed else ExitCode.DONE

@@ -160,7 +160,7 @@ def report_command(
       facetrack report results
     """
     from facetrack_cli.core.files import check_new, check_plain, write_new
-    from facetrack_cli.report.make import BATCH_PAGE, TruthFile, make_batch_report, make_report
+    from facetrack_cli.report.make import BATCH_PAGE, make_batch_report, make_report
     from facetrack_cli.run_folder.manifest import REPORT, trajectory_of
     from facetrack_cli.run_folder.status import is_batch
     from facetrack_cli.runs.progress import progress
@@ -177,7 +177,7 @@ def report_command(
     check_new(to, overwrite=overwrite, inputs=(truth, clip))
     with progress(quiet) as shown:
         shown.begin(folder.name or str(folder), "clips" if batch else "frames")
-        measured = None if truth is None else TruthFile(truth, *vars(reference).values())
+        measured = None if truth is None else (reference.read(truth), reference.pairs)
         if batch:
             page = make_batch_report(folder, to, report=shown.update)
         else:
@@ -204,8 +204,7 @@ def plot_command(
     TRAJECTORY is a trajectory.csv, .json or .jsonl, or the folder of a run. The page shows, over time, position and
     size of every part, confidence and what was lost, particles and their effective sample size, spread, and with
     --truth the error. Of a tracker that adapts it also shows the identity, the scale, noise and error, from its JSON.
-    What the tracker does not report is left out. A long track is drawn by the range of as many frames as fall on a
-    pixel, so that no peak is lost.
+    What the tracker does not report is left out.
 
     With --measure the figure has a panel for each of these measures, with bars where the events named are.
 
@@ -217,7 +216,7 @@ def plot_command(
       facetrack plot out/ --truth groundtruth_rect.txt --partial --overwrite
       facetrack plot out/ --measure mouth_opening,blink -o figure.pdf
     """
-    from facetrack_cli.report.figures import measures_figure, page_figure
+    from facetrack_cli.report.figures.page import measures_figure, page_figure
     from facetrack_cli.run_folder.manifest import PLOT, read_run
     from facetrack_cli.trajectory.views import choose
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
@@ -14,10 +13,9 @@ from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, aligned
 from facetrack_cli.evaluation.reliability import ReliabilityBin, calibration_error
 from facetrack_cli.evaluation.summary import clip_name
 from facetrack_cli.report.figures import style
-from facetrack_cli.report.figures.style import Figure, Pen, columns_for, quantiles, render
+from facetrack_cli.report.figures.style import Figure, columns_for, quantiles, render
 
 Curves = Mapping[str, tuple[Array, Array]]
-BINS = 1000
 SQUARE_INCHES = (6.4, 4.6)  # inches, with the legend beside
 WIDE_INCHES = (10.0, 4.0)
 _MARK: Final[Any] = {**style.GUIDE, "linewidth": 0.9, "linestyle": (0, (3, 2)), "zorder": 1}
@@ -68,7 +66,6 @@ def error_over_time_figure(
     """Median over seeds of `errors` (S, T) in pixels by label, in a band of 10 to 90 % of them; `hidden` is shaded."""
     names = [style.clean(label, 40) for label in errors]
     columns, rows = columns_for(names, WIDE_INCHES[0])
-    pen = Pen(BINS, float(frames[-1] - frames[0] + 1) / BINS)
     with style.style():
         from matplotlib.lines import Line2D
 
@@ -77,14 +74,14 @@ def error_over_time_figure(
         figure.legend(handles, names, loc="outside upper left", ncols=columns, handlelength=2.8, borderaxespad=0.3)
         axes = figure.subplots()
         style.frame_axis(axes, frames)
-        pen.shade(axes, frames, hidden, "hidden", 0.2)
+        style.shade(axes, frames, hidden, "hidden", 0.2, float(frames[-1] - frames[0] + 1) / style.BINS)
         drawn = [quantiles(e.astype(np.float64), (0.1, 0.5, 0.9)) for e in errors.values()]
         several = any(len(e) > 1 for e in errors.values())
         for number, (low, middle, high) in enumerate(drawn):
             look = style.line_style(number)
             if several:
-                pen.band(axes, frames, low, high, look["color"], 0.15)
-            pen.line(axes, frames, middle, linewidth=1.3, **look)
+                style.band(axes, frames, low, high, look["color"], 0.15)
+            style.line(axes, frames, middle, linewidth=1.3, **look)
         style.limit(axes, 0.0, 6)
         notes = ["line: median over seeds, band: 10 to 90 %"] if several else []
         style.heading(axes, title, "; ".join([*notes, *(["shaded: hidden"] if hidden.any() else [])]))
@@ -121,27 +118,24 @@ def calibration_figure(bins: Sequence[ReliabilityBin]) -> Figure:
         return figure
 
 
+CURVES: Final = (  # of Score, thresholds, title, labels, what the legend has, and the threshold that it is read off at
+    ("success", SUCCESS_THRESHOLDS, "Success", ("overlap threshold (IoU)", "share of frames above it"), "AUC", None),
+    ("precision", PRECISION_THRESHOLDS, "Precision", ("distance threshold (px)", "share of frames within it"),
+     "at 20 px", 20.0),
+    ("cumulative", 100 * CUMULATIVE_AT, "Cumulative error", ("error (% of the size)", "share of rows below it"),
+     f"below {100 * FAILURE:.3g} % of the size", 100 * FAILURE),
+)  # fmt: skip
+
+
 def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     """Success, precision, cumulative error and error over time, of what is measured; recipes in their order."""
     entries = [place.entry for place in comparison.places if place.entry.scores]
-
     clip = clip_name(comparison.clip)
-
-    def drawn(
-        name: str, at: Array, title: str, labels: tuple[str, str], measure: str = "AUC", mark: float | None = None
-    ) -> Iterator[tuple[str, bytes]]:
-        of = attrgetter(name)
-        by_label = {entry.label: [of(score) for score in entry.scores if of(score) is not None] for entry in entries}
-        curves = {label: (at, np.stack(values)) for label, values in by_label.items() if values}
+    for name, at, title, labels, measure, mark in CURVES:
+        values = {entry.label: [getattr(score, name) for score in entry.scores] for entry in entries}
+        curves = {label: (at, np.stack(each)) for label, each in values.items() if each[0] is not None}
         if curves:
             yield f"{name}.png", render(curves_figure(curves, f"{title} on {clip}", labels, measure, mark))
-
-    yield from drawn("success", SUCCESS_THRESHOLDS, "Success", ("overlap threshold (IoU)", "share of frames above it"))
-    labels = "distance threshold (px)", "share of frames within it"
-    yield from drawn("precision", PRECISION_THRESHOLDS, "Precision", labels, "at 20 px", 20.0)
-    labels, percent = ("error (% of the size)", "share of rows below it"), 100 * FAILURE
-    below = f"below {percent:.3g} % of the size"
-    yield from drawn("cumulative", 100 * CUMULATIVE_AT, "Cumulative error", labels, below, percent)
     frame, errors = aligned(entries)
     hidden = np.unique(np.concatenate([score.hidden for entry in entries for score in entry.scores]))
     figure = error_over_time_figure(frame, errors, np.isin(frame, hidden), title=f"Error on {clip}")

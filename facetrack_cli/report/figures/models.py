@@ -134,21 +134,14 @@ def _clouds(axes: Axes, prior: ShapePrior, base: Array, sigma: float) -> None:
     for k, name in enumerate(prior.parts):
         look = style.line_style(k)
         axes.plot(*places[:, k].T, ".", color=look["color"], alpha=0.35, markersize=3.5, markeredgewidth=0)
-        axes.plot(
-            *_ellipse(places[:, k]),
-            linewidth=1.4,
-            **look,
-            label=f"{clean(name, 30)}, sd {std[k][0]:.2f}, {std[k][1]:.2f}",
-        )
+        label = f"{clean(name, 30)}, sd {std[k][0]:.2f}, {std[k][1]:.2f}"
+        axes.plot(*_ellipse(places[:, k]), linewidth=1.4, label=label, **look)
         axes.plot(*places[:, k].mean(0), "o", color=look["color"], markersize=7, markeredgecolor="white", zorder=4)
     axes.set_aspect("equal", "datalim")
     axes.invert_yaxis()
     unit = "mouth widths" if set(prior.scale) == {"mouth_left", "mouth_right"} else "units"
-    axes.set(
-        xlabel=f"to the right ({unit})",
-        ylabel=f"down ({unit})",
-        title=f"Training shapes, and a kernel of sigma {sigma:.3f}",
-    )
+    axes.set(xlabel=f"to the right ({unit})", ylabel=f"down ({unit})")
+    axes.set_title(f"Training shapes, and a kernel of sigma {sigma:.3f}")
     x, y = places.max((0, 1))[0] - sigma, places.min((0, 1))[1] + sigma
     axes.add_patch(Circle((x, y), sigma, fill=False, edgecolor=style.INK, linewidth=1.2))
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize=7.5)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import PurePath
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -17,8 +17,8 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.rows import NOT_SEEN, Pair
 from facetrack_cli.report.figures import style
-from facetrack_cli.report.figures.diagnostics import is_known, panels
-from facetrack_cli.report.figures.style import Axes, Figure, Line, Panel, Pen
+from facetrack_cli.report.figures.style import Axes, Figure, Line, Panel
+from facetrack_cli.trajectory.diagnostics import AFFINE, EVIDENCE, POSTERIOR, SURE, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.face_events import KINDS
 from facetrack_cli.trajectory.measures import DEGREES, HAND_MEASURES, MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value
@@ -27,7 +27,6 @@ USUAL = (
     "mouth_opening", "lips_apart", "mouth_width", "smile", "brow_raise", "eye_opening", "roll", "yaw", "pitch",
 )  # fmt: skip
 """The measures of a face on the page."""
-BINS = 1000  # about the pixels across a panel
 _UNIT = (-0.03, 1.06)  # the axis of what is from 0 to 1
 Of = Callable[[Trajectory], Array]
 _x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angle", "confidence", "particles", "ess"))
@@ -58,9 +57,7 @@ def page_figure(
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
 
 
-def measures_figure(
-    table: Trajectory, names: Sequence[str], *, title: str | None = None, width: float = style.WIDTH
-) -> Figure:
+def measures_figure(table: Trajectory, names: Sequence[str]) -> Figure:
     """Measures over seconds with a band of a standard deviation of their noise, and bars where events of `names` are.
 
     `names` are measures, tiers of events or their values. An event is shown in the panel of the measure that tells it.
@@ -75,15 +72,13 @@ def measures_figure(
         others = f"choose among {', '.join(choices)}" if choices else "it has no measures, which the recipe face gives"
         raise UsageError(f"{table.path}: has no {', '.join(missing)}; {others}")
     with style.style():
-        figure = style.new_figure(width, 0.7 + 1.3 * len(rows))
+        figure = style.new_figure(style.WIDTH, 0.7 + 1.3 * len(rows))
         column = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
         for axes, name in zip(column, rows, strict=True):
             measured = {target: each[name] for target, each in table.measures.items() if name in each}
             for k, (target, one) in enumerate(measured.items()):
-                colour, unseen = style.COLOURS[k % len(style.COLOURS)], style.gaps(one.frame)
-                time_s, value, noise = (
-                    np.insert(each, unseen, np.nan) for each in (one.time_s, one.value, np.nan_to_num(one.noise))
-                )  # nothing is drawn where somebody is not seen
+                colour = style.COLOURS[k % len(style.COLOURS)]
+                _, time_s, value, noise = style.broken(one.frame, one.time_s, one.value, np.nan_to_num(one.noise))
                 axes.fill_between(time_s, value - noise, value + noise, color=colour, alpha=0.2, linewidth=0)
                 axes.plot(time_s, value, color=colour, linewidth=1.2, label=target)
                 for event in events:
@@ -95,8 +90,6 @@ def measures_figure(
         if len(table.targets) > 1:
             column[0].legend(loc="upper right")
         column[-1].set_xlabel("seconds")
-        if title:
-            figure.suptitle(title)
     return figure
 
 
@@ -130,8 +123,7 @@ class _Page:
         self.lines = style.lines_of(table, pairs)
         self.paired = [(line, line.pair, error(line.pair)) for line in self.lines if line.pair is not None]
         self.many = len(self.lines) > style.MAX_LINES
-        bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS  # more take long, show no more
-        self.pen = Pen(bins, float(self.frames[-1] - self.frames[0] + 1) / BINS)
+        self.least = float(self.frames[-1] - self.frames[0] + 1) / style.BINS  # frames to a pixel
         self.judged = bool((table.status != "").any())
         self.gone = [status for status in ("hidden", "lost", "absent") if (table.status == status).any()]
         self.truth = {status for _, pair, _ in self.paired for status in {*pair.truth.status.tolist()}}
@@ -244,7 +236,7 @@ class _Page:
             below = "below each row: ground truth" if self.truth & {*NOT_SEEN} else ""
             notes = ["a row a part, from first to last" if many else below]
             tall = max(0.2, min(0.165 * len(lines), 1.5))
-            yield Panel("status", notes, tall, partial(self.pen.status, lines=lines))
+            yield Panel("status", notes, tall, self._status)
         if is_known(table.ess):
             grey = many or len({_particles(line.ours).tobytes() for line in lines}) == 1
             behind = f"{'grey' if grey else 'pale'}: particles" if is_known(table.particles) else ""
@@ -260,7 +252,7 @@ class _Page:
                 title = f"{'pose: ' if unit == DEGREES else ''}{name.replace('_', ' ')} ({unit})"
                 notes = ["band: a standard deviation to either side", formula]
                 yield Panel(title, notes, 0.7, partial(self._measure, by_target=by_target))
-        yield from panels(table, lines, self.pen)
+        yield from _reported(table, lines)
         if any(is_known(wrong) for _, _, wrong in self.paired):
             notes = [bands, self._shaded("hidden in the ground truth" if "hidden" in self.truth else "")]
             notes += ["bands: 50 and 90 % by the spread"] if self.alone else []
@@ -278,20 +270,60 @@ class _Page:
         ours = [of(line.ours) for line in self.lines]
         true = [] if self.many else [of(pair.truth) for _, pair, _ in self.paired]  # of many, it would hide the lines
         for line, value in zip(self.lines, ours, strict=True):
-            self.pen.line(axes, line.ours.frame, value, **line.look)
+            style.line(axes, line.ours.frame, value, **line.look)
         for (_, pair, _), value in zip(self.paired, true, strict=False):
-            self.pen.line(axes, pair.truth.frame, value, dot="o", **style.TRUTH)
+            style.line(axes, pair.truth.frame, value, dot="o", **style.TRUTH)
         style.limit(axes, floor, 4 if floor is None else 2)
         if down:
             axes.invert_yaxis()
 
     def _confidence(self, axes: Axes) -> None:
         for status in self.gone:
-            self.pen.shade_parts(axes, [line.ours for line in self.lines], status)
+            self._shade(axes, [line.ours for line in self.lines], status)
         usual = bool(np.nanmin(self.table.confidence) >= 0 and np.nanmax(self.table.confidence) <= 1)
         self._positive(axes, _confidence, _UNIT if usual else None)
         if usual:
             axes.set_yticks([0, 0.5, 1])
+
+    def _shade(self, axes: Axes, parts: Sequence[Trajectory], status: str) -> None:
+        """Pale where any part has the status, stronger where all have it; of many parts, where over half have it."""
+        frame, held = style.stacked([(part.frame, part.status == status) for part in parts])
+        share = np.nanmean(held, axis=0)
+        levels = [(share > 0.5, 0.22)] if len(parts) > style.MAX_LINES else [(share > 0, 0.16), (share == 1, 0.22)]
+        for mask, alpha in levels[-1:] if len(parts) == 1 else levels:
+            style.shade(axes, frame, mask, status, alpha, self.least)
+
+    def _status(self, axes: Axes) -> None:
+        """A row a part, a diamond where it was given; below it the status in the ground truth. Many are bars alone."""
+        lines, many = self.lines, self.many
+        truth = not many and any(line.pair is not None for line in lines)
+        top, tall = (-0.5, 1.0) if many else (-0.4, 0.44) if truth else (-0.38, 0.76)
+        for row, line in enumerate(lines):
+            for status in ("tracked", "hidden", "lost", "absent"):
+                self._bars(axes, line.ours, status, (row + top, tall))
+            if many:
+                continue
+            if line.pair is not None:
+                for status in ("hidden", "absent"):
+                    self._bars(axes, line.pair.truth, status, (row + 0.1, 0.3))
+            starts = line.ours.frame[line.ours.status == "init"]
+            if starts.size:
+                middle = np.full(len(starts), row + top + tall / 2)
+                axes.plot(starts, middle, "D", color=style.INK, markersize=3, clip_on=False)
+        axes.set_ylim(len(lines) - 0.45, -0.55)
+        axes.grid(False, axis="y")
+        axes.spines["left"].set_visible(False)
+        shown = [] if many else lines
+        names = [style.clean(line.name, 16) for line in shown]
+        axes.set_yticks([row + top + tall / 2 for row in range(len(shown))], names)
+        for label, line in zip(axes.get_yticklabels(), shown, strict=True):
+            label.set(fontsize=7.5, color=line.colour)
+
+    def _bars(self, axes: Axes, part: Trajectory, status: str, place: tuple[float, float]) -> None:
+        mask = np.isin(part.status, (status, "init") if status == "tracked" else status)
+        if intervals := style.frame_spans(part.frame, mask, self.least):
+            bars = [(start, end - start) for start, end in intervals]
+            axes.broken_barh(bars, place, facecolors=style.STATUS[status], linewidth=0, antialiased=False)
 
     def _measure(self, axes: Axes, by_target: Mapping[str, Measured]) -> None:
         axes.locator_params(axis="y", nbins=3)
@@ -299,8 +331,8 @@ class _Page:
             line.ours.target: line.group for line in self.lines if line.ours.target in by_target
         }.items():
             series = by_target[target]
-            self.pen.band(axes, series.frame, series.value - series.std, series.value + series.std, colour, 0.2)
-            self.pen.line(axes, series.frame, series.value, color=colour, linewidth=1.2)
+            style.band(axes, series.frame, series.value - series.std, series.value + series.std, colour, 0.2)
+            style.line(axes, series.frame, series.value, color=colour, linewidth=1.2)
 
     def _particles(self, axes: Axes) -> None:
         from matplotlib.ticker import LogLocator
@@ -319,19 +351,19 @@ class _Page:
         for line in distinct.values():
             colour = style.STATUS["hidden"] if len(distinct) == 1 or self.many else line.colour
             look: dict[str, Any] = {"color": colour, "linewidth": 2.2, "alpha": 0.55, "zorder": 1.5}
-            self.pen.line(axes, line.ours.frame, _particles(line.ours), **look)
+            style.line(axes, line.ours.frame, _particles(line.ours), **look)
         if sampled:
             self._positive(axes, _ess, axes.get_ylim())
         else:
             style.limit(axes, 0.0, 2)
 
     def _error(self, axes: Axes) -> None:
-        self.pen.shade_parts(axes, [pair.truth for _, pair, _ in self.paired], "hidden")
+        self._shade(axes, [pair.truth for _, pair, _ in self.paired], "hidden")
         if self.alone:
             (line,) = self.lines
             sigma = spread(line.ours) / math.sqrt(2)  # along one axis
             for reach, alpha in ((2.146, 0.16), (1.177, 0.2)):  # radii of a circular normal distribution's 90 and 50 %
-                self.pen.band(axes, line.ours.frame, 0 * sigma, reach * sigma, line.colour, alpha)
+                style.band(axes, line.ours.frame, 0 * sigma, reach * sigma, line.colour, alpha)
         self._strokes(axes, [(line, pair.ours.frame, wrong) for line, pair, wrong in self.paired])
         style.limit(axes, 0.0)
 
@@ -352,19 +384,95 @@ class _Page:
         """A line each; of many parts the median of each target within bands."""
         if not self.many:
             for line, frame, value in shown:
-                self.pen.line(axes, frame, value, **line.look)
+                style.line(axes, frame, value, **line.look)
             return
         for target in dict.fromkeys(line.ours.target for line, _, _ in shown):
             group = [entry for entry in shown if entry[0].ours.target == target]
             frame, values = style.stacked([entry[1:] for entry in group])
             least, low, middle, high, most = style.quantiles(values, (0.0, 0.1, 0.5, 0.9, 1.0))
             colour = group[0][0].group
-            self.pen.band(axes, frame, least, most, colour, 0.14)
-            self.pen.band(axes, frame, low, high, colour, 0.28)
-            self.pen.line(axes, frame, middle, color=colour, linewidth=1.2)
+            style.band(axes, frame, least, most, colour, 0.14)
+            style.band(axes, frame, low, high, colour, 0.28)
+            style.line(axes, frame, middle, color=colour, linewidth=1.2)
 
 
 def _reach(value: Array) -> float:
     """Greatest minus least, of what is known."""
     finite = value[np.isfinite(value)]
     return float(np.ptp(finite)) if finite.size else 0.0
+
+
+# --- what a tracker reports: identity, and scale, noise and error as in figure 2 of Zhou et al. 2003 -----------------
+
+MAX_NAMES = 5  # people with a colour and a name, of more the most likely
+MAX_IDENTITY_PANELS = 6  # panels of identities, one for each target
+# drawn in the panel of identities and in the positions of the page; evidence says little but as a sum
+_ELSEWHERE = (POSTERIOR.name, AFFINE.name, EVIDENCE.name)
+# title, note and height in inches of diagnostics that do not have reports of their declaration
+_LOOK: Final[Mapping[str, tuple[str, str, float]]] = {
+    "scale": ("scale", "1 at the start", 0.85),
+    "noise": ("noise η", "of the motion, relative to its usual", 0.7),
+    "error": ("error ε", "of the prediction; about 1 where the appearance model is right", 0.7),
+    "entropy": ("entropy", "of the posterior", 0.55),
+}
+
+
+def _reported(table: Trajectory, lines: Sequence[Line]) -> Iterator[Panel]:
+    """A panel for each thing that the tracker reports."""
+    colours = {line.ours.target: line.group for line in lines}
+    identities = [target for target in table.targets if is_known(table.beliefs(target)[2])]
+    for target in identities[:MAX_IDENTITY_PANELS]:
+        yield _identity(table, target, target if len(colours) > 1 else "")
+    reported = {target: values for target, values in table.diagnostics.items() if target in colours}
+    declared = {kind.name: kind for each in reported.values() for kind in each.declared if kind.name in each.values}
+    for name in [*_LOOK, *(name for name in declared if name not in (*_LOOK, *_ELSEWHERE))]:
+        reports = {target: each for target, each in reported.items() if is_known(each.get(name))}
+        if reports and name in declared:
+            yield _curves(declared[name], reports, colours)
+
+
+def _curves(diagnostic: Diagnostic, reports: Mapping[str, Diagnostics], colours: Mapping[str, str]) -> Panel:
+    title, note, height = _LOOK.get(diagnostic.name, (diagnostic.name, diagnostic.meaning, 0.7))
+    people = max(len(each.labels.get(POSTERIOR.name, ())) for each in reports.values())
+    undecided = f"undecided among {people}: {np.log(people):.2f}" if people > 1 else ""
+
+    def draw(axes: Axes) -> None:
+        for target, each in reports.items():
+            for column in np.atleast_2d(each.get(diagnostic.name).T):
+                style.line(axes, each.frame, column, color=colours[target], linewidth=1.2)
+        # a scale is near 1; what is 0 at best begins there
+        style.limit(axes, 0.0 if diagnostic.least == 0 and diagnostic.name != "scale" else None, 3)
+
+    notes = [note, undecided if diagnostic.name == "entropy" else ""]
+    return Panel(title + (f" ({diagnostic.unit})" if diagnostic.unit else ""), notes, height, draw)
+
+
+def _identity(table: Trajectory, target: str, whose: str) -> Panel:
+    """A line for each person; the likeliest have a colour and their name, the others are grey."""
+    frame, names, values = table.beliefs(target)
+    most = np.where(np.isfinite(values), values, -1.0)
+    rank: list[int] = np.lexsort((-most.max(axis=0), -np.round(most[-1], 2))).tolist()  # the likeliest at the end first
+    leading, best = rank[:MAX_NAMES], names[rank[0]]
+    passed, others = table.recognised(target, best), len(names) - len(leading)
+    sure = "nobody" if passed is None else style.clean(best, 24)
+    sure += f" above {SURE:g}" + ("" if passed is None else f" from frame {passed:,}")
+    grey = f"grey: {others} other{'s' * (others != 1)}" if others else ""
+
+    def draw(axes: Axes) -> None:
+        axes.set(ylim=(-0.04, 1.08), yticks=[0, 0.5, SURE])
+        axes.axhline(SURE, **style.GUIDE)
+        if passed is not None:
+            axes.axvline(passed, **style.GUIDE)
+        for k in rank[MAX_NAMES:]:
+            style.line(axes, frame, values[:, k], color=style.STATUS["hidden"], linewidth=0.6, alpha=0.6)
+        for turn, k in enumerate(leading):
+            colour, label = style.COLOURS[turn % len(style.COLOURS)], style.clean(names[k], 24)
+            style.line(axes, frame, values[:, k], color=colour, label=label, linewidth=1.3, zorder=2.5)
+        axes.legend(loc="center right")
+
+    kept = target in table.diagnostics and POSTERIOR.name in table.diagnostics[target].labels
+    return Panel(POSTERIOR.name if kept else "identity", [style.clean(whose, 24), sure, grey], 1.3, draw)
+
+
+def is_known(value: Array) -> bool:
+    return bool(np.isfinite(value).any())

@@ -1,6 +1,6 @@
 """What all figures share: their style, files of them (equal numbers give equal bytes), axes, and lines over time.
 
-Lines show gaps, and long series are thinned. matplotlib is loaded with the first figure.
+Lines show gaps. matplotlib is loaded with the first figure.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ else:  # matplotlib is loaded with the first figure
 MAX_LINES: Final = 12  # parts with a line of their own in every panel
 DPI: Final = 120.0
 WIDTH: Final = 10.0  # inches
+BINS: Final = 1000  # about the pixels across a panel
 
 # the annotated video's colours (video/overlay_labels.py), in their order, darkened for white paper so that colour-blind
 # readers still tell them apart; the dark one, which stands for white, comes last, since the ground truth is dark too
@@ -224,84 +225,34 @@ def _name(part: Trajectory, table: Trajectory) -> str:
     return clean((part.name if several else part.part).replace("_", " "), 40)
 
 
-@dataclass(frozen=True)
-class Pen:
-    """Draws series over frames: `bins` points along a long one, spans at least `least` frames wide."""
+def line(axes: Axes, frame: Whole, value: Array, dot: str = ".", **look: Any) -> None:
+    """A line, with gaps where frames or values are missing, and a dot for one alone."""
+    x, y = broken(frame, value)
+    axes.plot(x, y, **look)
+    if (lonely := alone(y)).any():
+        fill: dict[str, Any] = {} if dot == "." else {"markerfacecolor": "none", "markeredgewidth": 0.8}
+        axes.plot(x[lonely], y[lonely], dot, color=look["color"], markersize=6, **fill)
 
-    bins: int
-    least: float
 
-    def line(self, axes: Axes, frame: Whole, value: Array, dot: str = ".", **look: Any) -> None:
-        """A line, with gaps where a value is unknown, and a dot for one alone. Of a long series the range is drawn."""
-        x, y = envelope(frame, value, self.bins)
-        axes.plot(x, y, **look)
-        if (lonely := alone(y)).any():
-            fill: dict[str, Any] = {} if dot == "." else {"markerfacecolor": "none", "markeredgewidth": 0.8}
-            axes.plot(x[lonely], y[lonely], dot, color=look["color"], markersize=6, **fill)
+def band(axes: Axes, frame: Whole, low: Array, high: Array, colour: str, alpha: float) -> None:
+    """The area between two lines. matplotlib thins lines that are long, but no areas: these have BINS corners."""
+    if len(frame) > 2 * BINS:
+        first = np.linspace(0, len(frame), BINS, endpoint=False).astype(np.int64)
+        frame, low, high = frame[first], np.fmin.reduceat(low, first), np.fmax.reduceat(high, first)
+    x, bottom, top = broken(frame, low, high)
+    axes.fill_between(x, bottom, top, color=colour, alpha=alpha, linewidth=0)
 
-    def band(self, axes: Axes, frame: Whole, low: Array, high: Array, colour: str, alpha: float) -> None:
-        """The area between two lines that are known in the same rows."""
-        x, y = envelope(frame, low, self.bins)
-        _, top = envelope(frame, high, self.bins)
-        if len(frame) > 2 * self.bins:  # each bin has its least and its greatest value: the band holds both
-            pairs = ((y, np.fmin), (top, np.fmax))
-            y, top = (np.where(np.isnan(v), np.nan, pick(v, np.append(v[1:], np.nan))) for v, pick in pairs)
-        axes.fill_between(x, y, top, color=colour, alpha=alpha, linewidth=0)
 
-    def shade(self, axes: Axes, frame: Whole, mask: Mask, status: str, alpha: float) -> None:
-        """The frames of a mask, behind everything, in the colour of a status."""
-        for start, end in frame_spans(frame, mask, self.least):
-            axes.axvspan(start, end, color=STATUS[status], alpha=alpha, linewidth=0, zorder=0.5)
-
-    def shade_parts(self, axes: Axes, parts: Sequence[Trajectory], status: str) -> None:
-        """Pale where any part has the status, stronger where all have it; of many parts, where over half have it."""
-        frame, held = stacked([(part.frame, part.status == status) for part in parts])
-        share = np.nanmean(held, axis=0)
-        levels = [(share > 0.5, 0.22)] if len(parts) > MAX_LINES else [(share > 0, 0.16), (share == 1, 0.22)]
-        for mask, alpha in levels[-1:] if len(parts) == 1 else levels:
-            self.shade(axes, frame, mask, status, alpha)
-
-    def status(self, axes: Axes, lines: Sequence[Line]) -> None:
-        """A row a part, a diamond where it was given; below it the status in the ground truth. Many are bars alone."""
-        many = len(lines) > MAX_LINES
-        truth = not many and any(line.pair is not None for line in lines)
-        top, tall = (-0.5, 1.0) if many else (-0.4, 0.44) if truth else (-0.38, 0.76)
-        for row, line in enumerate(lines):
-            for status in ("tracked", "hidden", "lost", "absent"):
-                self._bars(axes, line.ours, status, (row + top, tall))
-            if many:
-                continue
-            if line.pair is not None:
-                for status in ("hidden", "absent"):
-                    self._bars(axes, line.pair.truth, status, (row + 0.1, 0.3))
-            starts = line.ours.frame[line.ours.status == "init"]
-            if starts.size:
-                middle = np.full(len(starts), row + top + tall / 2)
-                axes.plot(starts, middle, "D", color=INK, markersize=3, clip_on=False)
-        axes.set_ylim(len(lines) - 0.45, -0.55)
-        axes.grid(False, axis="y")
-        axes.spines["left"].set_visible(False)
-        shown = [] if many else lines
-        axes.set_yticks([row + top + tall / 2 for row in range(len(shown))], [clean(line.name, 16) for line in shown])
-        for label, line in zip(axes.get_yticklabels(), shown, strict=True):
-            label.set(fontsize=7.5, color=line.colour)
-
-    def _bars(self, axes: Axes, part: Trajectory, status: str, place: tuple[float, float]) -> None:
-        mask = np.isin(part.status, (status, "init") if status == "tracked" else status)
-        if intervals := frame_spans(part.frame, mask, self.least):
-            bars = [(start, end - start) for start, end in intervals]
-            axes.broken_barh(bars, place, facecolors=STATUS[status], linewidth=0, antialiased=False)
+def shade(axes: Axes, frame: Whole, mask: Mask, status: str, alpha: float, least: float) -> None:
+    """The frames of a mask, behind everything, in the colour of a status; spans are at least `least` frames wide."""
+    for start, end in frame_spans(frame, mask, least):
+        axes.axvspan(start, end, color=STATUS[status], alpha=alpha, linewidth=0, zorder=0.5)
 
 
 def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
-    """(columns, rows) of a legend of these labels, filled column by column, over `width` inches."""
-    lengths = [len(label) for label in labels]
-    for rows in range(1, len(labels)):
-        columns = math.ceil(len(labels) / rows)
-        widest = [max(column) for column in np.array_split(lengths, columns)]  # as matplotlib deals them out
-        if sum(0.068 * most + 0.56 for most in widest) <= width - 0.2:
-            return columns, rows
-    return 1, len(labels)
+    """(columns, rows) of a legend of these labels over `width` inches; all columns are as wide as the longest."""
+    columns = max(1, int((width - 0.2) / (0.068 * max(map(len, labels), default=1) + 0.56)))
+    return columns, math.ceil(len(labels) / columns)
 
 
 def stacked(series: Sequence[tuple[Whole, Array | Mask]]) -> tuple[Whole, Array]:
@@ -315,33 +266,10 @@ def stacked(series: Sequence[tuple[Whole, Array | Mask]]) -> tuple[Whole, Array]
     return frame, values
 
 
-def envelope(frame: Whole, value: Array, bins: int) -> tuple[Array, Array]:
-    """A line (x, y) through (T,) values, with nan where values or frames are missing. More than two rows a bin are
-    thinned to the least and the greatest value in each of `bins` equal spans of frames, so that no peak is lost.
-    """
-    finite = np.flatnonzero(np.isfinite(value))
-    if not finite.size:
-        return np.full(1, np.nan), np.full(1, np.nan)
-    reach = 1.5 * _step(frame)
-    f, v = frame[finite].astype(np.float64), value[finite].astype(np.float64)
-    if len(frame) <= 2 * bins:
-        return _broken(f, v, np.flatnonzero(np.diff(f) > reach) + 1)
-    place = ((f - frame[0]) * bins / (frame[-1] - frame[0] + 1)).astype(np.int64)
-    first = np.flatnonzero(np.diff(place, prepend=-1))
-    last = np.append(first[1:], len(f)) - 1
-    ends = np.stack([np.minimum.reduceat(v, first), np.maximum.reduceat(v, first)], axis=1)
-    ends[v[last] < v[first]] = ends[v[last] < v[first], ::-1]
-    gaps = np.flatnonzero(f[first[1:]] - f[last[:-1]] > reach) + 1
-    return _broken(np.stack([f[first], f[last]], axis=1).ravel(), ends.ravel(), 2 * gaps)
-
-
-def _broken(x: Array, y: Array, before: Whole) -> tuple[Array, Array]:
-    return np.insert(x, before, np.nan), np.insert(y, before, np.nan)
-
-
-def gaps(frame: Whole) -> Whole:
-    """Before which rows frames are missing."""
-    return np.flatnonzero(np.diff(frame) > 1.5 * _step(frame)) + 1
+def broken(frame: Whole, *values: Array) -> list[Array]:
+    """Frames and values, (T,) each, with nan where frames are missing, so that a line ends there."""
+    before = np.flatnonzero(np.diff(frame) > 1.5 * _step(frame)) + 1
+    return [np.insert(each.astype(np.float64), before, np.nan) for each in (frame, *values)]
 
 
 def _step(frame: Whole) -> int:

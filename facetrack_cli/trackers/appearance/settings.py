@@ -13,7 +13,6 @@ from pydantic import Field
 
 from facetrack_cli.recipe.sections import (
     MAX_COMPARED_PARTICLES,
-    SHARE,
     Component,
     Factor,
     FilterSettings,
@@ -142,7 +141,7 @@ class AppearanceSettings(LikelihoodSettings):
     """m_i in the first frame, in proportion; 0 leaves a component out, and f alone is a fixed template."""
     sigma: ComponentsSettings
     """sigma_i in the first frame, in standard deviations of the patch."""
-    alpha: Annotated[float, Field(ge=0, lt=1), SHARE]
+    alpha: Annotated[float, Field(ge=0, lt=1)]
     """The updating factor: the share of a new frame in what is known."""
     least_sigma: Deviation = 0.1
     """Floor of sigma_s, which a pixel that never changes would drive to zero."""

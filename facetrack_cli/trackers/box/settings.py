@@ -9,8 +9,6 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field
 
 from facetrack_cli.recipe.sections import (
-    FRAMES,
-    SHARE,
     Factor,
     FilterSettings,
     Length,
@@ -22,7 +20,7 @@ from facetrack_cli.recipe.sections import (
     Share,
 )
 
-Rate: TypeAlias = Annotated[float, Field(ge=0, le=1), SHARE]
+Rate: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Probability: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
 
 
@@ -92,7 +90,7 @@ class CorrelationFilterSettings(LikelihoodSettings):
     """sigma_y: standard deviation of the response that is wanted, in mean sides of the box."""
     rate: Rate = 0.02
     """Learning rate of the memory, at P(visible) = 1."""
-    every: Annotated[int, Field(ge=1, le=10), FRAMES] = 3
+    every: Annotated[int, Field(ge=1, le=10)] = 3
     """The appearance is learned in every so many frames, as much more at a time (ECO: every 6th)."""
     hidden_rate: Share = 0.05
     """How much is learned while the target is hidden, in terms of what is learned while it is visible."""

@@ -12,7 +12,6 @@ from pydantic import Field
 
 from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.recipe.sections import (
-    FRAMES,
     Length,
     LengthPerPart,
     LikelihoodSettings,
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
 class DetectionsSettings(Section):
     """A detector of faces that measures the face's box every so many frames."""
 
-    every: Annotated[int, Field(ge=1, le=1000), FRAMES] = 3
+    every: Annotated[int, Field(ge=1, le=1000)] = 3
     """Frames from one look for the face to the next; while it is lost, the whole frame is searched as often."""
     by: DetectorName | Literal["auto"] = "auto"
     """OpenCV's Haar cascades or YuNet (extra `detect`); auto: what found the start, else the best that is installed."""

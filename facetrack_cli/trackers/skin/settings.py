@@ -9,7 +9,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import SHARE, LikelihoodSettings, Refusal, Section, TargetSettings
+from facetrack_cli.recipe.sections import LikelihoodSettings, Refusal, Section, TargetSettings
 
 MaxSize: TypeAlias = Annotated[int, Field(ge=16)]
 
@@ -30,7 +30,7 @@ class PatternSettings(Section):
     """As printed the means are kept; removed, NCC is 0 where nothing is alike."""
     exponent: Annotated[float, Field(gt=0, le=100)] = 1.0
     """NCC to this power; the paper takes 1."""
-    adapt: Annotated[float, Field(ge=0, lt=1), SHARE] = 0.0
+    adapt: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Share of each new frame in the template, while the match is good; the paper keeps the template, 0."""
     adapt_above: Annotated[float, Field(ge=0, lt=1)] = 0.7
     """... that is, while NCC (means removed) with the first template is at least this."""
