@@ -164,38 +164,6 @@ class Opens:
         return open, ("pwned", "w")
 
 
-def arrays(rng: Random, whole: dict[str, np.ndarray]) -> bytes:
-    """An .npz with hostile arrays, or damaged bytes."""
-    found = dict(whole)
-    for _ in range(rng.choice((1, 1, 2))):
-        name = rng.choice(sorted(found)) if found else "x"
-        one = found.get(name, np.zeros(3))
-        how = rng.choice(("bytes", "values", "shape", "dtype", "delete", "add", "cut", "pickle"))
-        if how == "bytes":
-            return data(rng, npz(found))
-        if how == "values" and one.size and one.dtype.kind in "fiu":
-            changed = one.astype(float) if rng.random() < 0.3 else one.copy()
-            floats = changed.dtype.kind == "f"
-            value = rng.choice((np.nan, np.inf, -1.0, 0.0, 1e30, -1e30) if floats else (-1, 0, 1, 100))
-            flat = changed.reshape(-1)
-            flat[rng.randrange(flat.size) :: rng.choice((1, 2, flat.size))] = np.asarray(value).astype(flat.dtype)
-            found[name] = changed
-        elif how == "shape":
-            shapes = (one[..., None], one.reshape(-1), one[:0] if one.ndim else one[None], np.stack([one] * 2))
-            found[name] = rng.choice(shapes)
-        elif how == "cut" and one.ndim:
-            found[name] = one[: len(one) // 2]
-        elif how == "dtype":
-            found[name] = np.array(rng.choice(("x", True, 1j, b"x", 7, 0.5, "")))
-        elif how == "delete":
-            found.pop(name, None)
-        elif how == "add":
-            found[rng.choice(("x", "0/x/frame", "../x", "")) + str(rng.randrange(3))] = np.zeros(3)
-        elif how == "pickle":
-            found[name] = np.array([Opens(), None], object)
-    return npz(found)
-
-
 def npz(found: dict[str, np.ndarray], **lies: tuple[int, ...]) -> bytes:
     """An .npz of arrays, object arrays too; of those in `lies` the header says another shape."""
     file = io.BytesIO()
