@@ -28,7 +28,7 @@ from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, read_bounded
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.lease import FolderLease, here, is_held
 from facetrack_cli.run_folder.manifest import NAME, Manifest, as_line, note_failure, recover_interrupted
-from facetrack_cli.runs.clip import Work, run
+from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.plan import Job, Outcome, Report, resolve, silent
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
@@ -181,13 +181,11 @@ def outcome_of_crash(job: Job, error: Exception) -> Outcome:
     return Outcome(clip=job.clip, error=error_line)
 
 
-def attempt(
-    job: Job, stop: Stop, report: Report = silent, looked: Report = silent, work: Work | None = None
-) -> Outcome:
+def attempt(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
     """Run a job; its error is in the outcome, as one line."""
     with about(job.clip.name):
         try:
-            outcome = run(job, stop, report, looked, work)
+            outcome = run(job, stop, report, looked)
         except Exception as e:
             outcome = Outcome(clip=job.clip, error=e)
         outcome.error = outcome.error and as_line(outcome.error)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TypeAlias
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS
@@ -39,11 +38,10 @@ from facetrack_cli.video.shots import Shot
 from facetrack_cli.video.source import brings_rate
 
 MAX_LAG_BYTES = 1 << 30  # of the frames that wait for later ones
-Work: TypeAlias = Callable[[Plan, RunFolder, Stop, Report, Report], Outcome]
 
 
-def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, work: Work | None = None) -> Outcome:
-    """Track one clip into its files.
+def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
+    """Track one clip into its files, or join its chunks, once they are tracked.
 
     What the folder holds of the same job is left as it is if it was not cut short by an error, a signal or a kill; else
     the clip is tracked again.
@@ -57,8 +55,6 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
         Hears how many frames are done, and how many there are, None if that is not known.
     looked : Callable
         Hears the same of the search for a face.
-    work : Callable or None
-        What gives the rows; None: they are tracked.
 
     Returns
     -------
@@ -85,7 +81,12 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
             plan = folder.plan
             if (ended := plan.ended()) is not None:  # meanwhile, by another process
                 return ended
-            done = (work or track_clip)(plan, folder, stop, report, looked)
+            if job.split is None:
+                done = track_clip(plan, folder, stop, report, looked)
+            else:
+                from facetrack_cli.runs.split import join_chunks
+
+                done = join_chunks(plan, folder, stop, report)
     if done.error is not None or done.stopped is not None:
         return done
     if plan.names:
