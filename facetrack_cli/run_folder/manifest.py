@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
-import re
 import stat
 import threading
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import chain, groupby
+from itertools import chain, groupby, takewhile
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal
 
@@ -75,11 +75,6 @@ OWNED: Final = (VIDEO, POSTERIOR, FILTERED, PEOPLE, *TABLES, NAME)  # the files 
 REPORT: Final = "report.html"
 PLOT: Final = "plot.png"
 KILLED: Final = "killed"
-_FRAME: Final[Mapping[Format, re.Pattern[bytes]]] = {
-    "csv": re.compile(rb"(\d{1,15}),.*"),
-    "json": re.compile(rb'\{"frame":(\d{1,15}),.*\},?'),
-    "jsonl": re.compile(rb'\{"type":"frame","frame":(\d{1,15}),.*\}'),
-}
 
 
 @dataclass(frozen=True)
@@ -143,8 +138,7 @@ class Manifest(RunSummary):
     def record(self) -> dict[str, Any]:
         """The contents as JSON has them. What the tables say of the ending and the clip is not repeated."""
         left_out = {"variable_fps", "evidence", "source_sha256"}
-        members: dict[str, Any] = _adapter().dump_python(self, mode="json", exclude=left_out)
-        return members
+        return dict(_adapter().dump_python(self, mode="json", exclude=left_out))
 
     @property
     def is_failure(self) -> bool:
@@ -209,8 +203,7 @@ def commit(
             run = replace(run, files={**run.files, **new})
             gone += [folder / name for name in OWNED if name not in run.files and folder / name not in files]
             try:
-                text = _adapter().dump_json(run, indent=1, exclude={"variable_fps", "evidence", "source_sha256"})
-                temporary_path(path).write_bytes(text + b"\n")
+                temporary_path(path).write_text(json.dumps(run.record(), indent=1, ensure_ascii=False) + "\n", "utf-8")
                 files.append(path)
                 gone.remove(path)
             except OSError as e:
@@ -385,17 +378,21 @@ def write_rows(
 
 
 def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
-    """A table up to its last whole frame, ended, and the number of its frames. A frame may be torn anywhere."""
+    """A table up to its last whole frame, ended, and the number of its frames. A frame may be torn anywhere.
+
+    Raises ValueError for a header that is torn.
+    """
     lines = text.split(b"\n")
-    head = next((i for i, line in enumerate(lines) if _FRAME[form].fullmatch(line)), len(lines))
-    body = [line for line in lines[head:-1] if _FRAME[form].fullmatch(line)]
+    first = lines.index(b'"frames": [') + 1 if form == "json" else 1
+    begins = {"csv": b"", "json": b'{"frame":', "jsonl": b'{"type":"frame"'}[form]  # what follows may be the end
+    head, body = lines[:first], [*takewhile(lambda line: line.startswith(begins), lines[first:-1])]
     if form == "csv":
         groups = [list(rows) for _, rows in groupby(body, lambda line: line.partition(b",")[0])][:-1]
-        return b"\n".join([*lines[:head], *chain.from_iterable(groups), b""]), len(groups)
-    between = b",\n" if form == "json" else b"\n"
-    whole = between.join([*(line.rstrip(b",") for line in body)])
+        return b"\n".join([*head, *chain.from_iterable(groups), b""]), len(groups)
     end = tail(form, RunSummary(), len(body)).encode()
-    return b"\n".join([*lines[:head], whole]) + (b"\n" if form == "jsonl" else b"") + end, len(body)
+    if form == "json":  # the comma of the last frame goes
+        return b"\n".join([*head, *body]).removesuffix(b",") + end, len(body)
+    return b"\n".join([*head, *body, end]), len(body)
 
 
 def previous_run(folder: Path, asked: str, clip: Path) -> tuple[Manifest | None, Manifest | None]:

@@ -17,7 +17,7 @@ from facetrack_cli.core.files import check_plain, make_folder, remove_folders
 from facetrack_cli.core.types import BOX, Frame, Image
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.run_folder.finished import Painted, run_files
-from facetrack_cli.run_folder.lease import IN_A_COPY, FolderLease, holder
+from facetrack_cli.run_folder.lease import IN_A_COPY, FolderLease
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run, write_rows
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
@@ -341,19 +341,9 @@ def people_in(folder: Path) -> People:
     check_run(folder)
     people = read_people(folder)
     if people is None:
-        raise InputError(f"{folder}: {_why_nobody(folder)}")
+        wrote = "facetrack run --faces all writes it at its end; the same command goes on with one that was interrupted"
+        raise InputError(f"{folder}: has no {PEOPLE}; {wrote}")
     return people
-
-
-def _why_nobody(folder: Path) -> str:
-    """Why a folder has no people.json, and what to do."""
-    if not run_files(folder) or header_value(rows_in(folder), "init", "from") != ORIGIN:
-        return f"has no {PEOPLE}; facetrack run --faces all writes it"
-    if holder(folder) is not None:
-        return "a run goes on here; wait until it ends (facetrack status tells how far it is)"
-    run = read_manifest(folder)
-    ended = "was interrupted" if run is None or run.error is None else "failed"
-    return f"the run {ended} before its people had names; the same command again goes on with it"
 
 
 def still_of(rows: Trajectory, target: str, first: int, stop: int, read: Callable[[int], Frame]) -> bytes:

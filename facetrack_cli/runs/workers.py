@@ -22,10 +22,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import takewhile
+from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
+from multiprocessing.process import BaseProcess
 from queue import Empty, Full, Queue
 from typing import Any, TypeAlias
 
@@ -170,8 +171,8 @@ def side_by_side(
         yield from _here(tasks, work, stop, report)
         return
     waiting = deque((index, 1) for index in range(len(tasks)))
-    running: dict[Future[object], tuple[int, int, _Process]] = {}
-    processes: set[_Process] = set()
+    running: dict[Connection, tuple[int, int, BaseProcess]] = {}
+    idle: list[tuple[Connection, BaseProcess]] = []
     with _starting():
         context = worker_context()
         # without locks: a process that is killed while it holds a lock would stop all others
@@ -182,32 +183,30 @@ def side_by_side(
                 waiting.clear()
                 ending.value = stop.code or ExitCode.INTERRUPTED
             while waiting and len(running) < workers:
-                index, turn = waiting.popleft()
-                idle = processes - {process for _, _, process in running.values()}
-                while True:
-                    process = idle.pop() if idle else _Process(context, ending, frames, threads)
-                    processes.add(process)
-                    with _starting(), contextlib.suppress(BrokenProcessPool):  # it died while it had no task
-                        running[process.begin(work, index, tasks[index])] = index, turn, process
-                        break
-                    processes.remove(process)
-            for future in wait(running, LOOK_S, FIRST_COMPLETED).done:
-                index, turn, process = running.pop(future)
-                result: object = future.exception()
-                if isinstance(result, BrokenProcessPool):
-                    processes.remove(process)
-                    result, killed = process.died()
-                    if killed and turn < tries and not stop():
+                with _starting():
+                    pipe, process = idle.pop() if idle else _process(context, work, ending, frames, threads)
+                with contextlib.suppress(OSError):  # it has died while it had no task
+                    pipe.send((waiting[0][0], tasks[waiting[0][0]]))
+                    running[pipe] = *waiting.popleft(), process
+            for pipe in wait([*running], LOOK_S):
+                index, turn, process = running.pop(pipe)
+                try:
+                    result = pipe.recv()
+                    idle.append((pipe, process))
+                except (EOFError, OSError):
+                    process.join()
+                    code = process.exitcode or 0
+                    if code < 0 and turn < tries and not stop():
                         waiting.appendleft((index, turn + 1))
                         continue
-                elif result is None:
-                    result = future.result()
+                    result = DiedError(f"its process ended with code {code}{' (too little memory?)' * (code == -9)}")
                 yield index, result
             report(sum(frames))
     finally:
         ending.value = ending.value or ExitCode.INTERRUPTED
-        for process in processes:
-            process.pool.shutdown()
+        for pipe, process in [*idle, *((pipe, process) for pipe, (*_, process) in running.items())]:
+            pipe.close()
+            process.join()
 
 
 def _here(tasks: Sequence[Any], work: Work, stop: Stop, report: Callable[[int], None]) -> Iterator[tuple[int, Any]]:
@@ -230,68 +229,48 @@ def _result(work: Work, task: object, stop: Stop, report: Callable[..., None]) -
         return e
 
 
-class _Process:
-    """A pool of one process. A larger pool would lose all tasks when one of its processes dies."""
-
-    def __init__(self, context: BaseContext, ending: Any, frames: Any, threads: int) -> None:
-        given = (ending, frames, threads)
-        self.pool = ProcessPoolExecutor(1, mp_context=context, initializer=_begin, initargs=given)
-        self._process: Any = None
-
-    def begin(self, work: Work, index: int, task: object) -> Future[object]:
-        before = {*multiprocessing.active_children()} if self._process is None else set()
-        future = self.pool.submit(_do, work, index, task)
-        if self._process is None:
-            self._process = next(iter({*multiprocessing.active_children()} - before), None)
-        return future
-
-    def died(self) -> tuple[DiedError, bool]:
-        """The error that says how the process ended, and whether a signal ended it."""
-        self.pool.shutdown()
-        if self._process is None:  # it ended before it was looked at
-            return DiedError("its process ended as it began"), False
-        code = self._process.exitcode
-        return DiedError(f"its process ended with code {code}{' (too little memory?)' * (code == -9)}"), (code or 0) < 0
+def _process(context: BaseContext, *shared: Any) -> tuple[Connection, BaseProcess]:
+    """A process that does tasks, and the pipe on which it takes them and gives results."""
+    ours, theirs = context.Pipe()
+    process: BaseProcess = context.Process(target=_do, args=(theirs, *shared), daemon=True)  # type: ignore[attr-defined]
+    process.start()
+    theirs.close()
+    return ours, process
 
 
 # --- in the processes ------------------------------------------------------------------------------------------------
 
-_ending: Any  # shared: the exit code of the wish to stop, 0 without one
-_frames: Any  # shared: the frames done of each task
 
-
-def _begin(ending: Any, frames: Any, threads: int) -> None:
-    global _ending, _frames
-    _ending, _frames = ending, frames
-    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+def _do(pipe: Connection, work: Work, ending: Any, frames: Any, threads: int) -> None:
+    """Do the tasks of a pipe. All share `ending`, the exit code of the wish to stop or 0, and the `frames` done."""
+    threading.Thread(target=_end_with_parent, args=(ending,), name="parent", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal; the parent acts on it
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115, PTH123 -- for as long as the process lives
     faulthandler.enable()
     share_threads(threads)
-
-
-def _end_with_parent() -> None:
-    """End when the process that gives the tasks has ended: one that is killed tells nobody."""
-    parent: Any = multiprocessing.parent_process()
-    parent.join()  # by a pipe's end, whoever has forked us
-    _ending.value = _ending.value or ExitCode.INTERRUPTED
-    time.sleep(ORPHAN_S)
-    os._exit(ExitCode.INTERRUPTED)
-
-
-def _do(work: Work, index: int, task: object) -> object:
-    """The result of a task."""
     last = 0.0
 
     def report(done: int, total: int | None = None) -> None:
         nonlocal last
         if (now := time.monotonic()) - last >= REPORT_S:
-            last, _frames[index] = now, done
+            last, frames[index] = now, done
 
-    # the parent asked to stop, or has died
-    with Stop(lambda: ExitCode(_ending.value) if _ending.value else None).listening() as stop:
-        return _result(work, task, stop, report)
+    with contextlib.suppress(EOFError, OSError):  # there are no more
+        while True:
+            index, task = pipe.recv()
+            # the parent asked to stop, or has died
+            with Stop(lambda: ExitCode(ending.value) if ending.value else None).listening() as stop:
+                pipe.send(_result(work, task, stop, report))
+
+
+def _end_with_parent(ending: Any) -> None:
+    """End when the process that gives the tasks has ended: one that is killed tells nobody."""
+    parent: Any = multiprocessing.parent_process()
+    parent.join()  # by a pipe's end, whoever has forked us
+    ending.value = ending.value or ExitCode.INTERRUPTED
+    time.sleep(ORPHAN_S)
+    os._exit(ExitCode.INTERRUPTED)
 
 
 @contextlib.contextmanager
@@ -310,7 +289,7 @@ def worker_context() -> BaseContext:
     from multiprocessing import forkserver, resource_tracker
 
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["facetrack_cli.runs.orphans", "facetrack_cli.runs.clip"])
+    context.set_forkserver_preload(["facetrack_cli.runs.clip"])
     resource_tracker.ensure_running()  # first: it lifts the mask when it starts
     # out of reach of Ctrl-C, which would break into its imports with a traceback
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -22,7 +22,7 @@ from facetrack_cli.core.errors import BusyError, ExitCode, InputError, UsageErro
 from facetrack_cli.report import make as report
 from facetrack_cli.report.make import Image
 from facetrack_cli.run_folder import checkpoint
-from facetrack_cli.run_folder.lease import NOTE, FolderLease
+from facetrack_cli.run_folder.lease import NOTE
 from facetrack_cli.runs import clip
 from facetrack_cli.runs import people as runs_people
 from facetrack_cli.runs.people import people_in, recast
@@ -412,11 +412,7 @@ def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(named, tmp_path,
 
     assert clip.run(job(out), stop, report).stopped is not None
     assert main(["people", str(out)]) == ExitCode.INPUT
-    said = "the run was interrupted before its people had names; the same command again goes on with it"
-    assert f"{out}: {said}" in capsys.readouterr().err
-    with FolderLease(out):
-        assert main(["people", str(out)]) == ExitCode.INPUT
-    assert f"{out}: a run goes on here; wait until it ends" in capsys.readouterr().err
+    assert f"{out}: has no people.json; facetrack run --faces all writes it at its end" in capsys.readouterr().err
     done = clip.run(job(out), Stop())
     assert done.error is None and done.resumed
     for name in ("trajectory.csv", "trajectory.json", "people.json"):
