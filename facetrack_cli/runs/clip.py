@@ -44,27 +44,9 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
     """Track one clip into its files, or join its chunks, once they are tracked.
 
     What the folder holds of the same job is left as it is if it was not cut short by an error, a signal or a kill; else
-    the clip is tracked again.
-
-    Parameters
-    ----------
-    job : Job
-    stop : Stop
-        Is asked each frame.
-    report : Callable
-        Hears how many frames are done, and how many there are, None if that is not known.
-    looked : Callable
-        Hears the same of the search for a face.
-
-    Returns
-    -------
-    Outcome
-        An error after the first frame is in it, beside what was kept.
-
-    Raises
-    ------
-    FacetrackError
-        If nothing was tracked; no file is left then.
+    the clip is tracked again. `report` hears how many frames are done, and how many there are, None if that is not
+    known; `looked` the same of the search for a face. An error after the first frame is in the outcome, beside what was
+    kept. Raises FacetrackError if nothing was tracked; no file is left then.
     """
     plan = resolve(job)
     if plan.names:  # imported where a run asks for it, as below: a short run takes as long as its imports

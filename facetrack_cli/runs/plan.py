@@ -321,18 +321,11 @@ class Job(ClipRequest):
 
 @dataclass(frozen=True)
 class Plan:
-    """A job with the answers that the files gave.
+    """A job with the answers that the files gave: its `init` is the init file beside the clip, where that is taken.
 
-    Attributes
-    ----------
-    job : Job
-        Its `init` is the init file beside the clip, where that is taken.
-    asked : str
-        A digest of all that is asked for but the clip: of recipe, start, frames, options, and their files.
-    everyone : bool
-        Whether everybody in a film is followed, from entry to exit, and over cuts.
-    previous : Manifest or None
-        The run.json of an earlier run of the same job and the same clip, whose files are whole.
+    `asked` is a digest of all that is asked for but the clip: of recipe, start, frames, options, and their files.
+    `everyone`: whether everybody in a film is followed, from entry to exit, and over cuts. `previous` is the run.json
+    of an earlier run of the same job and the same clip, whose files are whole.
     """
 
     job: Job
@@ -370,18 +363,9 @@ class Plan:
 def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
     """Look at what is there, once, and refuse what cannot work before anything is opened.
 
-    Parameters
-    ----------
-    job : Job
-    kept : bool
-        Whether rows without a folder stay in memory, and do not go to standard output.
-    locked : bool
-        Whether the folder's lease is ours, so that nobody else writes there.
-
-    Raises
-    ------
-    UsageError, InputError, OutputError
-        For options that exclude each other, results in the way, an output that is the input.
+    `kept`: whether rows without a folder stay in memory, and do not go to standard output. `locked`: whether the
+    folder's lease is ours, so that nobody else writes there. Raises UsageError, InputError and OutputError for options
+    that exclude each other, results in the way, an output that is the input.
     """
     if job.init is None and job.box is None:
         job = replace(job, init=find_init(job.clip))

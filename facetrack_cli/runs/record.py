@@ -108,18 +108,9 @@ class Ended(NamedTuple):
 class Results:
     """The results of a clip, of a film, of joined chunks: whatever is written as a run.
 
-    Attributes
-    ----------
-    clip : ClipFacts
-    header : Callable[[Trajectory], Header]
-        What JSON says at its beginning, by the rows of the first frame.
-    frames : Generator of FrameResult, or None
-        Raises StoppedError where nothing is to be kept.
-    state : TrackState
-        The state of the tracker after the last result, for a checkpoint.
-    ended : Callable[[bool], Ended]
-        Asked when no more frames come; its argument: whether nothing ended them early. Raises InputError where nothing
-        is to be kept.
+    `header` gives what JSON says at its beginning, by the rows of the first frame. `frames` raises StoppedError where
+    nothing is to be kept. `state` is that of the tracker after the last result, for a checkpoint. `ended` is asked when
+    no more frames come, with whether nothing ended them early; it raises InputError where nothing is to be kept.
     """
 
     clip: ClipFacts
@@ -137,8 +128,8 @@ class Sink:
     missing: OutputError | None = None  # why there is no file, though all others are whole
 
     def fits(self, mark: Any) -> bool:
-        """Whether the sink can continue from a checkpoint's mark: it is its own, and what was written still exists."""
-        return mark is None
+        """Whether the sink can continue from a checkpoint's mark: what was written still exists."""
+        return True
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
         """Called before the first result. `mark` is what `mark` returned in a run that continues, else None."""
@@ -270,15 +261,8 @@ class RunFolder:
 class Recorder:
     """Writes results into sinks, in a `with`: `begin`, `write` each, `close`. Without `close` they leave nothing.
 
-    Parameters
-    ----------
-    plan : Plan
-    sinks : Sequence[Sink]
-        In the order in which they take a result.
-    folder : RunFolder or None
-        None of a stream, and of what stays in memory.
-    resumed : RunState or None
-        Where a run that is gone on with stood.
+    Sinks take a result in their order. `folder` is None of a stream, and of what stays in memory; `resumed` is the last
+    checkpoint of a run that goes on.
     """
 
     def __init__(
@@ -370,26 +354,10 @@ class Recorder:
 
 
 def record(results: Results, into: Recorder, stop: Stop, report: Report = silent) -> Outcome:
-    """Write the results until they end, an error or `stop`.
+    """Write the results until they end, also because `stop` says so, or an error.
 
-    Parameters
-    ----------
-    results : Results
-        They end when `stop` says so.
-    into : Recorder
-    stop : Stop
-    report : Callable
-        Hears how many frames are written, and how many there are, None if that is not known.
-
-    Returns
-    -------
-    Outcome
-        An error after the first frame is in it, beside what was kept.
-
-    Raises
-    ------
-    Exception
-        The error, if nothing was tracked; no file is left then.
+    `report` hears how many frames are written, and how many there are, None if that is not known. An error after the
+    first frame is in the outcome, beside what was kept; before it, it is raised, and no file is left.
     """
     assert results.frames is not None
     before, begun, error = into.outcome.frames, False, None
@@ -455,7 +423,7 @@ class Table(Sink):
         with contextlib.suppress(InputError, OSError):
             assert self.path is not None
             check_belongs(self.path)
-            return isinstance(mark, Place)
+            return True
         return False
 
     def begin(self, clip: ClipFacts, header: Header, mark: Place | None) -> None:

@@ -21,7 +21,7 @@ from facetrack_cli.core.numbers import dumps
 from facetrack_cli.engine.protocols import Linear
 from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.run_folder.checkpoint import FOLDER
-from facetrack_cli.run_folder.finished import Painted, read_files, run_files
+from facetrack_cli.run_folder.finished import read_files, run_files
 from facetrack_cli.run_folder.lease import FolderLease, sweep
 from facetrack_cli.run_folder.manifest import (
     FILTERED,
@@ -37,11 +37,11 @@ from facetrack_cli.runs.plan import Report
 from facetrack_cli.runs.record import ClipFacts, Sink
 from facetrack_cli.runs.signals import Stopped, StoppedError
 from facetrack_cli.trackers.smoothed import Beliefs, renamed_hands, smoothed_rows
-from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded, successive
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, header_value, recorded, successive
 from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import Header
 from facetrack_cli.video.overlay import Overlay
-from facetrack_cli.video.source import open_source
+from facetrack_cli.video.source import given_rate, open_source
 from facetrack_cli.video.writer import VideoWriter
 
 Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
@@ -60,8 +60,7 @@ def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> tu
     run, paint = read_manifest(folder), None
     kept = {name: file for name, file in run.files.items() if name != POSTERIOR} if run else {}
     if (folder / VIDEO).is_file():
-        on = Painted.of(rows, clip, int(rows.frames[0]), int(rows.frames[-1]))
-        paint = partial(repaint, on, rows=after, report=report, stop=stop)
+        paint = partial(repaint, after, clip, report=report, stop=stop)
     return replace_files(folder, files, run and replace(run, smoothed=True, files=kept), [folder / POSTERIOR], paint)
 
 
@@ -77,16 +76,16 @@ def replace_files(
     files: Mapping[Path, Write],
     ended: Manifest | None,
     gone: Sequence[Path] = (),
-    paint: Callable[[Path], Sequence[str]] | None = None,
+    paint: Callable[..., Sequence[str]] | None = None,
     check: Callable[[], None] = lambda: None,
     lock: FolderLease | None = None,
 ) -> tuple[list[Path], list[str]]:
     """Write all files of a run's `folder`, then let them replace the old ones together; the files, and warnings.
 
-    Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video into its temporary file.
-    `check` raises, at the beginning and before anything is replaced, if the folder has changed; `lock` is the folder's,
-    if it is held. `ended` is the new run.json, `gone` are files to remove. OutputError for a file that cannot be
-    written; the folder is then as it was.
+    Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video of `path` into
+    its temporary file. `check` raises, at the beginning and before anything is replaced, if the folder has changed;
+    `lock` is the folder's, if it is held. `ended` is the new run.json, `gone` are files to remove. OutputError for a
+    file that cannot be written; the folder is then as it was.
     """
     written: list[Path] = []
     notes: list[str] = []
@@ -97,7 +96,7 @@ def replace_files(
             sweep(folder)
             if paint is not None:
                 written.append(folder / VIDEO)
-                notes += paint(folder / VIDEO)
+                notes += paint(path=folder / VIDEO)
             for path, write in files.items():
                 written.append(path)
                 with temporary_path(path).open("wb") as file:
@@ -115,17 +114,28 @@ def replace_files(
 
 
 def repaint(
-    on: Painted, path: Path, rows: Trajectory, report: Report, stop: Stopped, order: Sequence[str] = ()
+    rows: Trajectory,
+    clip: Path,
+    span: tuple[int, int] | None = None,
+    *,
+    path: Path,
+    report: Report,
+    stop: Stopped,
+    order: Sequence[str] = (),
 ) -> tuple[str, ...]:
     """Write the annotated video into its temporary file, without particles, which rows do not have; its warnings.
 
-    Targets have the colours of their places in `order`.
+    It shows the first and last frames of `span`, else all that have rows. Targets have the colours of their places in
+    `order`.
 
     Raises StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
     """
-    total, done = on.last - on.first + 1, 0
-    with open_source(on.clip, fps=on.fps, start=on.first, stop=on.last + 1, stream=on.stream) as source:
-        overlay = Overlay(source.size, fps=float(source.fps), title=on.title, order=order)
+    first, last = span or (int(rows.frames[0]), int(rows.frames[-1]))
+    fps, stream = header_value(rows, "source", "fps"), header_value(rows, "source", "stream")
+    rate, total, done = given_rate(clip, fps) if isinstance(fps, int | float) else None, last - first + 1, 0
+    with open_source(clip, fps=rate, start=first, stop=last + 1, stream=stream) as source:
+        title = str(header_value(rows, "recipe", "name") or "")
+        overlay = Overlay(source.size, fps=float(source.fps), title=title, order=order)
         sound = source.path if source.is_video else None
         video = VideoWriter(path, source.size, source.fps, source.aspect, audio_from=sound, replace=False)
         try:
@@ -135,8 +145,8 @@ def repaint(
                 video.write(overlay.draw(FrameResult(frame, recorded(frame.index, rows.at(frame.index)))), frame.time_s)
                 report(done, total)
             if done < total:
-                missing = on.first + done
-                raise InputError(f"{on.clip}: has no frame {missing}, which the run has; name its clip with --clip")
+                missing = first + done
+                raise InputError(f"{clip}: has no frame {missing}, which the run has; name its clip with --clip")
         except BaseException:
             video.discard()
             raise

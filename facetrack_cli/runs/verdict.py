@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -72,9 +72,6 @@ class RunMonitor(Sink):
         """Go on from what was counted of the frames before."""
         if mark is not None:
             self.__dict__ |= {**vars(mark), "start": self.start, "detector": self.detector}
-
-    def fits(self, mark: Any) -> bool:
-        return isinstance(mark, RunMonitor)
 
     def mark(self) -> RunMonitor:
         return self
