@@ -51,16 +51,7 @@ from facetrack_cli.core.types import Correction
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
 from facetrack_cli.recipe.model import Recipe, to_dict
-from facetrack_cli.run_folder.lease import (
-    FolderLease,
-    finish_replacing,
-    holder,
-    is_held,
-    left_in,
-    mark_of,
-    sweep,
-    utc_now,
-)
+from facetrack_cli.run_folder import lease
 from facetrack_cli.trajectory.reader import PEOPLE, corrections_record, is_there, read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of, tail
@@ -186,7 +177,7 @@ def outdated(folder: Path) -> list[str]:
 
 
 def commit(
-    lock: FolderLease, folder: Path, files: Sequence[Path], run: Manifest | None, gone: Sequence[Path] = ()
+    lock: lease.FolderLease, folder: Path, files: Sequence[Path], run: Manifest | None, gone: Sequence[Path] = ()
 ) -> None:
     """Let the temporary files of these paths replace them, and then run.json: `run`, and their checksums.
 
@@ -231,10 +222,10 @@ def as_line(error: Exception) -> FacetrackError:
 def failed(run: Manifest, error: Exception) -> Manifest:
     """The run with the error that ended it."""
     line = as_line(error)
-    return replace(run, complete=False, error=as_text(str(line)), exit_code=int(line.exit_code), ended=utc_now())
+    return replace(run, complete=False, error=as_text(str(line)), exit_code=int(line.exit_code), ended=lease.utc_now())
 
 
-def note_failure(lock: FolderLease, folder: Path, run: Manifest, clip: Path, error: Exception) -> None:
+def note_failure(lock: lease.FolderLease, folder: Path, run: Manifest, clip: Path, error: Exception) -> None:
     """Write into run.json that a clip failed, with what is known of its `run`; what was tracked of it stays.
 
     Nothing is written where the error is one of writing, and over results that are whole or of something else.
@@ -284,7 +275,7 @@ def check_run(path: Path) -> None:
 def _check_written(folder: Path) -> None:
     """InputError for a folder whose first run is not at its end."""
     ended = (folder / NAME).is_file() or any(folder.glob("trajectory.*"))
-    if folder.is_dir() and not ended and holder(folder) is not None:
+    if folder.is_dir() and not ended and lease.holder(folder) is not None:
         raise InputError(
             f"{folder}: a run is being written here; wait until it ends (facetrack status tells how far it is)"
         )
@@ -308,28 +299,28 @@ def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: Fals
 
     Files half replaced are replaced; tables that were being written become the tables of a run that was stopped.
     """
-    if is_held(folder):
-        finish_replacing(folder, left_in(folder))
-        if holder(folder) is None:  # else it is at work
-            with contextlib.suppress(OutputError, OSError), FolderLease(folder, stopped) as lock:
+    if lease.is_held(folder):
+        lease.finish_replacing(folder, lease.left_in(folder))
+        if lease.holder(folder) is None:  # else it is at work
+            with contextlib.suppress(OutputError, OSError), lease.FolderLease(folder, stopped) as lock:
                 return recover(folder, lock)
     return 0
 
 
-def recover(folder: Path, lock: FolderLease) -> int:
+def recover(folder: Path, lock: lease.FolderLease) -> int:
     """As `recover_interrupted`, of a folder that is locked."""
     note, frames = lock.stale_note, 0
-    finish_replacing(folder, note)
+    lease.finish_replacing(folder, note)
     with contextlib.suppress(ValueError, InputError):  # a note need not be ours
-        run, mark = _adapter().validate_python(note.get("run")), mark_of(note)
+        run, mark = _adapter().validate_python(note.get("run")), lease.mark_of(note)
         if mark is not None:
             frames = _end_tables(folder, lock, mark, run)
     lock.note({"before": None})
-    sweep(folder)
+    lease.sweep(folder)
     return frames
 
 
-def _end_tables(folder: Path, lock: FolderLease, mark: str, run: Manifest) -> int:
+def _end_tables(folder: Path, lock: lease.FolderLease, mark: str, run: Manifest) -> int:
     """Write the whole frames of a killed process's tables again, and run.json; the number of these frames."""
     check_plain(*(folder / name for name in TABLES))
     parts = {form: temporary_path(folder / f"trajectory.{form}", mark) for form in FORMATS}

@@ -27,17 +27,8 @@ from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.spaces import box_of
 from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.lease import is_held
-from facetrack_cli.run_folder.manifest import (
-    OWNED,
-    VIDEO,
-    Manifest,
-    clip_digest,
-    error_of,
-    previous_run,
-    recipe_digest,
-    recover_interrupted,
-)
 from facetrack_cli.runs.signals import never
 from facetrack_cli.start.assembly import name_targets, tracker_for
 from facetrack_cli.start.init_file import check_start, find_init, read_init
@@ -331,7 +322,7 @@ class Plan:
     job: Job
     asked: str
     everyone: bool
-    previous: Manifest | None
+    previous: manifest.Manifest | None
 
     @property
     def draws(self) -> bool:
@@ -344,7 +335,7 @@ class Plan:
         return self.everyone and not self.job.chunk and self.job.out is not None
 
     @property
-    def tracked(self) -> Manifest | None:
+    def tracked(self) -> manifest.Manifest | None:
         """The run.json of a run that came to its end, named and smoothed or not, and is not to be replaced."""
         previous = None if self.job.overwrite else self.previous
         return previous if previous is not None and previous.error is None and previous.stopped is None else None
@@ -354,7 +345,7 @@ class Plan:
         previous, job = self.previous, self.job
         if previous is None or job.overwrite:
             return None
-        whole = self.tracked is not None and (VIDEO in previous.files or not job.video)
+        whole = self.tracked is not None and (manifest.VIDEO in previous.files or not job.video)
         whole &= (not self.names or PEOPLE in previous.files) and (not job.smooth or previous.smoothed)
         failed_before = previous.error is not None and job.batch and not job.retry_failed
         return Outcome.of(job, previous) if whole or failed_before else None
@@ -378,14 +369,14 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
     if job.chunk:
         check_plain(job.out)
     if not locked:
-        recover_interrupted(job.out, lambda: True)
+        manifest.recover_interrupted(job.out, lambda: True)
     held = not locked and is_held(job.out)  # whoever writes there may be writing the same results
-    previous, there = previous_run(job.out, asked, job.clip)
+    previous, there = manifest.previous_run(job.out, asked, job.clip)
     if not held:
         # what is cut short is replaced, and what failed
         overwrite = job.overwrite or previous is not None or (there is not None and there.is_failure)
         init = job.init if isinstance(job.init, Path) else None
-        check_folder(job.out, OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
+        check_folder(job.out, manifest.OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
     return Plan(job, asked, everyone, previous)
 
 
@@ -398,7 +389,7 @@ def digest_of(job: Job) -> str:
     """A digest of all that is asked for but the clip, of a job whose init file is found."""
     init: object = job.init
     if isinstance(init, Path):
-        init = clip_digest(init)
+        init = manifest.clip_digest(init)
     elif isinstance(init, Start):
         init = to_record(init)
     options = [str(job.fps), job.lag, job.smooth, job.formats, job.video, job.strict]
@@ -406,7 +397,7 @@ def digest_of(job: Job) -> str:
     options += [] if job.stream is None else [f"stream {job.stream}"]
     asked = [
         __version__,
-        recipe_digest(job.recipe),
+        manifest.recipe_digest(job.recipe),
         [init, job.box, job.init_frame, job.faces, job.start, job.stop],
         [options, *([job.split, job.chunk] if job.split or job.chunk else [])],
     ]
@@ -471,13 +462,13 @@ class Outcome(RunSummary):
     doubts: str = ""
     look: tuple[tuple[int, int], ...] = ()
     borne_out: float | None = None
-    again: Manifest | None = None
+    again: manifest.Manifest | None = None
     smoothed: bool = False
     resumed: int | None = None
     network: str = ""
 
     @classmethod
-    def of(cls, job: Job, run: Manifest) -> Outcome:
+    def of(cls, job: Job, run: manifest.Manifest) -> Outcome:
         """That of a run that its folder holds already."""
         assert job.out is not None
         return cls(
@@ -487,7 +478,7 @@ class Outcome(RunSummary):
             complete=run.complete,
             clip=job.clip,
             files=[job.out / name for name in run.files],
-            error=error_of(run) or (InputError(run.warnings[-1]) if job.strict and not run.complete else None),
+            error=manifest.error_of(run) or (InputError(run.warnings[-1]) if job.strict and not run.complete else None),
             again=run,
             network=run.network,
             smoothed=run.smoothed,

@@ -20,19 +20,10 @@ from facetrack_cli.core.npz import Kind, Stored, write_arrays
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.engine.protocols import Linear
 from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.checkpoint import FOLDER
 from facetrack_cli.run_folder.finished import read_files, run_files
 from facetrack_cli.run_folder.lease import FolderLease, sweep
-from facetrack_cli.run_folder.manifest import (
-    FILTERED,
-    POSTERIOR,
-    VIDEO,
-    Manifest,
-    check_belongs,
-    commit,
-    read_manifest,
-    write_rows,
-)
 from facetrack_cli.runs.plan import Report
 from facetrack_cli.runs.record import ClipFacts, Sink
 from facetrack_cli.runs.signals import Stopped, StoppedError
@@ -54,14 +45,15 @@ def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> tu
     InputError, StoppedError once `stop` says so; nothing is written then.
     """
     rows = read_files(run_files(folder))
-    after = given_all(rows, read_posterior(folder / POSTERIOR, rows))
-    files = {folder / FILTERED: partial(write_rows, "csv", rows=rows)}
-    files |= {path: partial(write_rows, form, rows=after) for form, path in run_files(folder).items()}
-    run, paint = read_manifest(folder), None
-    kept = {name: file for name, file in run.files.items() if name != POSTERIOR} if run else {}
-    if (folder / VIDEO).is_file():
+    after = given_all(rows, read_posterior(folder / manifest.POSTERIOR, rows))
+    files = {folder / manifest.FILTERED: partial(manifest.write_rows, "csv", rows=rows)}
+    files |= {path: partial(manifest.write_rows, form, rows=after) for form, path in run_files(folder).items()}
+    run, paint = manifest.read_manifest(folder), None
+    kept = {name: file for name, file in run.files.items() if name != manifest.POSTERIOR} if run else {}
+    if (folder / manifest.VIDEO).is_file():
         paint = partial(repaint, after, clip, report=report, stop=stop)
-    return replace_files(folder, files, run and replace(run, smoothed=True, files=kept), [folder / POSTERIOR], paint)
+    ended = run and replace(run, smoothed=True, files=kept)
+    return replace_files(folder, files, ended, [folder / manifest.POSTERIOR], paint)
 
 
 def given_all(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> Trajectory:
@@ -74,7 +66,7 @@ def given_all(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> Trajectory:
 def replace_files(
     folder: Path,
     files: Mapping[Path, Write],
-    ended: Manifest | None,
+    ended: manifest.Manifest | None,
     gone: Sequence[Path] = (),
     paint: Callable[..., Sequence[str]] | None = None,
     check: Callable[[], None] = lambda: None,
@@ -89,20 +81,20 @@ def replace_files(
     """
     written: list[Path] = []
     notes: list[str] = []
-    check_plain(folder / VIDEO, *files)
+    check_plain(folder / manifest.VIDEO, *files)
     try:
         with nullcontext(lock) if lock else FolderLease(folder) as lock:
             check()
             sweep(folder)
             if paint is not None:
-                written.append(folder / VIDEO)
-                notes += paint(path=folder / VIDEO)
+                written.append(folder / manifest.VIDEO)
+                notes += paint(path=folder / manifest.VIDEO)
             for path, write in files.items():
                 written.append(path)
                 with temporary_path(path).open("wb") as file:
                     write(file.write)
             check()
-            commit(lock, folder, written, ended, gone)
+            manifest.commit(lock, folder, written, ended, gone)
     except OSError as e:
         remedy = "free some space" if e.errno in FULL else "make it writable"
         at = written[-1] if written else folder
@@ -174,11 +166,8 @@ class PosteriorWriter(Sink):
     """
 
     def __init__(self, out: Path) -> None:
-        self.path, self._folder = out / POSTERIOR, out / FOLDER
+        self.path, self._folder = out / manifest.POSTERIOR, out / FOLDER
         self._head: dict[str, Any] = {}
-
-    def fits(self, mark: Any) -> bool:
-        return isinstance(mark, WriterState) and all(path.is_file() for path in self._blocks(mark.blocks))
 
     def begin(self, clip: ClipFacts, header: Header, mark: WriterState | None) -> None:
         corrections, self.state = header["init"].get("corrections", []), mark
@@ -251,7 +240,7 @@ def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:
         frames = rows.frames.tolist()
         return {name: [by_frame.get(frame, ()) for frame in frames] for name, by_frame in beliefs.items()}
 
-    check_belongs(path)
+    manifest.check_belongs(path)
     return KIND.read(path, make)
 
 

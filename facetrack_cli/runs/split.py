@@ -93,7 +93,7 @@ def chunks_of(whole: Plan, plan: ChunkPlan) -> list[Job]:
     for i, (first, stop) in enumerate(plan.cuts):
         searched = whole.everyone or i > 0
         where = {"init": by, "start": first} if searched else {"init": plan.start, "start": plan.start.frame}
-        chunks.append(replace(job, out=folder_of(out, i), stop=stop, **where))
+        chunks.append(replace(job, out=out / chunk_name(i), stop=stop, **where))
     return chunks
 
 
@@ -215,19 +215,12 @@ def read_plan(out: Path) -> ChunkPlan:
         raise InputError(f"{path}: is not as facetrack run --split writes it; give --overwrite") from e
 
 
-def folder_of(out: Path, chunk: int) -> Path:
-    return out / chunk_name(chunk)
-
-
 class Seam(NamedTuple):
     """Where the rows of a later chunk begin; `agreement`: the share of frames in which both agree, None without any."""
 
     frame: int
     agreement: float | None
     agrees: bool
-
-    def record(self) -> dict[str, Any]:
-        return self._asdict() | {"agreement": None if self.agreement is None else round(self.agreement, 4)}
 
 
 class Stitch(NamedTuple):
@@ -264,7 +257,7 @@ def stitch(earlier: Trajectory, later: Trajectory, taken: Collection[str], *, ma
     there = [name for name in a.targets if not matched or (choose(a, name).status != "lost").any()]
     agreement = min((agreements.get(name, 0.0) for name in there), default=0.0)
     names = _named(later, pairs, taken)
-    seam = Seam(int(both[len(both) // 2]), agreement, agreement >= SHARE)
+    seam = Seam(int(both[len(both) // 2]), round(agreement, 4), agreement >= SHARE)
     return Stitch(seam, names, frozenset(names[name] for name in later.targets if name not in pairs))
 
 
@@ -395,7 +388,7 @@ def _survey(whole: Plan, plan: ChunkPlan) -> _Survey:
     before, why, said, gaps = None, "", list[str](), list[tuple[int, int | None, str]]()
     stop = plan.start.frame  # of the rows so far
     for i, (first, _) in enumerate(plan.cuts):
-        rows = found.read(folder := folder_of(job.out, i), first, everyone=everyone)
+        rows = found.read(folder := job.out / chunk_name(i), first, everyone=everyone)
         if isinstance(rows, str):
             why = rows
             continue
@@ -448,7 +441,7 @@ def join_chunks(plan: Plan, folder: RunFolder, stop: Stop, report: Report) -> Ou
         first, clip = survey.parts[0].rows(), ClipFacts.of(job.clip, source)._replace(frames_hint=None)
         about = {name: first.header[name] for name in ("diagnostics",) if name in first.header}
         about |= {"split": job.split.record(), "chunks": survey.chunks}
-        about |= {"seams": [seam.record() for seam in survey.seams]} if survey.seams else {}
+        about |= {"seams": [seam._asdict() for seam in survey.seams]} if survey.seams else {}
         header = header_of(job, clip, start, about, first)
 
         def frames() -> Iterator[Frame]:

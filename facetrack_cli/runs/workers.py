@@ -147,10 +147,6 @@ LOOK_S = 0.2  # between two looks at the wish to stop
 ORPHAN_S = 1.5  # for a task to close its files, once the process that gave it is gone
 
 
-class DiedError(FacetrackError):
-    """A process ended by itself, and its result is lost. The argument says how."""
-
-
 def side_by_side(
     tasks: Sequence[Any],
     work: Work,
@@ -199,7 +195,8 @@ def side_by_side(
                     if code < 0 and turn < tries and not stop():
                         waiting.appendleft((index, turn + 1))
                         continue
-                    result = DiedError(f"its process ended with code {code}{' (too little memory?)' * (code == -9)}")
+                    memory = " (too little memory?)" * (code == -9)
+                    result = FacetrackError(f"its process ended with code {code}{memory}")
                 yield index, result
             report(sum(frames))
     finally:

@@ -220,6 +220,8 @@ def test_what_another_version_says_beside_is_no_reason_to_refuse_a_run(clip, tmp
 @pytest.mark.parametrize("renamed", [0, 1, 3])
 def test_a_kill_between_two_renames_is_finished_by_whoever_reads(clip, tmp_path, monkeypatch, renamed):
     def torn(folder, note):
+        if not note:
+            return  # nothing was left before
         for name in note["replace"]["files"][:renamed]:
             temporary_path(folder / name).replace(folder / name)
         raise SystemExit
