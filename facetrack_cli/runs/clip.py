@@ -17,7 +17,6 @@ from facetrack_cli.run_folder.manifest import POSTERIOR, VIDEO
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, resolve, silent
 from facetrack_cli.runs.record import (
     ClipFacts,
-    Ended,
     Recorder,
     Results,
     RunFolder,
@@ -159,7 +158,7 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
                     results = lagged(results, job.lag)
                 yield from results
 
-        def ended(whole: bool) -> Ended:
+        def ended(done: Outcome, whole: bool) -> None:
             if shots and whole and not job.chunk and not state.outcome.evidence:
                 raise InputError(f"{job.clip}: no face found in frames {start.frame} to {state.frame - 1}")
             warnings = (*source.warnings, *state.notes)
@@ -175,7 +174,7 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
             elif job.faces == "all" and not shots and not job.chunk:
                 alone = f"recipe {job.recipe.name} follows the faces of frame {start.frame} and no other"
                 warnings += (f"{alone}; recipe face follows everybody, over cuts",)
-            return Ended(source.complete, warnings, source.variable)
+            done.complete, done.warnings, done.variable_fps = source.complete, warnings, source.variable
 
         yield Results(clip, partial(header_of, job, clip, start, more), tracked(), state.at, ended)
 

@@ -73,29 +73,21 @@ class ClipFacts(NamedTuple):
         return {"path": self.path, "size": list(self.size), "fps": round(float(self.fps), 6), **odd}
 
 
-class Ended(NamedTuple):
-    """How results ended. `error`: why they are fewer than was asked for."""
-
-    complete: bool = True
-    warnings: tuple[str, ...] = ()
-    variable_fps: bool | None = None
-    error: Exception | None = None
-
-
 @dataclass(frozen=True)
 class Results:
     """The results of a clip, of a film, of joined chunks: whatever is written as a run.
 
     `header` gives what JSON says at its beginning, by the rows of the first frame. `frames` raises StoppedError where
-    nothing is to be kept. `state` is that of the tracker after the last result, for a checkpoint. `ended` is asked when
-    no more frames come, with whether nothing ended them early; it raises InputError where nothing is to be kept.
+    nothing is to be kept. `state` is that of the tracker after the last result, for a checkpoint. `ended` adds to the
+    outcome how they ended, and is told whether nothing ended them early; it raises InputError where nothing is to be
+    kept.
     """
 
     clip: ClipFacts
     header: Callable[[Trajectory], Header]
     frames: Generator[FrameResult, None, None] | None = None  # of who writes them one by one
     state: TrackState = field(default_factory=TrackState)
-    ended: Callable[[bool], Ended] = lambda whole: Ended()
+    ended: Callable[[Outcome, bool], None] = lambda done, whole: None
 
 
 class Sink:
@@ -291,10 +283,10 @@ class Recorder:
         `stopped` says why the run ended early, `error` goes into the outcome.
         """
         done, job, folder = self.outcome, self.plan.job, self._folder
-        ended = self._results.ended(stopped is None and error is None)
-        done.variable_fps, done.warnings, error = ended.variable_fps, ended.warnings, error or ended.error
+        self._results.ended(done, stopped is None and error is None)
+        error = error or done.error
         done.stopped = stopped or (None if error is None else str(error))
-        done.complete = ended.complete and done.stopped is None
+        done.complete = done.complete and done.stopped is None
         clip = self._digest.end(whole=done.stopped is None)
         done.source_sha256 = clip.sha256 if clip else ""
         errors: list[Exception] = []

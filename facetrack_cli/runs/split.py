@@ -35,7 +35,7 @@ from facetrack_cli.runs.batch import check_all, run_batch
 from facetrack_cli.runs.people import ORIGIN
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, digest_of, resolve
 from facetrack_cli.runs.progress import Progress
-from facetrack_cli.runs.record import ClipFacts, Ended, Recorder, Results, RunFolder, header_of, outputs, record
+from facetrack_cli.runs.record import ClipFacts, Recorder, Results, RunFolder, header_of, outputs, record
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.runs.workers import decoded_ahead
@@ -122,9 +122,10 @@ def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
         _check_detector(job, start)
     times, keys = _frames(job, start, stop, progress)
     cuts = cut_by_length(start.frame, times, job.split, keys, str(job.clip))
-    plan = {"key": key, "init": {"from": start.origin, **to_record(start)}, "note": start.note}
+    made = {"key": key, "init": {"from": start.origin, **to_record(start)}, "note": start.note}
     make_folder(folder)
-    write_new(folder / PLAN, dumps(plan | {"cuts": [*cuts[:-1], (cuts[-1][0], job.stop)]}).encode(), overwrite=True)
+    text = dumps({**made, "cuts": [*cuts[:-1], (cuts[-1][0], job.stop)]})
+    write_new(folder / PLAN, text.encode(), overwrite=True)
     return read_plan(job.out)  # as others read it
 
 
@@ -466,11 +467,14 @@ def join_chunks(plan: Plan, folder: RunFolder, stop: Stop, report: Report) -> Ou
             if stop():
                 raise StoppedError
 
-        ended = Ended(survey.complete, tuple(survey.warnings), survey.variable, error)
+        def ended(done: Outcome, whole: bool) -> None:
+            done.complete, done.variable_fps, done.error = survey.complete, survey.variable, error
+            done.warnings = tuple(survey.warnings)
+
         monitor = RunMonitor.of(job.recipe, start)
         monitor.detector = None  # it has looked at the chunks as they were tracked
         with Recorder(plan, [*outputs(plan, folder), monitor], folder) as into:
             into.outcome.note = start.note
-            done = record(Results(clip, lambda _: header, joined(), ended=lambda whole: ended), into, stop, report)
+            done = record(Results(clip, lambda _: header, joined(), ended=ended), into, stop, report)
     done.frames_per_s = 0.0  # rows were joined, not tracked
     return done

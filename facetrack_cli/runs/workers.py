@@ -167,8 +167,8 @@ def side_by_side(
         yield from _here(tasks, work, stop, report)
         return
     waiting = deque((index, 1) for index in range(len(tasks)))
-    running: dict[Connection, tuple[int, int, BaseProcess]] = {}
-    idle: list[tuple[Connection, BaseProcess]] = []
+    running: dict[Any, tuple[int, int, BaseProcess]] = {}
+    idle: list[tuple[Any, BaseProcess]] = []
     with _starting():
         context = worker_context()
         # without locks: a process that is killed while it holds a lock would stop all others
@@ -184,7 +184,8 @@ def side_by_side(
                 with contextlib.suppress(OSError):  # it has died while it had no task
                     pipe.send((waiting[0][0], tasks[waiting[0][0]]))
                     running[pipe] = *waiting.popleft(), process
-            for pipe in wait([*running], LOOK_S):
+            ready: list[Any] = wait([*running], LOOK_S)
+            for pipe in ready:
                 index, turn, process = running.pop(pipe)
                 try:
                     result = pipe.recv()
@@ -226,7 +227,7 @@ def _result(work: Work, task: object, stop: Stop, report: Callable[..., None]) -
         return e
 
 
-def _process(context: BaseContext, *shared: Any) -> tuple[Connection, BaseProcess]:
+def _process(context: BaseContext, *shared: Any) -> tuple[Any, BaseProcess]:
     """A process that does tasks, and the pipe on which it takes them and gives results."""
     ours, theirs = context.Pipe()
     process: BaseProcess = context.Process(target=_do, args=(theirs, *shared), daemon=True)  # type: ignore[attr-defined]
