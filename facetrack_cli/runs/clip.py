@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -14,18 +14,8 @@ from facetrack_cli.engine.corrected import restored
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.manifest import POSTERIOR, VIDEO
+from facetrack_cli.runs import record
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, resolve, silent
-from facetrack_cli.runs.record import (
-    ClipFacts,
-    Recorder,
-    Results,
-    RunFolder,
-    RunState,
-    Sink,
-    header_of,
-    outputs,
-    record,
-)
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.runs.workers import decoded_ahead
@@ -58,7 +48,7 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
     if tracked is not None and (plan.names or kept <= {*tracked.files}):  # only named or smoothed it is not
         done = replace(Outcome.of(job, tracked), again=None)
     else:
-        with RunFolder(plan, stop) as folder:
+        with record.RunFolder(plan, stop) as folder:
             plan = folder.plan
             if (ended := plan.ended()) is not None:  # meanwhile, by another process
                 return ended
@@ -93,9 +83,9 @@ def _smoothed(job: Job, done: Outcome, stop: Stop, looked: Report) -> Outcome:
 
 
 def track_clip(
-    plan: Plan, folder: RunFolder | None, stop: Stop, report: Report, looked: Report, sinks: Sequence[Sink] = ()
+    plan: Plan, folder: record.RunFolder | None, stop: Stop, report: Report, looked: Report, *into: record.Sink
 ) -> Outcome:
-    """Track one clip into `sinks`, without any into its tables, and what else its folder holds. Raises as `run`."""
+    """Track one clip into some sinks, without any into its tables, and what else its folder holds. Raises as `run`."""
     job = plan.job
     try:
         with precompiling(to_dict(job.recipe), job.threads) as compile_all:  # while the start is looked for
@@ -110,26 +100,26 @@ def track_clip(
         if not stop():
             raise
         return Outcome(clip=job.clip, streamed=job.out is None, stopped=stop.reason)
-    resumed, sinks = None, sinks or outputs(plan, folder)
+    resumed, sinks = None, [*into] or record.outputs(plan, folder)
     if folder is not None:
-        sinks = [*sinks, RunMonitor.of(job.recipe, start)]
+        sinks.append(RunMonitor.of(job.recipe, start))
         if job.smooth:
             from facetrack_cli.runs.smooth import PosteriorWriter
 
             sinks.append(PosteriorWriter(folder.path))
         resumed = folder.resume(start, sinks)
-    with Recorder(plan, sinks, folder, resumed) as into:
-        state = into.state
-        state.frame, into.outcome.note = state.frame if resumed else start.frame, start.note
+    with record.Recorder(plan, sinks, folder, resumed) as recorder:
+        state = recorder.state
+        state.frame, recorder.outcome.note = state.frame if resumed else start.frame, start.note
         with follow(plan, start, shots, state, stop) as results:
-            done = record(results, into, stop, report)
+            done = record.record(results, recorder, stop, report)
     if done.verdict and job.fps is None and done.frames > 1 and not brings_rate(job.clip):
         done.verdict += f"; images have no rate: {results.clip.fps} frames/s is taken, or that of --fps"
     return done
 
 
 @contextlib.contextmanager
-def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: Stop) -> Iterator[Results]:
+def follow(plan: Plan, start: Start, shots: list[Shot], state: record.RunState, stop: Stop) -> Iterator[record.Results]:
     """The results of a clip, or of the `shots` of a film, from its start, or where `state` says that it goes on."""
     job = plan.job
     with job.open(state.frame) as source:
@@ -137,7 +127,7 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
         if job.lag * frame_bytes > MAX_LAG_BYTES:
             most = f"at most --lag {MAX_LAG_BYTES // frame_bytes} at {width}x{height}, or take --smooth"
             raise UsageError(f"{job.clip}: {job.lag} frames of this size take too much memory; {most}")
-        clip, more = ClipFacts.of(job.clip, source), {"shots": [list(shot) for shot in shots]} if shots else {}
+        clip, more = record.ClipFacts.of(job.clip, source), {"shots": [list(shot) for shot in shots]} if shots else {}
         asked = frames_of(source, state.frame, job.origin(start))
 
         def tracked() -> Generator[FrameResult, None, None]:
@@ -176,7 +166,7 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
                 warnings += (f"{alone}; recipe face follows everybody, over cuts",)
             done.complete, done.warnings, done.variable_fps = source.complete, warnings, source.variable
 
-        yield Results(clip, partial(header_of, job, clip, start, more), tracked(), state.at, ended)
+        yield record.Results(clip, partial(record.header_of, job, clip, start, more), tracked(), state.at, ended)
 
 
 def past_end(corrections: Iterable[Correction], last: int, origin: str) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -151,74 +151,66 @@ _BLOCK_FRAMES: Final = 500  # that are written together
 _NAMES: Final = ("mean", "cov", "matrix", "offset", "noise", "doubt")
 
 
-class WriterState(NamedTuple):
-    """Where a posterior that is written stands: frames still to be written, their number, the blocks on the disk."""
-
-    kept: list[list[tuple[int, tuple[Belief, ...]]]]
-    frames: int
-    blocks: int
-
-
 class PosteriorWriter(Sink):
     """Writes the beliefs of every frame, in blocks beside the checkpoint of a run, and at the end into one file.
 
     They take less than 1 kB a frame and part. Raises OutputError.
     """
 
+    path: Path
+
     def __init__(self, out: Path) -> None:
         self.path, self._folder = out / manifest.POSTERIOR, out / FOLDER
-        self._head: dict[str, Any] = {}
+        self._kept: list[list[tuple[int, tuple[Belief, ...]]]] = []  # of each target, of so many frames
+        self._frames = 0
 
-    def begin(self, clip: ClipFacts, header: Header, mark: WriterState | None) -> None:
-        corrections, self.state = header["init"].get("corrections", []), mark
+    def begin(self, clip: ClipFacts, header: Header, mark: int | None) -> None:
+        corrections, self._blocks = header["init"].get("corrections", []), mark or 0
         self._head = {"targets": np.empty(0), "corrections": np.array(dumps(corrections))}
 
     def write(self, result: FrameResult) -> None:
-        if not self._head["targets"].size:
-            self._head["targets"] = np.array(result.rows.targets)
-        self.state = self.state or WriterState([[] for _ in result.targets], 0, 0)
-        for kept, target in zip(self.state.kept, result.targets, strict=True):
+        if not self._kept:
+            self._head["targets"], self._kept = np.array(result.rows.targets), [[] for _ in result.targets]
+        for kept, target in zip(self._kept, result.targets, strict=True):
             if target.beliefs is not None and (beliefs := target.beliefs()):
                 kept.append((result.frame.index, beliefs))
-        self.state = self.state._replace(frames=self.state.frames + 1)
-        if self.state.frames == _BLOCK_FRAMES:
+        self._frames += 1
+        if self._frames == _BLOCK_FRAMES:
             self._flush()
 
-    def mark(self) -> WriterState | None:
-        return self.state
+    def mark(self) -> int:
+        self._flush()
+        return self._blocks
 
     def _flush(self) -> None:
-        assert self.state is not None and self.path is not None
+        if not self._frames:
+            return
         arrays: dict[str, Any] = {}
-        number = self.state.blocks
-        for i, kept in enumerate(self.state.kept):
-            arrays[f"{number}/{i}/frame"] = np.array([frame for frame, _ in kept], "<i8")
+        for i, kept in enumerate(self._kept):
+            above = f"{self._blocks}/{i}"
+            arrays[f"{above}/frame"] = np.array([frame for frame, _ in kept], "<i8")
             for j, group in enumerate(zip(*(beliefs for _, beliefs in kept), strict=True)):
                 flat = [(belief.mean, belief.cov, *belief.motion, belief.doubt) for belief in group]
                 for name, values in zip(_NAMES, zip(*flat, strict=True), strict=True):
-                    arrays[f"{number}/{i}/{j}/{name}"] = np.stack(values).astype("<f8")
+                    arrays[f"{above}/{j}/{name}"] = np.stack(values).astype("<f8")
                 if named := [belief.named for belief in group if belief.named is not None]:
-                    arrays[f"{number}/{i}/{j}/named"] = np.stack(named).astype("<f8")
+                    arrays[f"{above}/{j}/named"] = np.stack(named).astype("<f8")
             kept.clear()
-        *_, block = self._blocks(number + 1)
         with writing(self.path):
-            block.parent.mkdir(exist_ok=True)
-            write_arrays(block, arrays)
-            publish(block)
-        self.state = WriterState(self.state.kept, 0, number + 1)
+            self._folder.mkdir(exist_ok=True)
+            write_arrays(self._block(self._blocks), arrays)
+            publish(self._block(self._blocks))
+        self._blocks, self._frames = self._blocks + 1, 0
 
     def close(self, done: object) -> None:
-        assert self.state is not None and self.path is not None
-        if self.state.frames:
-            self._flush()
-        write_arrays(self.path, {**KIND.head, **self._head}, self._blocks(self.state.blocks))
+        self._flush()
+        write_arrays(self.path, {**KIND.head, **self._head}, [*map(self._block, range(self._blocks))])
 
     def discard(self) -> None:
-        assert self.path is not None
         discard(self.path)
 
-    def _blocks(self, count: int) -> list[Path]:
-        return [self._folder / f"posterior-{number:05}.npz" for number in range(count)]
+    def _block(self, number: int) -> Path:
+        return self._folder / f"posterior-{number:05}.npz"
 
 
 def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:

@@ -28,7 +28,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
 from queue import Empty, Full, Queue
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import cv2
 
@@ -37,10 +37,11 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.trajectory.trajectory import FrameResult
 
+T = TypeVar("T")
 MAX_QUEUE = 4  # frames in each queue
 MAX_QUEUE_BYTES = 32 << 20  # of their pixels, unless one frame alone has more
 POLL_S = 0.1  # how long a stage sleeps at most before it looks whether the run was cancelled
-PATIENCE_S = 1.0  # a decoder that does not come back from a read is left behind after this long
+PATIENCE_S = 0.5  # a decoder that does not come back from a read is left behind after this long
 
 
 def share_threads(threads: int) -> None:
@@ -55,20 +56,20 @@ def _room(frame: Frame) -> int:
 
 @contextlib.contextmanager
 def decoded_ahead(
-    frames: Iterable[Frame], *, threaded: bool = True, stopped: Callable[[], bool] = never
-) -> Iterator[Iterator[Frame]]:
-    """The frames in a `with`, decoded in a thread of their own. `stopped` is asked before each; then they end.
+    frames: Iterable[T], *, threaded: bool = True, most: int = MAX_QUEUE, stopped: Callable[[], bool] = never
+) -> Iterator[Iterator[T]]:
+    """Frames or images in a `with`, decoded in a thread of their own. `stopped` is asked before each; then they end.
 
     An exception of `frames` is raised behind the frames that came before it.
     """
     if not threaded:
         yield takewhile(lambda _: not stopped(), frames)
         return
-    queue, cancelled = Queue[Frame | BaseException | None](MAX_QUEUE), threading.Event()
+    queue, cancelled = Queue[T | BaseException | None](most), threading.Event()
 
-    def put(item: Frame | BaseException | None) -> bool:
+    def put(item: T | BaseException | None) -> bool:
         if isinstance(item, Frame):
-            queue.maxsize = _room(item)
+            queue.maxsize = min(most, _room(item))
         while not cancelled.is_set():
             with contextlib.suppress(Full):
                 queue.put(item, timeout=POLL_S)
@@ -82,7 +83,7 @@ def decoded_ahead(
         except BaseException as e:
             put(e)
 
-    def decoded() -> Iterator[Frame]:
+    def decoded() -> Iterator[T]:
         while not stopped():
             try:
                 item = queue.get(timeout=POLL_S)
