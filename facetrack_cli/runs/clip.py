@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import partial
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
-from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.engine.corrected import restored
 from facetrack_cli.engine.loop import track
@@ -158,12 +157,9 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: record.RunState, 
                 warnings += crowded(state.at)
             if whole and job.stop is None:
                 warnings += past_end(start.corrections, state.frame - 1, start.origin)
-            if job.faces == "all" and not shots and start.origin not in DETECTORS:
-                alone = f"says where {' and '.join(start.targets)} begins, so --faces all follows no other"
-                warnings += (f"{start.origin} {alone}; --init haar does",)
-            elif job.faces == "all" and not shots and not job.chunk:
-                alone = f"recipe {job.recipe.name} follows the faces of frame {start.frame} and no other"
-                warnings += (f"{alone}; recipe face follows everybody, over cuts",)
+            if job.faces == "all" and not shots and not job.chunk:
+                alone = f"{job.recipe.name} follows those of frame {start.frame}, by {start.origin}, and no other"
+                warnings += (f"--faces all: {alone}; recipe face with --init haar follows everybody, over cuts",)
             done.complete, done.warnings, done.variable_fps = source.complete, warnings, source.variable
 
         yield record.Results(clip, partial(record.header_of, job, clip, start, more), tracked(), state.at, ended)
