@@ -77,16 +77,13 @@ def _damaged(rng: Random, whole: bytes) -> bytes:
 
 
 def text(rng: Random, whole: str) -> bytes:
-    """A text with hostile numbers, words or lines, or with damaged bytes."""
+    """A text with hostile numbers or words, or with damaged bytes."""
     for _ in range(rng.choice((1, 1, 2, 4))):
-        how = rng.choice(("number", "number", "number", "word", "line", "line", "bytes"))
+        how = rng.choice(("number", "number", "word", "bytes"))
         if how == "bytes":
             return data(rng, whole.encode("utf-8", "surrogatepass"))
-        if how == "line":
-            whole = _line(rng, whole)
-        else:
-            pattern, values = (r"-?\d+(\.\d+)?", NUMBERS) if how == "number" else (r"[A-Za-z_]{2,}", WORDS)
-            whole = _at(rng, pattern, whole, values)
+        pattern, values = (r"-?\d+(\.\d+)?", NUMBERS) if how == "number" else (r"[A-Za-z_]{2,}", WORDS)
+        whole = _at(rng, pattern, whole, values)
     return whole.encode("utf-8", "surrogatepass")
 
 
@@ -97,28 +94,6 @@ def _at(rng: Random, pattern: str, whole: str, values: tuple[str, ...]) -> str:
     # places at the start are chosen more often: headers, and the first frames
     one = found[min(rng.randrange(len(found)), rng.randrange(len(found)))]
     return whole[: one.start()] + rng.choice(values) + whole[one.end() :]
-
-
-def _line(rng: Random, whole: str) -> str:
-    lines = whole.splitlines(keepends=True) or [""]
-    a, b = rng.randrange(len(lines)), rng.randrange(len(lines))
-    how = rng.choice(("delete", "repeat", "many", "swap", "cell", "indent", "shuffle", "quote"))
-    if how == "delete":
-        del lines[a]
-    elif how in ("repeat", "many"):
-        lines[a:a] = [lines[a]] * (1 if how == "repeat" else 1000)
-    elif how == "swap":
-        lines[a], lines[b] = lines[b], lines[a]
-    elif how == "cell":
-        lines[a] = rng.choice((lines[a].replace(",", ""), lines[a].rstrip("\n") + ",1,2\n", lines[a].replace(",", ";")))
-    elif how == "indent":
-        before = ("\t", " ", "- ", "? ", "  : ", "[", "{", "&a ", "<<: *a\n", "%YAML 9.9\n", "...\n")
-        lines[a] = rng.choice(before) + lines[a]
-    elif how == "quote":
-        lines[a] = rng.choice(('"', "'")) + lines[a]
-    else:
-        rng.shuffle(lines)
-    return "".join(lines)
 
 
 def tree(rng: Random, whole: Any) -> bytes:
