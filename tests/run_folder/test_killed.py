@@ -209,13 +209,6 @@ def test_files_of_different_runs_are_noticed(tmp_path, capsys):
         assert f"{name}: is not as its run wrote it" in capsys.readouterr().err
 
 
-def test_what_another_version_says_beside_is_no_reason_to_refuse_a_run(clip, tmp_path):
-    assert run(clip, "-o", tmp_path, "--stop", 5, *SMALL, *TABLES, "-q") == 0
-    said = json.loads((tmp_path / NAME).read_text())
-    (tmp_path / NAME).write_text(json.dumps(said | {"samples": {}}))
-    assert len(read_run(tmp_path).frames) == 5 and read_manifest(tmp_path).record() == said
-
-
 @posix
 @pytest.mark.parametrize("renamed", [0, 1, 3])
 def test_a_kill_between_two_renames_is_finished_by_whoever_reads(clip, tmp_path, monkeypatch, renamed):
