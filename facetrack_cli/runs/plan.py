@@ -9,9 +9,9 @@ import math
 import os
 import shlex
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, fields, replace
 from fractions import Fraction
-from itertools import chain, islice
+from itertools import islice
 from numbers import Integral
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias, get_args
@@ -59,7 +59,7 @@ class ClipRequest:
     `find`. `faces` says whether it takes the best face, or all that are there.
     `init_frame` is the frame of the init file or box, or the first to look for a face in.
     `stream`: the number of the video stream in the file.
-    `chunk`: whether it is a chunk of a longer clip; then a face is searched for up to its end.
+    `chunk`: whether it is a chunk of a longer clip.
     """
 
     clip: Path
@@ -127,17 +127,13 @@ class ClipRequest:
         with self.open(at) as source:
             faces: Faces = "all" if recipe.later else self.faces
             frames = frames_of(source, at, origin, stopped, looked)
-            while True:
-                try:
-                    start = search(recipe, frames, str(self.clip), by=self.by, faces=faces)
-                    return self._signer(recipe, start) if recipe.later else start
-                except InputError:
-                    if stopped():
-                        raise InputError(f"{self.clip}: stopped before a start was found") from None
-                    further = next(frames, None) if self.chunk else None
-                    if further is None:
-                        raise
-                    frames = chain([further], frames)
+            try:
+                start = search(recipe, frames, str(self.clip), by=self.by, faces=faces)
+            except InputError:
+                if stopped():
+                    raise InputError(f"{self.clip}: stopped before a start was found") from None
+                raise
+        return self._signer(recipe, start) if recipe.later else start
 
     def _signer(self, recipe: Recipe, start: Start) -> Start:
         """Of a start with several faces that with the largest, or with one whose hands move far more than its hands."""
@@ -387,21 +383,14 @@ def follows_everyone(recipe: Recipe) -> bool:
 
 def digest_of(job: Job) -> str:
     """A digest of all that is asked for but the clip, of a job whose init file is found."""
-    init: object = job.init
-    if isinstance(init, Path):
-        init = manifest.clip_digest(init)
-    elif isinstance(init, Start):
-        init = to_record(init)
-    options = [str(job.fps), job.lag, job.smooth, job.formats, job.video, job.strict]
-    options += [] if job.gallery is None else [str(job.gallery)]
-    options += [] if job.stream is None else [f"stream {job.stream}"]
-    asked = [
-        __version__,
-        manifest.recipe_digest(job.recipe),
-        [init, job.box, job.init_frame, job.faces, job.start, job.stop],
-        [options, *([job.split, job.chunk] if job.split or job.chunk else [])],
-    ]
-    return hashlib.sha256(dumps(asked).encode()).hexdigest()
+    how = {"clip", "recipe", "out", "overwrite", "threads", "resume", "batch", "retry_failed"}
+    asked: dict[str, object] = {each.name: getattr(job, each.name) for each in fields(job) if each.name not in how}
+    if isinstance(job.init, Path):
+        asked["init"] = manifest.clip_digest(job.init)
+    elif isinstance(job.init, Start):
+        asked["init"] = to_record(job.init)
+    words = [__version__, manifest.recipe_digest(job.recipe), *map(str, asked.items())]
+    return hashlib.sha256(dumps(words).encode(errors="surrogateescape")).hexdigest()
 
 
 def check_count(name: str, value: object) -> None:
