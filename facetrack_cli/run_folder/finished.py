@@ -143,11 +143,7 @@ def recipe_of(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) 
     values: dict[str, Any] = {key: deepcopy(value) for key, value in settings.items() if key != "name"}
     if any(file.stem == name for file in shipped_recipes()):
         folders = [shipped_folder(), *folders]
-    for section_values in [values, *_mappings(values.get("targets"))]:
-        for section, key in (("prior", "file"), ("recognition", "gallery"), ("confidence", "calibration")):
-            for place in _mappings({section: section_values.get(section)}):
-                if isinstance(file := place.get(key), str):
-                    place[key] = str(_sought(main, file, [*folders, shipped_folder()]))
+    _place(main, values, [*folders, shipped_folder()])
     kind = KINDS.get(str(values.get("type", "particle_filter")), ParticleRecipe)
     try:
         return kind.model_validate(values, context={"path": main.parent / f"{name}.yaml", "root": None})
@@ -157,8 +153,13 @@ def recipe_of(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) 
         raise InputError(f"{main}: this version of facetrack does not know its recipe ({wrong}); {_AGAIN}") from None
 
 
-def _mappings(value: Any) -> list[dict[str, Any]]:
-    return [section for section in value.values() if isinstance(section, dict)] if isinstance(value, dict) else []
+def _place(main: Path, values: dict[str, Any], folders: Sequence[Path]) -> None:
+    """Put the place where each file of a recipe's sections is now."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            _place(main, value, folders)
+        elif key in ("file", "gallery", "calibration") and isinstance(value, str):
+            values[key] = str(_sought(main, value, folders))
 
 
 def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:

@@ -91,7 +91,7 @@ def track_clip(
             if plan.everyone:
                 from facetrack_cli.runs.people import ORIGIN, film_shots
 
-                start, shots = Start(job.first, {}, ORIGIN), film_shots(job, job.first, stop, looked)
+                start, shots = Start(job.first, {}, ORIGIN), film_shots(job, stop, looked)
             else:
                 start, shots = job.find(job.recipe, stopped=stop, looked=looked), []
             compile_all(stop, looked)

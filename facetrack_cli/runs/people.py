@@ -61,8 +61,9 @@ class NamedFilm(NamedTuple):
     stills: Mapping[str, bytes]
 
 
-def film_shots(job: Job, first: int, stop: Stopped, looked: Report) -> list[Shot]:
-    """The shots of a clip from its frame `first`; InputError once `stop` says so."""
+def film_shots(job: Job, stop: Stopped, looked: Report) -> list[Shot]:
+    """The shots of a clip, from the first frame that is asked for; InputError once `stop` says so."""
+    first = job.first
     with job.open(first) as source:
         frames = frames_of(source, first, "the film", stop)
         total = source.frames_hint
@@ -123,7 +124,7 @@ def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path |
 def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> NamedFilm:
     """Who the tracks of a job's `rows` are of. InputError where the film shows nobody; raises StoppedError."""
     first, stored = int(rows.frame.min()), rows.header.get("shots")
-    shots = [Shot(*shot) for shot in stored] if stored else film_shots(job, job.first, stop, looked)
+    shots = [Shot(*shot) for shot in stored] if stored else film_shots(job, stop, looked)
     gallery = {} if job.gallery is None else load_people(job.gallery)
     frames, tracks = len(rows.frames), list[TrackSummary]()
     boxes = {name: box for name, box in _boxes(rows).items() if (~box.unseen).sum() >= min(MIN_FRAMES, frames)}
