@@ -194,7 +194,8 @@ def commit(
             run = replace(run, files={**run.files, **new})
             gone += [folder / name for name in OWNED if name not in run.files and folder / name not in files]
             try:
-                temporary_path(path).write_text(json.dumps(run.record(), indent=1, ensure_ascii=False) + "\n", "utf-8")
+                text = json.dumps(run.record(), indent=1, ensure_ascii=False) + "\n"
+                temporary_path(path).write_bytes(text.encode(errors="backslashreplace"))
                 files.append(path)
                 gone.remove(path)
             except OSError as e:
