@@ -178,7 +178,7 @@ class AppSession(Page):
             raise RefusedError(400, f"{place}: give the whole path, as {Path.home() / 'clips'}")
         if not place.exists():
             raise RefusedError(422, f"{place}: there is nothing of this name")
-        return self._added(expand([place]).clips)
+        return self._added(expand([place])[0])
 
     def _added(self, paths: Sequence[Path]) -> Json:
         added = self.project.add(paths)

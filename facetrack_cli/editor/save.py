@@ -61,7 +61,7 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     if manifest is not None:
         manifest = replace(manifest, lost_frames=summary_of(rows).lost_frames)
     if video and run.video is not None:
-        paint = partial(repaint, run.painted, rows=rows, report=report, stop=stop)
+        paint = partial(repaint, rows, run.clip, report=report, stop=stop)
     written, notes = replace_files(folder, files, manifest, [folder / UNSAVED], paint, lambda: _check(run))
     notes += past_end(fixer.corrections, run.last, str(folder / CORRECTED))
     if run.video is not None and not video:

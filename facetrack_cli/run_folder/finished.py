@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, NamedTuple, get_args
+from typing import Any, Final, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -21,31 +21,12 @@ from facetrack_cli.run_folder.manifest import VIDEO, check_belongs, other_clip, 
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import check_start
 from facetrack_cli.trajectory.reader import PEOPLE, Header, is_there, read_header
-from facetrack_cli.trajectory.trajectory import Status, Trajectory, header_value
+from facetrack_cli.trajectory.trajectory import Status, Trajectory
 from facetrack_cli.trajectory.writers import FORMATS, Format
 from facetrack_cli.video.images import listing
 from facetrack_cli.video.source import given_rate
 
 _AGAIN: Final = "make the run again"
-
-
-class Painted(NamedTuple):
-    """What an annotated video is drawn on: the frames `first` to `last` of a clip, with a title."""
-
-    clip: Path
-    fps: Fraction | None
-    first: int
-    last: int
-    title: str
-    stream: int | None = None
-
-    @classmethod
-    def of(cls, rows: Trajectory, clip: Path, first: int, last: int) -> Painted:
-        """As the rows of a run say."""
-        fps, stream = header_value(rows, "source", "fps"), header_value(rows, "source", "stream")
-        title = header_value(rows, "recipe", "name")
-        rate = given_rate(clip, fps) if isinstance(fps, int | float) else None
-        return cls(clip, rate, first, last, str(title or ""), stream if isinstance(stream, int) else None)
 
 
 @dataclass(frozen=True)
@@ -78,11 +59,6 @@ class Run:
     def parts(self) -> Mapping[str, tuple[str, ...]]:
         """The parts of each target."""
         return {name: tuple(part for target, part in self.rows.names if target == name) for name in self.rows.targets}
-
-    @property
-    def painted(self) -> Painted:
-        """What its video is drawn on."""
-        return Painted.of(self.rows, self.clip, self.first, self.last)
 
     @property
     def fixed_by(self) -> str:
@@ -167,11 +143,7 @@ def recipe_of(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) 
     values: dict[str, Any] = {key: deepcopy(value) for key, value in settings.items() if key != "name"}
     if any(file.stem == name for file in shipped_recipes()):
         folders = [shipped_folder(), *folders]
-    for section_values in [values, *_mappings(values.get("targets"))]:
-        for section, key in (("prior", "file"), ("recognition", "gallery"), ("confidence", "calibration")):
-            for place in _mappings({section: section_values.get(section)}):
-                if isinstance(file := place.get(key), str):
-                    place[key] = str(_sought(main, file, [*folders, shipped_folder()]))
+    _place(main, values, [*folders, shipped_folder()])
     kind = KINDS.get(str(values.get("type", "particle_filter")), ParticleRecipe)
     try:
         return kind.model_validate(values, context={"path": main.parent / f"{name}.yaml", "root": None})
@@ -181,8 +153,13 @@ def recipe_of(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) 
         raise InputError(f"{main}: this version of facetrack does not know its recipe ({wrong}); {_AGAIN}") from None
 
 
-def _mappings(value: Any) -> list[dict[str, Any]]:
-    return [section for section in value.values() if isinstance(section, dict)] if isinstance(value, dict) else []
+def _place(main: Path, values: dict[str, Any], folders: Sequence[Path]) -> None:
+    """Put the place where each file of a recipe's sections is now."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            _place(main, value, folders)
+        elif key in ("file", "gallery", "calibration") and isinstance(value, str):
+            values[key] = str(_sought(main, value, folders))
 
 
 def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:

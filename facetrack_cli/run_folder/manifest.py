@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
-import re
 import stat
 import threading
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import chain, groupby
+from itertools import chain, groupby, takewhile
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal
 
@@ -51,16 +51,7 @@ from facetrack_cli.core.types import Correction
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
 from facetrack_cli.recipe.model import Recipe, to_dict
-from facetrack_cli.run_folder.lease import (
-    FolderLease,
-    finish_replacing,
-    holder,
-    is_held,
-    left_in,
-    mark_of,
-    sweep,
-    utc_now,
-)
+from facetrack_cli.run_folder import lease
 from facetrack_cli.trajectory.reader import PEOPLE, corrections_record, is_there, read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of, tail
@@ -75,11 +66,6 @@ OWNED: Final = (VIDEO, POSTERIOR, FILTERED, PEOPLE, *TABLES, NAME)  # the files 
 REPORT: Final = "report.html"
 PLOT: Final = "plot.png"
 KILLED: Final = "killed"
-_FRAME: Final[Mapping[Format, re.Pattern[bytes]]] = {
-    "csv": re.compile(rb"(\d{1,15}),.*"),
-    "json": re.compile(rb'\{"frame":(\d{1,15}),.*\},?'),
-    "jsonl": re.compile(rb'\{"type":"frame","frame":(\d{1,15}),.*\}'),
-}
 
 
 @dataclass(frozen=True)
@@ -143,8 +129,7 @@ class Manifest(RunSummary):
     def record(self) -> dict[str, Any]:
         """The contents as JSON has them. What the tables say of the ending and the clip is not repeated."""
         left_out = {"variable_fps", "evidence", "source_sha256"}
-        members: dict[str, Any] = _adapter().dump_python(self, mode="json", exclude=left_out)
-        return members
+        return dict(_adapter().dump_python(self, mode="json", exclude=left_out))
 
     @property
     def is_failure(self) -> bool:
@@ -192,7 +177,7 @@ def outdated(folder: Path) -> list[str]:
 
 
 def commit(
-    lock: FolderLease, folder: Path, files: Sequence[Path], run: Manifest | None, gone: Sequence[Path] = ()
+    lock: lease.FolderLease, folder: Path, files: Sequence[Path], run: Manifest | None, gone: Sequence[Path] = ()
 ) -> None:
     """Let the temporary files of these paths replace them, and then run.json: `run`, and their checksums.
 
@@ -209,8 +194,8 @@ def commit(
             run = replace(run, files={**run.files, **new})
             gone += [folder / name for name in OWNED if name not in run.files and folder / name not in files]
             try:
-                text = _adapter().dump_json(run, indent=1, exclude={"variable_fps", "evidence", "source_sha256"})
-                temporary_path(path).write_bytes(text + b"\n")
+                text = json.dumps(run.record(), indent=1, ensure_ascii=False) + "\n"
+                temporary_path(path).write_bytes(text.encode(errors="backslashreplace"))
                 files.append(path)
                 gone.remove(path)
             except OSError as e:
@@ -238,10 +223,10 @@ def as_line(error: Exception) -> FacetrackError:
 def failed(run: Manifest, error: Exception) -> Manifest:
     """The run with the error that ended it."""
     line = as_line(error)
-    return replace(run, complete=False, error=as_text(str(line)), exit_code=int(line.exit_code), ended=utc_now())
+    return replace(run, complete=False, error=as_text(str(line)), exit_code=int(line.exit_code), ended=lease.utc_now())
 
 
-def note_failure(lock: FolderLease, folder: Path, run: Manifest, clip: Path, error: Exception) -> None:
+def note_failure(lock: lease.FolderLease, folder: Path, run: Manifest, clip: Path, error: Exception) -> None:
     """Write into run.json that a clip failed, with what is known of its `run`; what was tracked of it stays.
 
     Nothing is written where the error is one of writing, and over results that are whole or of something else.
@@ -291,7 +276,7 @@ def check_run(path: Path) -> None:
 def _check_written(folder: Path) -> None:
     """InputError for a folder whose first run is not at its end."""
     ended = (folder / NAME).is_file() or any(folder.glob("trajectory.*"))
-    if folder.is_dir() and not ended and holder(folder) is not None:
+    if folder.is_dir() and not ended and lease.holder(folder) is not None:
         raise InputError(
             f"{folder}: a run is being written here; wait until it ends (facetrack status tells how far it is)"
         )
@@ -315,28 +300,28 @@ def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: Fals
 
     Files half replaced are replaced; tables that were being written become the tables of a run that was stopped.
     """
-    if is_held(folder):
-        finish_replacing(folder, left_in(folder))
-        if holder(folder) is None:  # else it is at work
-            with contextlib.suppress(OutputError, OSError), FolderLease(folder, stopped) as lock:
+    if lease.is_held(folder):
+        lease.finish_replacing(folder, lease.left_in(folder))
+        if lease.holder(folder) is None:  # else it is at work
+            with contextlib.suppress(OutputError, OSError), lease.FolderLease(folder, stopped) as lock:
                 return recover(folder, lock)
     return 0
 
 
-def recover(folder: Path, lock: FolderLease) -> int:
+def recover(folder: Path, lock: lease.FolderLease) -> int:
     """As `recover_interrupted`, of a folder that is locked."""
     note, frames = lock.stale_note, 0
-    finish_replacing(folder, note)
+    lease.finish_replacing(folder, note)
     with contextlib.suppress(ValueError, InputError):  # a note need not be ours
-        run, mark = _adapter().validate_python(note.get("run")), mark_of(note)
+        run, mark = _adapter().validate_python(note.get("run")), lease.mark_of(note)
         if mark is not None:
             frames = _end_tables(folder, lock, mark, run)
     lock.note({"before": None})
-    sweep(folder)
+    lease.sweep(folder)
     return frames
 
 
-def _end_tables(folder: Path, lock: FolderLease, mark: str, run: Manifest) -> int:
+def _end_tables(folder: Path, lock: lease.FolderLease, mark: str, run: Manifest) -> int:
     """Write the whole frames of a killed process's tables again, and run.json; the number of these frames."""
     check_plain(*(folder / name for name in TABLES))
     parts = {form: temporary_path(folder / f"trajectory.{form}", mark) for form in FORMATS}
@@ -385,17 +370,21 @@ def write_rows(
 
 
 def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
-    """A table up to its last whole frame, ended, and the number of its frames. A frame may be torn anywhere."""
+    """A table up to its last whole frame, ended, and the number of its frames. A frame may be torn anywhere.
+
+    Raises ValueError for a header that is torn.
+    """
     lines = text.split(b"\n")
-    head = next((i for i, line in enumerate(lines) if _FRAME[form].fullmatch(line)), len(lines))
-    body = [line for line in lines[head:-1] if _FRAME[form].fullmatch(line)]
+    first = lines.index(b'"frames": [') + 1 if form == "json" else 1
+    begins = {"csv": b"", "json": b'{"frame":', "jsonl": b'{"type":"frame"'}[form]  # what follows may be the end
+    head, body = lines[:first], [*takewhile(lambda line: line.startswith(begins), lines[first:-1])]
     if form == "csv":
         groups = [list(rows) for _, rows in groupby(body, lambda line: line.partition(b",")[0])][:-1]
-        return b"\n".join([*lines[:head], *chain.from_iterable(groups), b""]), len(groups)
-    between = b",\n" if form == "json" else b"\n"
-    whole = between.join([*(line.rstrip(b",") for line in body)])
+        return b"\n".join([*head, *chain.from_iterable(groups), b""]), len(groups)
     end = tail(form, RunSummary(), len(body)).encode()
-    return b"\n".join([*lines[:head], whole]) + (b"\n" if form == "jsonl" else b"") + end, len(body)
+    if form == "json":  # the comma of the last frame goes
+        return b"\n".join([*head, *body]).removesuffix(b",") + end, len(body)
+    return b"\n".join([*head, *body, end]), len(body)
 
 
 def previous_run(folder: Path, asked: str, clip: Path) -> tuple[Manifest | None, Manifest | None]:

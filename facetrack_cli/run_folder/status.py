@@ -6,8 +6,9 @@ import hashlib
 import json
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
@@ -159,7 +160,7 @@ class Status:
         elif not left:
             yield f"nothing is left{', but --retry-failed tries what failed again' if self.counts['failed'] else ''}"
         else:
-            work = "" if self.work_s is None else f": about {duration(self.work_s / max(running, 1))}"
+            work = "" if self.work_s is None else f": about {timedelta(seconds=round(self.work_s / max(running, 1)))}"
             at = f", {running} at a time" if work and running else ""
             yield f"{left} {self.kind}{'s' * (left != 1)} left{work}{at}{again}"
 
@@ -214,15 +215,6 @@ def is_batch(folder: Path) -> bool:
     return not _is_run(folder) and any(folder.glob(_BATCHES))
 
 
-def duration(seconds: float) -> str:
-    """Seconds in words, to two figures or so: 40 s, 12 min, 3.5 h, 12 days."""
-    for unit, length, most in (("s", 1.0, 100.0), ("min", 60.0, 100.0), ("h", 3600.0, 48.0)):
-        if seconds < most * length:
-            value = seconds / length
-            return f"{value:.1f} {unit}" if value < 10 and unit == "h" else f"{value:.0f} {unit}"
-    return f"{seconds / 86400:.1f} days"
-
-
 def chunk_name(chunk: int) -> str:
     """The folder of a chunk, in that of the run."""
     return f"{CHUNKS}/{chunk:05d}"
@@ -247,23 +239,16 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
     except InputError as e:
         return ClipStatus(clip or name, name, "failed", error=str(e), exit_code=int(e.exit_code))
     note = holder(folder)
-    if note is not None:
+    if note is not None or run is None:
+        left: Mapping[str, Any] = left_in(folder) if note is None else note
+        clip = clip or as_text(str(left.get("clip", name)))
+        if note is None:  # what is left is of a process that is gone
+            return ClipStatus(clip, name, "interrupted" if is_held(folder) else "not begun")
         frames, of, seconds = (_number(note, key) for key in ("frame", "frames", "seconds"))
-        return ClipStatus(
-            clip=clip or as_text(str(note.get("clip", name))),
-            folder=name,
-            state="running",
-            frames=int(frames or 0),
-            of=None if of is None else int(of),
-            host=str(note.get("host", "")),
-            since=str(note.get("began", "")),
-            seconds=seconds,
-            frames_per_s=round(frames / seconds, 2) if frames and seconds else None,
-        )
-    if run is None:
-        begun = is_held(folder)  # a process that is gone has left it
-        clip = clip or as_text(str(left_in(folder).get("clip", name)))
-        return ClipStatus(clip, name, "interrupted" if begun else "not begun")
+        rate = round(frames / seconds, 2) if frames and seconds else None
+        host, since = str(note.get("host", "")), str(note.get("began", ""))
+        done, total = int(frames or 0), None if of is None else int(of)
+        return ClipStatus(clip, name, "running", done, total, host, since, seconds=seconds, frames_per_s=rate)
     state: State = "failed" if run.error is not None else "done" if run.stopped is None else "interrupted"
     tracked, took = run.frames - run.resumed, run.seconds
     lost, look = _worst_part(run)

@@ -103,7 +103,7 @@ def track_video(
     with contextlib.closing(Bar() if report is None and watched() else Progress(True)) as shown:
         shown.begin(job.clip.name)
         sink = Rows()
-        done = track_clip(plan, None, Stop(), report or shown.update, shown.looked, [sink])
+        done = track_clip(plan, None, Stop(), report or shown.update, shown.looked, sink)
     if done.error is not None and not isinstance(done.error, FacetrackError):
         raise done.error  # a fault of ours is not the end of a clip
     rows = sink.trajectory(done)

@@ -21,14 +21,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from facetrack_cli.core.errors import BusyError, FacetrackError, InputError, UsageError, about, from_system, reason
 from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, read_bounded
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.lease import FolderLease, here, is_held
 from facetrack_cli.run_folder.manifest import NAME, Manifest, as_line, note_failure, recover_interrupted
-from facetrack_cli.runs.clip import Work, run
+from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.plan import Job, Outcome, Report, resolve, silent
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
@@ -181,30 +181,22 @@ def outcome_of_crash(job: Job, error: Exception) -> Outcome:
     return Outcome(clip=job.clip, error=error_line)
 
 
-def attempt(
-    job: Job, stop: Stop, report: Report = silent, looked: Report = silent, work: Work | None = None
-) -> Outcome:
+def attempt(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
     """Run a job; its error is in the outcome, as one line."""
     with about(job.clip.name):
         try:
-            outcome = run(job, stop, report, looked, work)
+            outcome = run(job, stop, report, looked)
         except Exception as e:
             outcome = Outcome(clip=job.clip, error=e)
         outcome.error = outcome.error and as_line(outcome.error)
     return outcome
 
 
-class ClipList(NamedTuple):
-    """The clips, each once, and whether they are `several`: more than one, or whatever a folder, glob or list holds."""
+def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: None) -> tuple[list[Path], bool]:
+    """The clips of the inputs of a command line, each once, in their order; `note` hears what is left out.
 
-    clips: list[Path]
-    several: bool
-
-
-def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: None) -> ClipList:
-    """The clips of the inputs of a command line, in their order; `note` hears what is left out.
-
-    InputError for a list that cannot be read, and a folder, glob or list without clips; UsageError for several images.
+    And whether they are several: more than one, or whatever a folder, glob or list holds. InputError for a list that
+    cannot be read, and a folder, glob or list without clips; UsageError for several images.
     """
     listed = [clip for path in inputs for clip in _listed(path)]
     groups = [_clips(path, note) for path in listed]
@@ -215,7 +207,7 @@ def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: No
         folder = f"{single[0].parent}{os.sep}"
         raise UsageError(f"{single[0]} and {len(single) - 1} more are single images; give their folder, {folder}")
     plain = len(inputs) == len(listed) and groups == [[path] for path in inputs]
-    return ClipList(clips, len(clips) > 1 or not plain)
+    return clips, len(clips) > 1 or not plain
 
 
 def _listed(path: Path) -> list[Path]:

@@ -3,31 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import TypeAlias
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
-from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.engine.corrected import restored
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.manifest import POSTERIOR, VIDEO
+from facetrack_cli.runs import record
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, resolve, silent
-from facetrack_cli.runs.record import (
-    ClipFacts,
-    Ended,
-    Recorder,
-    Results,
-    RunFolder,
-    RunState,
-    Sink,
-    header_of,
-    outputs,
-    record,
-)
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.runs.workers import decoded_ahead
@@ -39,36 +26,15 @@ from facetrack_cli.video.shots import Shot
 from facetrack_cli.video.source import brings_rate
 
 MAX_LAG_BYTES = 1 << 30  # of the frames that wait for later ones
-Work: TypeAlias = Callable[[Plan, RunFolder, Stop, Report, Report], Outcome]
 
 
-def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, work: Work | None = None) -> Outcome:
-    """Track one clip into its files.
+def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
+    """Track one clip into its files, or join its chunks, once they are tracked.
 
     What the folder holds of the same job is left as it is if it was not cut short by an error, a signal or a kill; else
-    the clip is tracked again.
-
-    Parameters
-    ----------
-    job : Job
-    stop : Stop
-        Is asked each frame.
-    report : Callable
-        Hears how many frames are done, and how many there are, None if that is not known.
-    looked : Callable
-        Hears the same of the search for a face.
-    work : Callable or None
-        What gives the rows; None: they are tracked.
-
-    Returns
-    -------
-    Outcome
-        An error after the first frame is in it, beside what was kept.
-
-    Raises
-    ------
-    FacetrackError
-        If nothing was tracked; no file is left then.
+    the clip is tracked again. `report` hears how many frames are done, and how many there are, None if that is not
+    known; `looked` the same of the search for a face. An error after the first frame is in the outcome, beside what was
+    kept. Raises FacetrackError if nothing was tracked; no file is left then.
     """
     plan = resolve(job)
     if plan.names:  # imported where a run asks for it, as below: a short run takes as long as its imports
@@ -81,11 +47,16 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
     if tracked is not None and (plan.names or kept <= {*tracked.files}):  # only named or smoothed it is not
         done = replace(Outcome.of(job, tracked), again=None)
     else:
-        with RunFolder(plan, stop) as folder:
+        with record.RunFolder(plan, stop) as folder:
             plan = folder.plan
             if (ended := plan.ended()) is not None:  # meanwhile, by another process
                 return ended
-            done = (work or track_clip)(plan, folder, stop, report, looked)
+            if job.split is None:
+                done = track_clip(plan, folder, stop, report, looked)
+            else:
+                from facetrack_cli.runs.split import join_chunks
+
+                done = join_chunks(plan, folder, stop, report)
     if done.error is not None or done.stopped is not None:
         return done
     if plan.names:
@@ -111,16 +82,16 @@ def _smoothed(job: Job, done: Outcome, stop: Stop, looked: Report) -> Outcome:
 
 
 def track_clip(
-    plan: Plan, folder: RunFolder | None, stop: Stop, report: Report, looked: Report, sinks: Sequence[Sink] = ()
+    plan: Plan, folder: record.RunFolder | None, stop: Stop, report: Report, looked: Report, *into: record.Sink
 ) -> Outcome:
-    """Track one clip into `sinks`, without any into its tables, and what else its folder holds. Raises as `run`."""
+    """Track one clip into some sinks, without any into its tables, and what else its folder holds. Raises as `run`."""
     job = plan.job
     try:
         with precompiling(to_dict(job.recipe), job.threads) as compile_all:  # while the start is looked for
             if plan.everyone:
                 from facetrack_cli.runs.people import ORIGIN, film_shots
 
-                start, shots = Start(job.first, {}, ORIGIN), film_shots(job, job.first, stop, looked)
+                start, shots = Start(job.first, {}, ORIGIN), film_shots(job, stop, looked)
             else:
                 start, shots = job.find(job.recipe, stopped=stop, looked=looked), []
             compile_all(stop, looked)
@@ -128,26 +99,26 @@ def track_clip(
         if not stop():
             raise
         return Outcome(clip=job.clip, streamed=job.out is None, stopped=stop.reason)
-    resumed, sinks = None, sinks or outputs(plan, folder)
+    resumed, sinks = None, [*into] or record.outputs(plan, folder)
     if folder is not None:
-        sinks = [*sinks, RunMonitor.of(job.recipe, start)]
+        sinks.append(RunMonitor.of(job.recipe, start))
         if job.smooth:
             from facetrack_cli.runs.smooth import PosteriorWriter
 
             sinks.append(PosteriorWriter(folder.path))
         resumed = folder.resume(start, sinks)
-    with Recorder(plan, sinks, folder, resumed) as into:
-        state = into.state
-        state.frame, into.outcome.note = state.frame if resumed else start.frame, start.note
+    with record.Recorder(plan, sinks, folder, resumed) as recorder:
+        state = recorder.state
+        state.frame, recorder.outcome.note = state.frame if resumed else start.frame, start.note
         with follow(plan, start, shots, state, stop) as results:
-            done = record(results, into, stop, report)
+            done = record.record(results, recorder, stop, report)
     if done.verdict and job.fps is None and done.frames > 1 and not brings_rate(job.clip):
         done.verdict += f"; images have no rate: {results.clip.fps} frames/s is taken, or that of --fps"
     return done
 
 
 @contextlib.contextmanager
-def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: Stop) -> Iterator[Results]:
+def follow(plan: Plan, start: Start, shots: list[Shot], state: record.RunState, stop: Stop) -> Iterator[record.Results]:
     """The results of a clip, or of the `shots` of a film, from its start, or where `state` says that it goes on."""
     job = plan.job
     with job.open(state.frame) as source:
@@ -155,7 +126,7 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
         if job.lag * frame_bytes > MAX_LAG_BYTES:
             most = f"at most --lag {MAX_LAG_BYTES // frame_bytes} at {width}x{height}, or take --smooth"
             raise UsageError(f"{job.clip}: {job.lag} frames of this size take too much memory; {most}")
-        clip, more = ClipFacts.of(job.clip, source), {"shots": [list(shot) for shot in shots]} if shots else {}
+        clip, more = record.ClipFacts.of(job.clip, source), {"shots": [list(shot) for shot in shots]} if shots else {}
         asked = frames_of(source, state.frame, job.origin(start))
 
         def tracked() -> Generator[FrameResult, None, None]:
@@ -175,7 +146,7 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
                     results = lagged(results, job.lag)
                 yield from results
 
-        def ended(whole: bool) -> Ended:
+        def ended(done: Outcome, whole: bool) -> None:
             if shots and whole and not job.chunk and not state.outcome.evidence:
                 raise InputError(f"{job.clip}: no face found in frames {start.frame} to {state.frame - 1}")
             warnings = (*source.warnings, *state.notes)
@@ -185,15 +156,12 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
                 warnings += crowded(state.at)
             if whole and job.stop is None:
                 warnings += past_end(start.corrections, state.frame - 1, start.origin)
-            if job.faces == "all" and not shots and start.origin not in DETECTORS:
-                alone = f"says where {' and '.join(start.targets)} begins, so --faces all follows no other"
-                warnings += (f"{start.origin} {alone}; --init haar does",)
-            elif job.faces == "all" and not shots and not job.chunk:
-                alone = f"recipe {job.recipe.name} follows the faces of frame {start.frame} and no other"
-                warnings += (f"{alone}; recipe face follows everybody, over cuts",)
-            return Ended(source.complete, warnings, source.variable)
+            if job.faces == "all" and not shots and not job.chunk:
+                alone = f"{job.recipe.name} follows those of frame {start.frame}, by {start.origin}, and no other"
+                warnings += (f"--faces all: {alone}; recipe face with --init haar follows everybody, over cuts",)
+            done.complete, done.warnings, done.variable_fps = source.complete, warnings, source.variable
 
-        yield Results(clip, partial(header_of, job, clip, start, more), tracked(), state.at, ended)
+        yield record.Results(clip, partial(record.header_of, job, clip, start, more), tracked(), state.at, ended)
 
 
 def past_end(corrections: Iterable[Correction], last: int, origin: str) -> tuple[str, ...]:

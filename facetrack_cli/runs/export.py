@@ -14,7 +14,6 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError, named_as_arguments
 from facetrack_cli.core.files import check_new, temporary_path, write_new
-from facetrack_cli.run_folder.finished import Painted
 from facetrack_cli.run_folder.manifest import VIDEO
 from facetrack_cli.runs.plan import silent
 from facetrack_cli.runs.signals import never
@@ -208,7 +207,6 @@ def annotated_video(trajectory: Trajectory, *, media: str | Path | None = None) 
     clip = clip_of(trajectory) if media is None else Path(media)
     if clip is None:
         raise InputError("the trajectory does not name its clip; give it with media")
-    painted = Painted.of(trajectory, clip, int(trajectory.frames[0]), int(trajectory.frames[-1]))
     with TemporaryDirectory() as folder:
-        repaint(painted, Path(folder, VIDEO), trajectory, silent, never)
+        repaint(trajectory, clip, path=Path(folder, VIDEO), report=silent, stop=never)
         return Video(temporary_path(Path(folder, VIDEO)).read_bytes())

@@ -1,6 +1,6 @@
 """Tracking of images as they come: from a camera, an address of the network, or a pipe.
 
-One image is held at a time. Each frame gives a line of JSON with its age, as soon as it is tracked. Of everybody in a
+Two images wait at most. Each frame gives a line of JSON with its age, as soon as it is tracked. Of everybody in a
 film (`LiveCast`, ours) a line comes up to eight frames late: so many take a cut and a look of the detector.
 """
 
@@ -9,15 +9,13 @@ from __future__ import annotations
 import json
 import math
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import chain, groupby
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from types import SimpleNamespace
 from typing import Any, BinaryIO, Final
 
@@ -31,6 +29,7 @@ from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import Tracker, frames_of_images
 from facetrack_cli.runs.signals import never
+from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.start.presence import LOOK_FRAMES, MultiFaceTracker
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import VIEWS, Describer, FaceDescriptor, together, views_of
@@ -42,7 +41,6 @@ from facetrack_cli.video.images import MOST_PIXELS, check_pixels
 from facetrack_cli.video.shots import Shot, passing_shots
 from facetrack_cli.video.source import address_of, is_live, open_source
 
-LOOK_S: Final = 0.1  # between two looks at the wish to stop
 OPEN_S, READ_S = 10.0, 10.0  # seconds without a byte, after which an address is given up
 LEAST_WAIT_S, MOST_WAIT_S = 1.0, 30.0  # until an address is opened again
 LEAST_VIEWS: Final = 3  # of a face before it is named
@@ -85,9 +83,9 @@ def follow(
     came: dict[int, float] = {}
     shown: dict[int, float] = {}
 
-    def counted() -> Iterator[Image]:
+    def counted(images: Iterator[Image | Frame]) -> Iterator[Image]:
         began = None
-        for index, image in enumerate(awaited(images, stopped)):
+        for index, image in enumerate(images):
             now = came[index] = time.monotonic()
             began = now if began is None else began
             own = image.time_s if isinstance(image, Frame) else math.nan
@@ -96,50 +94,24 @@ def follow(
 
     count = 0
     try:
-        frames = frames_of_images(counted(), shown.pop)
-        results = Tracker(recipe, init=init)._follow(frames) if cast is None else cast.follow(frames, recipe)
-        for result in results:
-            at = came[result.frame.index]
-            for index in [index for index in came if index <= result.frame.index]:
-                del came[index]
-            line = record(result, result.frame.time_s, time.monotonic() - at)
+        with decoded_ahead(images, most=1, stopped=stopped) as coming:
+            frames = frames_of_images(counted(coming), shown.pop)
+            results = Tracker(recipe, init=init)._follow(frames) if cast is None else cast.follow(frames, recipe)
+            for result in results:
+                at = came[result.frame.index]
+                for index in [index for index in came if index <= result.frame.index]:
+                    del came[index]
+                line = record(result, result.frame.time_s, time.monotonic() - at)
+                if cast is not None:
+                    line["people"] = {one: cast.names.get(one) for one in (each["target"] for each in line["targets"])}
+                write(json.dumps(line, allow_nan=False))
+                count += 1
             if cast is not None:
-                line["people"] = {one: cast.names.get(one) for one in (each["target"] for each in line["targets"])}
-            write(json.dumps(line, allow_nan=False))
-            count += 1
-        if cast is not None:
-            write(json.dumps({"people": cast.cast()}))
+                write(json.dumps({"people": cast.cast()}))
     except InputError:  # also where the images end before the target is found
         if not stopped():
             raise
     return count
-
-
-def awaited(images: Iterator[Image | Frame], stopped: Callable[[], bool]) -> Iterator[Image | Frame]:
-    """The images until `stopped`; a thread reads each once it is asked for, as a read that waits cannot be ended."""
-    asked, came = SimpleQueue[bool](), SimpleQueue[Any]()
-
-    def read() -> None:
-        while asked.get():
-            try:
-                came.put(next(images, None))
-            except Exception as e:
-                came.put(e)
-
-    threading.Thread(target=read, name="images", daemon=True).start()
-    asked.put(True)
-    try:
-        while not stopped():
-            with suppress(Empty):
-                found = came.get(timeout=LOOK_S)
-                if isinstance(found, Exception):
-                    raise found
-                if found is None:
-                    break
-                yield found
-                asked.put(True)
-    finally:
-        asked.put(False)
 
 
 def record(result: FrameResult, time_s: float, age_s: float) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import check_plain, make_folder, remove_folders
 from facetrack_cli.core.types import BOX, Frame, Image
 from facetrack_cli.engine.loop import TrackState
-from facetrack_cli.run_folder.finished import Painted, run_files
-from facetrack_cli.run_folder.lease import IN_A_COPY, FolderLease, holder
+from facetrack_cli.run_folder.finished import run_files
+from facetrack_cli.run_folder.lease import IN_A_COPY, FolderLease
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run, write_rows
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
@@ -61,8 +61,9 @@ class NamedFilm(NamedTuple):
     stills: Mapping[str, bytes]
 
 
-def film_shots(job: Job, first: int, stop: Stopped, looked: Report) -> list[Shot]:
-    """The shots of a clip from its frame `first`; InputError once `stop` says so."""
+def film_shots(job: Job, stop: Stopped, looked: Report) -> list[Shot]:
+    """The shots of a clip, from the first frame that is asked for; InputError once `stop` says so."""
+    first = job.first
     with job.open(first) as source:
         frames = frames_of(source, first, "the film", stop)
         total = source.frames_hint
@@ -123,7 +124,7 @@ def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path |
 def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> NamedFilm:
     """Who the tracks of a job's `rows` are of. InputError where the film shows nobody; raises StoppedError."""
     first, stored = int(rows.frame.min()), rows.header.get("shots")
-    shots = [Shot(*shot) for shot in stored] if stored else film_shots(job, job.first, stop, looked)
+    shots = [Shot(*shot) for shot in stored] if stored else film_shots(job, stop, looked)
     gallery = {} if job.gallery is None else load_people(job.gallery)
     frames, tracks = len(rows.frames), list[TrackSummary]()
     boxes = {name: box for name, box in _boxes(rows).items() if (~box.unseen).sum() >= min(MIN_FRAMES, frames)}
@@ -221,7 +222,7 @@ def name_run(plan: Plan, outcome: Outcome, stop: Stop, looked: Report) -> Outcom
     try:
         film = cast_in(job, rows, stop, looked)
         after = under_names(rows, film.tracks)
-        paint = Painted.of(rows, job.clip, job.first, job.first + outcome.frames - 1) if job.video else None
+        paint = (job.clip, (job.first, job.first + outcome.frames - 1)) if job.video else None
         write_people(job.out, after, film.people, film.stills, paint, lambda n, of: looked(n, of, "drawing"), stop)
     except StoppedError:
         outcome.stopped = stop.reason
@@ -237,12 +238,15 @@ def write_people(
     rows: Trajectory,
     people: People,
     stills: Mapping[str, bytes],
-    paint: Painted | None,
+    paint: tuple[Path, tuple[int, int]] | None,
     report: Report,
     stop: Stopped,
     lock: FolderLease | None = None,
 ) -> list[str]:
-    """Write the rows of a run under the names of people, people.json, pictures and video, all or none; warnings."""
+    """Write the rows of a run under the names of people, people.json, pictures and video, all or none; warnings.
+
+    `paint`: the clip, and the first and last frames that the video shows.
+    """
     counted = summary_of(rows)
     header = {**rows.header, "lost_frames": counted.lost_frames, "evidence": counted.evidence}
     rows = replace(rows, header=header)
@@ -255,7 +259,7 @@ def write_people(
     if (ended := read_manifest(folder)) is not None:
         kept = {name: file for name, file in ended.files.items() if name != VIDEO or paint is None}
         ended = replace(ended, files=kept, lost_frames=counted.lost_frames, lost_at_end=counted.lost_at_end)
-    draw = None if paint is None else partial(repaint, paint, rows=rows, report=report, stop=stop, order=people.names)
+    draw = None if paint is None else partial(repaint, rows, *paint, report=report, stop=stop, order=people.names)
     try:
         return replace_files(folder, files, ended, gone, draw, lock=lock)[1]
     finally:
@@ -317,12 +321,12 @@ def recast(
     return after
 
 
-def painted(folder: Path, people: People, rows: Trajectory, clip: Path | None) -> Painted | None:
-    """What the annotated video of a film is drawn on; None if it has none, or its clip is not known."""
+def painted(folder: Path, people: People, rows: Trajectory, clip: Path | None) -> tuple[Path, tuple[int, int]] | None:
+    """What the annotated video of a film is drawn on, for `write_people`; None without it, or without its clip."""
     where, run, first = clip or clip_of(rows), read_manifest(folder), people.shots[0].first
     if where is None or run is None or not (folder / VIDEO).is_file():
         return None
-    return Painted.of(rows, where, first, first + run.frames - 1)
+    return where, (first, first + run.frames - 1)
 
 
 def rows_in(folder: Path) -> Trajectory:
@@ -341,19 +345,9 @@ def people_in(folder: Path) -> People:
     check_run(folder)
     people = read_people(folder)
     if people is None:
-        raise InputError(f"{folder}: {_why_nobody(folder)}")
+        wrote = "facetrack run --faces all writes it at its end; the same command goes on with one that was interrupted"
+        raise InputError(f"{folder}: has no {PEOPLE}; {wrote}")
     return people
-
-
-def _why_nobody(folder: Path) -> str:
-    """Why a folder has no people.json, and what to do."""
-    if not run_files(folder) or header_value(rows_in(folder), "init", "from") != ORIGIN:
-        return f"has no {PEOPLE}; facetrack run --faces all writes it"
-    if holder(folder) is not None:
-        return "a run goes on here; wait until it ends (facetrack status tells how far it is)"
-    run = read_manifest(folder)
-    ended = "was interrupted" if run is None or run.error is None else "failed"
-    return f"the run {ended} before its people had names; the same command again goes on with it"
 
 
 def still_of(rows: Trajectory, target: str, first: int, stop: int, read: Callable[[int], Frame]) -> bytes:

@@ -9,9 +9,9 @@ import math
 import os
 import shlex
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, fields, replace
 from fractions import Fraction
-from itertools import chain, islice
+from itertools import islice
 from numbers import Integral
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias, get_args
@@ -27,17 +27,8 @@ from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.spaces import box_of
 from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.lease import is_held
-from facetrack_cli.run_folder.manifest import (
-    OWNED,
-    VIDEO,
-    Manifest,
-    clip_digest,
-    error_of,
-    previous_run,
-    recipe_digest,
-    recover_interrupted,
-)
 from facetrack_cli.runs.signals import never
 from facetrack_cli.start.assembly import name_targets, tracker_for
 from facetrack_cli.start.init_file import check_start, find_init, read_init
@@ -68,7 +59,7 @@ class ClipRequest:
     `find`. `faces` says whether it takes the best face, or all that are there.
     `init_frame` is the frame of the init file or box, or the first to look for a face in.
     `stream`: the number of the video stream in the file.
-    `chunk`: whether it is a chunk of a longer clip; then a face is searched for up to its end.
+    `chunk`: whether it is a chunk of a longer clip.
     """
 
     clip: Path
@@ -136,17 +127,13 @@ class ClipRequest:
         with self.open(at) as source:
             faces: Faces = "all" if recipe.later else self.faces
             frames = frames_of(source, at, origin, stopped, looked)
-            while True:
-                try:
-                    start = search(recipe, frames, str(self.clip), by=self.by, faces=faces)
-                    return self._signer(recipe, start) if recipe.later else start
-                except InputError:
-                    if stopped():
-                        raise InputError(f"{self.clip}: stopped before a start was found") from None
-                    further = next(frames, None) if self.chunk else None
-                    if further is None:
-                        raise
-                    frames = chain([further], frames)
+            try:
+                start = search(recipe, frames, str(self.clip), by=self.by, faces=faces)
+            except InputError:
+                if stopped():
+                    raise InputError(f"{self.clip}: stopped before a start was found") from None
+                raise
+        return self._signer(recipe, start) if recipe.later else start
 
     def _signer(self, recipe: Recipe, start: Start) -> Start:
         """Of a start with several faces that with the largest, or with one whose hands move far more than its hands."""
@@ -321,24 +308,17 @@ class Job(ClipRequest):
 
 @dataclass(frozen=True)
 class Plan:
-    """A job with the answers that the files gave.
+    """A job with the answers that the files gave: its `init` is the init file beside the clip, where that is taken.
 
-    Attributes
-    ----------
-    job : Job
-        Its `init` is the init file beside the clip, where that is taken.
-    asked : str
-        A digest of all that is asked for but the clip: of recipe, start, frames, options, and their files.
-    everyone : bool
-        Whether everybody in a film is followed, from entry to exit, and over cuts.
-    previous : Manifest or None
-        The run.json of an earlier run of the same job and the same clip, whose files are whole.
+    `asked` is a digest of all that is asked for but the clip: of recipe, start, frames, options, and their files.
+    `everyone`: whether everybody in a film is followed, from entry to exit, and over cuts. `previous` is the run.json
+    of an earlier run of the same job and the same clip, whose files are whole.
     """
 
     job: Job
     asked: str
     everyone: bool
-    previous: Manifest | None
+    previous: manifest.Manifest | None
 
     @property
     def draws(self) -> bool:
@@ -351,7 +331,7 @@ class Plan:
         return self.everyone and not self.job.chunk and self.job.out is not None
 
     @property
-    def tracked(self) -> Manifest | None:
+    def tracked(self) -> manifest.Manifest | None:
         """The run.json of a run that came to its end, named and smoothed or not, and is not to be replaced."""
         previous = None if self.job.overwrite else self.previous
         return previous if previous is not None and previous.error is None and previous.stopped is None else None
@@ -361,7 +341,7 @@ class Plan:
         previous, job = self.previous, self.job
         if previous is None or job.overwrite:
             return None
-        whole = self.tracked is not None and (VIDEO in previous.files or not job.video)
+        whole = self.tracked is not None and (manifest.VIDEO in previous.files or not job.video)
         whole &= (not self.names or PEOPLE in previous.files) and (not job.smooth or previous.smoothed)
         failed_before = previous.error is not None and job.batch and not job.retry_failed
         return Outcome.of(job, previous) if whole or failed_before else None
@@ -370,18 +350,9 @@ class Plan:
 def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
     """Look at what is there, once, and refuse what cannot work before anything is opened.
 
-    Parameters
-    ----------
-    job : Job
-    kept : bool
-        Whether rows without a folder stay in memory, and do not go to standard output.
-    locked : bool
-        Whether the folder's lease is ours, so that nobody else writes there.
-
-    Raises
-    ------
-    UsageError, InputError, OutputError
-        For options that exclude each other, results in the way, an output that is the input.
+    `kept`: whether rows without a folder stay in memory, and do not go to standard output. `locked`: whether the
+    folder's lease is ours, so that nobody else writes there. Raises UsageError, InputError and OutputError for options
+    that exclude each other, results in the way, an output that is the input.
     """
     if job.init is None and job.box is None:
         job = replace(job, init=find_init(job.clip))
@@ -394,14 +365,14 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
     if job.chunk:
         check_plain(job.out)
     if not locked:
-        recover_interrupted(job.out, lambda: True)
+        manifest.recover_interrupted(job.out, lambda: True)
     held = not locked and is_held(job.out)  # whoever writes there may be writing the same results
-    previous, there = previous_run(job.out, asked, job.clip)
+    previous, there = manifest.previous_run(job.out, asked, job.clip)
     if not held:
         # what is cut short is replaced, and what failed
         overwrite = job.overwrite or previous is not None or (there is not None and there.is_failure)
         init = job.init if isinstance(job.init, Path) else None
-        check_folder(job.out, OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
+        check_folder(job.out, manifest.OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
     return Plan(job, asked, everyone, previous)
 
 
@@ -412,21 +383,14 @@ def follows_everyone(recipe: Recipe) -> bool:
 
 def digest_of(job: Job) -> str:
     """A digest of all that is asked for but the clip, of a job whose init file is found."""
-    init: object = job.init
-    if isinstance(init, Path):
-        init = clip_digest(init)
-    elif isinstance(init, Start):
-        init = to_record(init)
-    options = [str(job.fps), job.lag, job.smooth, job.formats, job.video, job.strict]
-    options += [] if job.gallery is None else [str(job.gallery)]
-    options += [] if job.stream is None else [f"stream {job.stream}"]
-    asked = [
-        __version__,
-        recipe_digest(job.recipe),
-        [init, job.box, job.init_frame, job.faces, job.start, job.stop],
-        [options, *([job.split, job.chunk] if job.split or job.chunk else [])],
-    ]
-    return hashlib.sha256(dumps(asked).encode()).hexdigest()
+    how = {"clip", "recipe", "out", "overwrite", "threads", "resume", "batch", "retry_failed"}
+    asked: dict[str, object] = {each.name: getattr(job, each.name) for each in fields(job) if each.name not in how}
+    if isinstance(job.init, Path):
+        asked["init"] = manifest.clip_digest(job.init)
+    elif isinstance(job.init, Start):
+        asked["init"] = to_record(job.init)
+    words = [__version__, manifest.recipe_digest(job.recipe), *map(str, asked.items())]
+    return hashlib.sha256(dumps(words).encode(errors="surrogateescape")).hexdigest()
 
 
 def check_count(name: str, value: object) -> None:
@@ -487,13 +451,13 @@ class Outcome(RunSummary):
     doubts: str = ""
     look: tuple[tuple[int, int], ...] = ()
     borne_out: float | None = None
-    again: Manifest | None = None
+    again: manifest.Manifest | None = None
     smoothed: bool = False
     resumed: int | None = None
     network: str = ""
 
     @classmethod
-    def of(cls, job: Job, run: Manifest) -> Outcome:
+    def of(cls, job: Job, run: manifest.Manifest) -> Outcome:
         """That of a run that its folder holds already."""
         assert job.out is not None
         return cls(
@@ -503,7 +467,7 @@ class Outcome(RunSummary):
             complete=run.complete,
             clip=job.clip,
             files=[job.out / name for name in run.files],
-            error=error_of(run) or (InputError(run.warnings[-1]) if job.strict and not run.complete else None),
+            error=manifest.error_of(run) or (InputError(run.warnings[-1]) if job.strict and not run.complete else None),
             again=run,
             network=run.network,
             smoothed=run.smoothed,

@@ -23,37 +23,15 @@ import cv2
 import numba
 import numpy as np
 
+from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.files import (
-    FileSink,
-    Place,
-    StreamSink,
-    cannot_write,
-    make_folder,
-    remove_folders,
-    temporary_path,
-    writing,
-)
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder import checkpoint
+from facetrack_cli.run_folder import checkpoint, manifest
 from facetrack_cli.run_folder.checkpoint import Checkpoints, remove_checkpoints
 from facetrack_cli.run_folder.lease import FolderLease, here, utc_now
-from facetrack_cli.run_folder.manifest import (
-    VIDEO,
-    Clip,
-    ClipDigest,
-    Manifest,
-    check_belongs,
-    clip_stat,
-    commit,
-    failed,
-    note_failure,
-    outdated,
-    recover,
-)
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.workers import Painter
@@ -95,38 +73,21 @@ class ClipFacts(NamedTuple):
         return {"path": self.path, "size": list(self.size), "fps": round(float(self.fps), 6), **odd}
 
 
-class Ended(NamedTuple):
-    """How results ended. `error`: why they are fewer than was asked for."""
-
-    complete: bool = True
-    warnings: tuple[str, ...] = ()
-    variable_fps: bool | None = None
-    error: Exception | None = None
-
-
 @dataclass(frozen=True)
 class Results:
     """The results of a clip, of a film, of joined chunks: whatever is written as a run.
 
-    Attributes
-    ----------
-    clip : ClipFacts
-    header : Callable[[Trajectory], Header]
-        What JSON says at its beginning, by the rows of the first frame.
-    frames : Generator of FrameResult, or None
-        Raises StoppedError where nothing is to be kept.
-    state : TrackState
-        The state of the tracker after the last result, for a checkpoint.
-    ended : Callable[[bool], Ended]
-        Asked when no more frames come; its argument: whether nothing ended them early. Raises InputError where nothing
-        is to be kept.
+    `header` gives what JSON says at its beginning, by the rows of the first frame. `frames` raises StoppedError where
+    nothing is to be kept. `state` is that of the tracker after the last result, for a checkpoint. `ended` adds to the
+    outcome how they ended, and is told whether nothing ended them early; it raises InputError where nothing is to be
+    kept.
     """
 
     clip: ClipFacts
     header: Callable[[Trajectory], Header]
     frames: Generator[FrameResult, None, None] | None = None  # of who writes them one by one
     state: TrackState = field(default_factory=TrackState)
-    ended: Callable[[bool], Ended] = lambda whole: Ended()
+    ended: Callable[[Outcome, bool], None] = lambda done, whole: None
 
 
 class Sink:
@@ -135,10 +96,6 @@ class Sink:
     path: Path | None = None
     every = False  # whether it also takes frames without targets, which are none of the run's
     missing: OutputError | None = None  # why there is no file, though all others are whole
-
-    def fits(self, mark: Any) -> bool:
-        """Whether the sink can continue from a checkpoint's mark: it is its own, and what was written still exists."""
-        return mark is None
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
         """Called before the first result. `mark` is what `mark` returned in a run that continues, else None."""
@@ -184,14 +141,14 @@ class RunFolder:
         self.plan, self.path = plan, plan.job.out
         self.checkpoints: Checkpoints | None = None
         self.lease = FolderLease(self.path, stopped)
-        self._run = Manifest(networks=plan.job.recipe.networks, host=here()[0])
+        self._run = manifest.Manifest(networks=plan.job.recipe.networks, host=here()[0])
 
     def __enter__(self) -> RunFolder:
         with contextlib.ExitStack() as opened:
-            opened.callback(remove_folders, make_folder(self.path))
+            opened.callback(files.remove_folders, files.make_folder(self.path))
             opened.enter_context(self.lease)
             self._entered_s = time.monotonic()
-            recover(self.path, self.lease)
+            manifest.recover(self.path, self.lease)
             self.plan = resolve(self.plan.job, locked=True)  # somebody may have written since
             self._run.began, self._run.asked = utc_now(), self.plan.asked
             self._opened = opened.pop_all()
@@ -201,20 +158,22 @@ class RunFolder:
         """The last checkpoint of the same job; None if there is none, or it is not to be used."""
         job, last = self.plan.job, None
         if job.recipe.filters and not job.lag:
-            clip = clip_stat(job.clip)
+            clip = manifest.clip_stat(job.clip)
             same = [self._run.asked, _versions(), to_record(start), clip and (clip.bytes, clip.changed_ns)]
             key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
             self.checkpoints = Checkpoints(self.path, key, video=self.plan.draws)
             last = self.checkpoints.find() if job.resume and not job.overwrite else None
-        marks = last.sinks if isinstance(last, RunState) else ()
-        fits = len(marks) == len(sinks) and all(sink.fits(mark) for sink, mark in zip(sinks, marks, strict=True))
-        if isinstance(last, RunState) and fits:
-            last.outcome.resumed = last.frame
-            return last
+        if isinstance(last, RunState):
+            with contextlib.suppress(InputError, OSError):  # a table was edited, or is gone
+                for sink in sinks:
+                    if isinstance(sink, Table) and sink.path is not None:
+                        manifest.check_belongs(sink.path)
+                last.outcome.resumed = last.frame
+                return last
         remove_checkpoints(self.path)
         return None
 
-    def begin(self, digest: ClipDigest, frames: int, total: int | None) -> None:
+    def begin(self, digest: manifest.ClipDigest, frames: int, total: int | None) -> None:
         """Note what is being written."""
         self._run.clip = digest.clip
         self.lease.note({"clip": str(self.plan.job.clip), "run": self._run.record(), "frame": frames, "frames": total})
@@ -225,7 +184,7 @@ class RunFolder:
             self.checkpoints.end()
 
     def commit(
-        self, done: Outcome, clip: Clip | None, resumed: int, error: Exception | None, errors: list[Exception]
+        self, done: Outcome, clip: manifest.Clip | None, resumed: int, error: Exception | None, errors: list[Exception]
     ) -> list[str]:
         """Let the finished files replace the old ones. Returns lines on files that are left of an earlier track.
 
@@ -245,18 +204,18 @@ class RunFolder:
         )
         done.network = run.network
         if self.plan.job.batch and error is not None and not isinstance(error, OutputError):
-            run = failed(run, error)
+            run = manifest.failed(run, error)
         try:
-            commit(self.lease, self.path, done.files, run)
+            manifest.commit(self.lease, self.path, done.files, run)
             init = os.path.realpath(self.plan.job.init) if isinstance(self.plan.job.init, Path) else ""
             kept = [path for path in (self.path / CORRECTED, self.path / UNSAVED) if path.is_file()]
             apart = [path for path in kept if os.path.realpath(path) != init]
             said = "holds corrections that this track does not have; take them with --init"
-            return [*outdated(self.path), *(f"{path}: {said} {path}" for path in apart)]
+            return [*manifest.outdated(self.path), *(f"{path}: {said} {path}" for path in apart)]
         except OutputError as e:  # the lease is lost
             errors.append(e)
         except OSError as e:
-            errors.append(cannot_write(Path(e.filename or self.path), e))
+            errors.append(files.cannot_write(Path(e.filename or self.path), e))
         done.files = ()
         return []
 
@@ -264,21 +223,14 @@ class RunFolder:
         with self._opened:
             self.end_checkpoints()
             if self.plan.job.batch and isinstance(error, Exception):
-                note_failure(self.lease, self.path, self._run, self.plan.job.clip, error)
+                manifest.note_failure(self.lease, self.path, self._run, self.plan.job.clip, error)
 
 
 class Recorder:
     """Writes results into sinks, in a `with`: `begin`, `write` each, `close`. Without `close` they leave nothing.
 
-    Parameters
-    ----------
-    plan : Plan
-    sinks : Sequence[Sink]
-        In the order in which they take a result.
-    folder : RunFolder or None
-        None of a stream, and of what stays in memory.
-    resumed : RunState or None
-        Where a run that is gone on with stood.
+    Sinks take a result in their order. `folder` is None of a stream, and of what stays in memory; `resumed` is the last
+    checkpoint of a run that goes on.
     """
 
     def __init__(
@@ -298,7 +250,7 @@ class Recorder:
         self._results, self._began_s = results, time.perf_counter()  # the rate leaves the start-up out
         self.state.at, hint = results.state, results.clip.frames_hint
         self.total = hint and hint + self._before
-        self._digest = ClipDigest(self.plan.job.clip, whole=not self.plan.job.chunk)
+        self._digest = manifest.ClipDigest(self.plan.job.clip, whole=not self.plan.job.chunk)
         if self._folder is not None:
             self._folder.begin(self._digest, self._before, self.total)
         header = results.header(first.rows)
@@ -321,6 +273,8 @@ class Recorder:
                 checkpoints.release()
                 if self.state.at.states and checkpoints.is_due(self.outcome.frames):
                     self.state.sinks = tuple(sink.mark() for sink in self.sinks)
+                    if any(sink.missing for sink in self.sinks):
+                        return  # a run without its video begins anew
                     checkpoints.mark(self.outcome.frames, self.state, [sink.sync for sink in self.sinks])
 
     def close(self, stopped: str | None = None, error: Exception | None = None) -> Outcome:
@@ -329,10 +283,10 @@ class Recorder:
         `stopped` says why the run ended early, `error` goes into the outcome.
         """
         done, job, folder = self.outcome, self.plan.job, self._folder
-        ended = self._results.ended(stopped is None and error is None)
-        done.variable_fps, done.warnings, error = ended.variable_fps, ended.warnings, error or ended.error
+        self._results.ended(done, stopped is None and error is None)
+        error = error or done.error
         done.stopped = stopped or (None if error is None else str(error))
-        done.complete = ended.complete and done.stopped is None
+        done.complete = done.complete and done.stopped is None
         clip = self._digest.end(whole=done.stopped is None)
         done.source_sha256 = clip.sha256 if clip else ""
         errors: list[Exception] = []
@@ -347,7 +301,7 @@ class Recorder:
         if folder is not None:
             # a text file that a full disk cut short is kept, a video is not
             paths = [sink.path for sink in self.sinks if sink.path is not None]
-            done.files = [path for path in paths if temporary_path(path).is_file()]
+            done.files = [path for path in paths if files.temporary_path(path).is_file()]
             lines = folder.commit(done, clip, self._before, error, errors)
             if done.stopped is None and not errors and missing is None:
                 remove_checkpoints(folder.path)
@@ -370,26 +324,10 @@ class Recorder:
 
 
 def record(results: Results, into: Recorder, stop: Stop, report: Report = silent) -> Outcome:
-    """Write the results until they end, an error or `stop`.
+    """Write the results until they end, also because `stop` says so, or an error.
 
-    Parameters
-    ----------
-    results : Results
-        They end when `stop` says so.
-    into : Recorder
-    stop : Stop
-    report : Callable
-        Hears how many frames are written, and how many there are, None if that is not known.
-
-    Returns
-    -------
-    Outcome
-        An error after the first frame is in it, beside what was kept.
-
-    Raises
-    ------
-    Exception
-        The error, if nothing was tracked; no file is left then.
+    `report` hears how many frames are written, and how many there are, None if that is not known. An error after the
+    first frame is in the outcome, beside what was kept; before it, it is raised, and no file is left.
     """
     assert results.frames is not None
     before, begun, error = into.outcome.frames, False, None
@@ -449,34 +387,27 @@ class Table(Sink):
     def __init__(self, out: Path | None, form: Format) -> None:
         self._form: Format = form
         self.path = None if out is None else out / f"trajectory.{form}"
-        self._sink: FileSink | StreamSink | None = None
+        self._sink: files.FileSink | files.StreamSink | None = None
 
-    def fits(self, mark: Any) -> bool:
-        with contextlib.suppress(InputError, OSError):
-            assert self.path is not None
-            check_belongs(self.path)
-            return isinstance(mark, Place)
-        return False
-
-    def begin(self, clip: ClipFacts, header: Header, mark: Place | None) -> None:
+    def begin(self, clip: ClipFacts, header: Header, mark: files.Place | None) -> None:
         if self.path is None:
-            self._sink = StreamSink(sys.stdout.buffer)  # a stream that is closed says so when it is written
+            self._sink = files.StreamSink(sys.stdout.buffer)  # a stream that is closed says so when it is written
         else:
-            self._sink = FileSink(self.path)
+            self._sink = files.FileSink(self.path)
             if mark is not None:
-                with writing(self.path):
+                with files.writing(self.path):
                     self._sink.go_on(self.path, mark)
         self._writer = WRITERS[self._form](self._sink, header, resumed=mark is not None)
 
     def write(self, result: FrameResult) -> None:
         self._writer.write(result.rows)
 
-    def mark(self) -> Place:
-        assert isinstance(self._sink, FileSink)
+    def mark(self) -> files.Place:
+        assert isinstance(self._sink, files.FileSink)
         return self._sink.place()
 
     def sync(self) -> None:
-        assert isinstance(self._sink, FileSink)
+        assert isinstance(self._sink, files.FileSink)
         self._sink.sync()
 
     def close(self, done: Outcome) -> None:
@@ -518,14 +449,11 @@ class Video(Sink):
     path: Path
 
     def __init__(self, plan: Plan, folder: RunFolder) -> None:
-        self.path = folder.path / VIDEO
+        self.path = folder.path / manifest.VIDEO
         self._title, self._threaded, self._folder = plan.job.recipe.name, plan.job.threads > 1, folder
         self._video: VideoWriter | None = None
         self._painter: Painter | None = None
         self._mark: Any = None
-
-    def fits(self, mark: Any) -> bool:
-        return mark is not None
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
         from facetrack_cli.video.overlay import Overlay
@@ -560,10 +488,10 @@ class Video(Sink):
             self.missing = e
 
     def mark(self) -> Any:
-        """Where the last piece ended, which is the last frame wherever a run is marked; None without a video."""
+        """Where the last piece ended, which is the last frame wherever a run is marked."""
         assert self._painter is not None
         self._painter.wait()
-        return None if self.missing else self._mark
+        return self._mark
 
     def end(self, done: Outcome) -> None:
         """The video ends before the tables, so that they can say what was wrong with it."""

@@ -11,7 +11,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
-from typing import NoReturn, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
 from facetrack_cli.core.errors import ExitCode, log_line
 
@@ -55,11 +55,7 @@ class Stop:
             if self.code is None:
                 self.code = _CODES[signal.Signals(number).name]
 
-        taken = [sig for sig in signal.Signals if sig.name in _CODES and signal.getsignal(sig) is not signal.SIG_IGN]
-        with contextlib.ExitStack() as restored:
-            if threading.current_thread() is threading.main_thread():
-                for number in taken:
-                    restored.callback(signal.signal, number, signal.signal(number, note))
+        with _handled(note, lambda before: before is not signal.SIG_IGN):
             yield self
 
 
@@ -78,9 +74,16 @@ def ending_at_once() -> Iterator[None]:
             os.write(2, f"{_SHOW_CURSOR * os.isatty(2)}{line}\n".encode())
         os._exit(code)
 
+    with _handled(end, lambda before: before in (signal.SIG_DFL, signal.default_int_handler)):
+        yield
+
+
+@contextlib.contextmanager
+def _handled(handler: Callable[[int, FrameType | None], None], takes: Callable[[Any], bool]) -> Iterator[None]:
+    """Take over, for the length of a `with`, each signal that ends a run and whose handler so far it `takes`."""
     with contextlib.ExitStack() as restored:
         main = threading.current_thread() is threading.main_thread()
         for number in [sig for sig in signal.Signals if sig.name in _CODES] if main else ():
-            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
-                restored.callback(signal.signal, number, signal.signal(number, end))
+            if takes(signal.getsignal(number)):
+                restored.callback(signal.signal, number, signal.signal(number, handler))
         yield

@@ -10,7 +10,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -20,28 +20,19 @@ from facetrack_cli.core.npz import Kind, Stored, write_arrays
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.engine.protocols import Linear
 from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.checkpoint import FOLDER
-from facetrack_cli.run_folder.finished import Painted, read_files, run_files
+from facetrack_cli.run_folder.finished import read_files, run_files
 from facetrack_cli.run_folder.lease import FolderLease, sweep
-from facetrack_cli.run_folder.manifest import (
-    FILTERED,
-    POSTERIOR,
-    VIDEO,
-    Manifest,
-    check_belongs,
-    commit,
-    read_manifest,
-    write_rows,
-)
 from facetrack_cli.runs.plan import Report
 from facetrack_cli.runs.record import ClipFacts, Sink
 from facetrack_cli.runs.signals import Stopped, StoppedError
 from facetrack_cli.trackers.smoothed import Beliefs, renamed_hands, smoothed_rows
-from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded, successive
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, header_value, recorded, successive
 from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import Header
 from facetrack_cli.video.overlay import Overlay
-from facetrack_cli.video.source import open_source
+from facetrack_cli.video.source import given_rate, open_source
 from facetrack_cli.video.writer import VideoWriter
 
 Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
@@ -54,15 +45,15 @@ def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> tu
     InputError, StoppedError once `stop` says so; nothing is written then.
     """
     rows = read_files(run_files(folder))
-    after = given_all(rows, read_posterior(folder / POSTERIOR, rows))
-    files = {folder / FILTERED: partial(write_rows, "csv", rows=rows)}
-    files |= {path: partial(write_rows, form, rows=after) for form, path in run_files(folder).items()}
-    run, paint = read_manifest(folder), None
-    kept = {name: file for name, file in run.files.items() if name != POSTERIOR} if run else {}
-    if (folder / VIDEO).is_file():
-        on = Painted.of(rows, clip, int(rows.frames[0]), int(rows.frames[-1]))
-        paint = partial(repaint, on, rows=after, report=report, stop=stop)
-    return replace_files(folder, files, run and replace(run, smoothed=True, files=kept), [folder / POSTERIOR], paint)
+    after = given_all(rows, read_posterior(folder / manifest.POSTERIOR, rows))
+    files = {folder / manifest.FILTERED: partial(manifest.write_rows, "csv", rows=rows)}
+    files |= {path: partial(manifest.write_rows, form, rows=after) for form, path in run_files(folder).items()}
+    run, paint = manifest.read_manifest(folder), None
+    kept = {name: file for name, file in run.files.items() if name != manifest.POSTERIOR} if run else {}
+    if (folder / manifest.VIDEO).is_file():
+        paint = partial(repaint, after, clip, report=report, stop=stop)
+    ended = run and replace(run, smoothed=True, files=kept)
+    return replace_files(folder, files, ended, [folder / manifest.POSTERIOR], paint)
 
 
 def given_all(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> Trajectory:
@@ -75,35 +66,35 @@ def given_all(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> Trajectory:
 def replace_files(
     folder: Path,
     files: Mapping[Path, Write],
-    ended: Manifest | None,
+    ended: manifest.Manifest | None,
     gone: Sequence[Path] = (),
-    paint: Callable[[Path], Sequence[str]] | None = None,
+    paint: Callable[..., Sequence[str]] | None = None,
     check: Callable[[], None] = lambda: None,
     lock: FolderLease | None = None,
 ) -> tuple[list[Path], list[str]]:
     """Write all files of a run's `folder`, then let them replace the old ones together; the files, and warnings.
 
-    Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video into its temporary file.
-    `check` raises, at the beginning and before anything is replaced, if the folder has changed; `lock` is the folder's,
-    if it is held. `ended` is the new run.json, `gone` are files to remove. OutputError for a file that cannot be
-    written; the folder is then as it was.
+    Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video of `path` into
+    its temporary file. `check` raises, at the beginning and before anything is replaced, if the folder has changed;
+    `lock` is the folder's, if it is held. `ended` is the new run.json, `gone` are files to remove. OutputError for a
+    file that cannot be written; the folder is then as it was.
     """
     written: list[Path] = []
     notes: list[str] = []
-    check_plain(folder / VIDEO, *files)
+    check_plain(folder / manifest.VIDEO, *files)
     try:
         with nullcontext(lock) if lock else FolderLease(folder) as lock:
             check()
             sweep(folder)
             if paint is not None:
-                written.append(folder / VIDEO)
-                notes += paint(folder / VIDEO)
+                written.append(folder / manifest.VIDEO)
+                notes += paint(path=folder / manifest.VIDEO)
             for path, write in files.items():
                 written.append(path)
                 with temporary_path(path).open("wb") as file:
                     write(file.write)
             check()
-            commit(lock, folder, written, ended, gone)
+            manifest.commit(lock, folder, written, ended, gone)
     except OSError as e:
         remedy = "free some space" if e.errno in FULL else "make it writable"
         at = written[-1] if written else folder
@@ -115,17 +106,28 @@ def replace_files(
 
 
 def repaint(
-    on: Painted, path: Path, rows: Trajectory, report: Report, stop: Stopped, order: Sequence[str] = ()
+    rows: Trajectory,
+    clip: Path,
+    span: tuple[int, int] | None = None,
+    *,
+    path: Path,
+    report: Report,
+    stop: Stopped,
+    order: Sequence[str] = (),
 ) -> tuple[str, ...]:
     """Write the annotated video into its temporary file, without particles, which rows do not have; its warnings.
 
-    Targets have the colours of their places in `order`.
+    It shows the first and last frames of `span`, else all that have rows. Targets have the colours of their places in
+    `order`.
 
     Raises StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
     """
-    total, done = on.last - on.first + 1, 0
-    with open_source(on.clip, fps=on.fps, start=on.first, stop=on.last + 1, stream=on.stream) as source:
-        overlay = Overlay(source.size, fps=float(source.fps), title=on.title, order=order)
+    first, last = span or (int(rows.frames[0]), int(rows.frames[-1]))
+    fps, stream = header_value(rows, "source", "fps"), header_value(rows, "source", "stream")
+    rate, total, done = given_rate(clip, fps) if isinstance(fps, int | float) else None, last - first + 1, 0
+    with open_source(clip, fps=rate, start=first, stop=last + 1, stream=stream) as source:
+        title = str(header_value(rows, "recipe", "name") or "")
+        overlay = Overlay(source.size, fps=float(source.fps), title=title, order=order)
         sound = source.path if source.is_video else None
         video = VideoWriter(path, source.size, source.fps, source.aspect, audio_from=sound, replace=False)
         try:
@@ -135,8 +137,8 @@ def repaint(
                 video.write(overlay.draw(FrameResult(frame, recorded(frame.index, rows.at(frame.index)))), frame.time_s)
                 report(done, total)
             if done < total:
-                missing = on.first + done
-                raise InputError(f"{on.clip}: has no frame {missing}, which the run has; name its clip with --clip")
+                missing = first + done
+                raise InputError(f"{clip}: has no frame {missing}, which the run has; name its clip with --clip")
         except BaseException:
             video.discard()
             raise
@@ -149,77 +151,66 @@ _BLOCK_FRAMES: Final = 500  # that are written together
 _NAMES: Final = ("mean", "cov", "matrix", "offset", "noise", "doubt")
 
 
-class WriterState(NamedTuple):
-    """Where a posterior that is written stands: frames still to be written, their number, the blocks on the disk."""
-
-    kept: list[list[tuple[int, tuple[Belief, ...]]]]
-    frames: int
-    blocks: int
-
-
 class PosteriorWriter(Sink):
     """Writes the beliefs of every frame, in blocks beside the checkpoint of a run, and at the end into one file.
 
     They take less than 1 kB a frame and part. Raises OutputError.
     """
 
+    path: Path
+
     def __init__(self, out: Path) -> None:
-        self.path, self._folder = out / POSTERIOR, out / FOLDER
-        self._head: dict[str, Any] = {}
+        self.path, self._folder = out / manifest.POSTERIOR, out / FOLDER
+        self._kept: list[list[tuple[int, tuple[Belief, ...]]]] = []  # of each target, of so many frames
+        self._frames = 0
 
-    def fits(self, mark: Any) -> bool:
-        return isinstance(mark, WriterState) and all(path.is_file() for path in self._blocks(mark.blocks))
-
-    def begin(self, clip: ClipFacts, header: Header, mark: WriterState | None) -> None:
-        corrections, self.state = header["init"].get("corrections", []), mark
+    def begin(self, clip: ClipFacts, header: Header, mark: int | None) -> None:
+        corrections, self._blocks = header["init"].get("corrections", []), mark or 0
         self._head = {"targets": np.empty(0), "corrections": np.array(dumps(corrections))}
 
     def write(self, result: FrameResult) -> None:
-        if not self._head["targets"].size:
-            self._head["targets"] = np.array(result.rows.targets)
-        self.state = self.state or WriterState([[] for _ in result.targets], 0, 0)
-        for kept, target in zip(self.state.kept, result.targets, strict=True):
+        if not self._kept:
+            self._head["targets"], self._kept = np.array(result.rows.targets), [[] for _ in result.targets]
+        for kept, target in zip(self._kept, result.targets, strict=True):
             if target.beliefs is not None and (beliefs := target.beliefs()):
                 kept.append((result.frame.index, beliefs))
-        self.state = self.state._replace(frames=self.state.frames + 1)
-        if self.state.frames == _BLOCK_FRAMES:
+        self._frames += 1
+        if self._frames == _BLOCK_FRAMES:
             self._flush()
 
-    def mark(self) -> WriterState | None:
-        return self.state
+    def mark(self) -> int:
+        self._flush()
+        return self._blocks
 
     def _flush(self) -> None:
-        assert self.state is not None and self.path is not None
+        if not self._frames:
+            return
         arrays: dict[str, Any] = {}
-        number = self.state.blocks
-        for i, kept in enumerate(self.state.kept):
-            arrays[f"{number}/{i}/frame"] = np.array([frame for frame, _ in kept], "<i8")
+        for i, kept in enumerate(self._kept):
+            above = f"{self._blocks}/{i}"
+            arrays[f"{above}/frame"] = np.array([frame for frame, _ in kept], "<i8")
             for j, group in enumerate(zip(*(beliefs for _, beliefs in kept), strict=True)):
                 flat = [(belief.mean, belief.cov, *belief.motion, belief.doubt) for belief in group]
                 for name, values in zip(_NAMES, zip(*flat, strict=True), strict=True):
-                    arrays[f"{number}/{i}/{j}/{name}"] = np.stack(values).astype("<f8")
+                    arrays[f"{above}/{j}/{name}"] = np.stack(values).astype("<f8")
                 if named := [belief.named for belief in group if belief.named is not None]:
-                    arrays[f"{number}/{i}/{j}/named"] = np.stack(named).astype("<f8")
+                    arrays[f"{above}/{j}/named"] = np.stack(named).astype("<f8")
             kept.clear()
-        *_, block = self._blocks(number + 1)
         with writing(self.path):
-            block.parent.mkdir(exist_ok=True)
-            write_arrays(block, arrays)
-            publish(block)
-        self.state = WriterState(self.state.kept, 0, number + 1)
+            self._folder.mkdir(exist_ok=True)
+            write_arrays(self._block(self._blocks), arrays)
+            publish(self._block(self._blocks))
+        self._blocks, self._frames = self._blocks + 1, 0
 
     def close(self, done: object) -> None:
-        assert self.state is not None and self.path is not None
-        if self.state.frames:
-            self._flush()
-        write_arrays(self.path, {**KIND.head, **self._head}, self._blocks(self.state.blocks))
+        self._flush()
+        write_arrays(self.path, {**KIND.head, **self._head}, [*map(self._block, range(self._blocks))])
 
     def discard(self) -> None:
-        assert self.path is not None
         discard(self.path)
 
-    def _blocks(self, count: int) -> list[Path]:
-        return [self._folder / f"posterior-{number:05}.npz" for number in range(count)]
+    def _block(self, number: int) -> Path:
+        return self._folder / f"posterior-{number:05}.npz"
 
 
 def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:
@@ -241,7 +232,7 @@ def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:
         frames = rows.frames.tolist()
         return {name: [by_frame.get(frame, ()) for frame in frames] for name, by_frame in beliefs.items()}
 
-    check_belongs(path)
+    manifest.check_belongs(path)
     return KIND.read(path, make)
 
 

@@ -11,12 +11,11 @@ distance between two points, of a single point half the width of its window. Chu
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import shutil
 from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -32,22 +31,29 @@ from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, Whole
 from facetrack_cli.run_folder.manifest import clip_stat, read_manifest, read_run
 from facetrack_cli.run_folder.status import CHUNKS, PLAN, chunk_name
-from facetrack_cli.runs.batch import attempt, check_all, run_batch, run_shared
+from facetrack_cli.runs.batch import check_all, run_batch
 from facetrack_cli.runs.people import ORIGIN
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, digest_of, resolve
 from facetrack_cli.runs.progress import Progress
-from facetrack_cli.runs.record import ClipFacts, Ended, Recorder, Results, RunFolder, header_of, outputs, record
+from facetrack_cli.runs.record import ClipFacts, Recorder, Results, RunFolder, header_of, outputs, record
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.trackers.face.detectors import check_parts, detector
-from facetrack_cli.trajectory.reader import StartRecord, to_record
+from facetrack_cli.trajectory.reader import InitHeader, to_record
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
 from facetrack_cli.trajectory.views import choose
 from facetrack_cli.video.decode import read_index
 from facetrack_cli.video.source import FolderSource
 
 OVERLAP_S: Final = 5.0  # of two chunks
+OVERLAP: Final = 0.5  # of boxes, intersection over union
+APART: Final = 0.5  # mean distance of points, in sizes of their shape
+SHARE: Final = 0.8  # of the frames that both have, in which they must agree
+TABLE: Final = "trajectory.json"
+_SAME: Final = 0.5  # of those frames, in which tracks of several faces agree if they are of one face
+_EYES: Final = ("eye_left", "eye_right")
+_NOTHING: Final = np.zeros((0, 0, 3), np.uint8)  # the pixels of a frame that nobody draws
 
 
 def run_chunks(
@@ -64,8 +70,7 @@ def run_chunks(
         return
     chunks = chunks_of(whole, _planned(whole, stop, progress))
     decided, left = check_all(chunks[shard[0] - 1 :: shard[1]])
-    ended_ones = chain(decided, run_batch(left, min(workers, len(left)), stop, progress))
-    yield from ((CHUNKS, outcome) for outcome in ended_ones)
+    yield from ((CHUNKS, outcome) for outcome in chain(decided, run_batch(left, workers, stop, progress)))
     if stop():
         return
     if shard[1] > 1:
@@ -74,13 +79,7 @@ def run_chunks(
             others = f"{len(waiting)} of {len(chunks)} chunks are not done"
             progress.say(f"{job.clip}: {others}; who ends the last one joins them")
             return
-
-    def join(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
-        for each in jobs:
-            progress.begin(f"[1/1] {each.clip.name}")
-            yield each, attempt(each, stop, progress.update, progress.looked, join_chunks)
-
-    yield from (("", outcome) for outcome in run_shared([job], join, stop, progress))
+    yield from (("", outcome) for outcome in run_batch([job], 1, stop, progress))
 
 
 def chunks_of(whole: Plan, plan: ChunkPlan) -> list[Job]:
@@ -94,7 +93,7 @@ def chunks_of(whole: Plan, plan: ChunkPlan) -> list[Job]:
     for i, (first, stop) in enumerate(plan.cuts):
         searched = whole.everyone or i > 0
         where = {"init": by, "start": first} if searched else {"init": plan.start, "start": plan.start.frame}
-        chunks.append(replace(job, out=folder_of(out, i), stop=stop, **where))
+        chunks.append(replace(job, out=out / chunk_name(i), stop=stop, **where))
     return chunks
 
 
@@ -123,9 +122,10 @@ def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
         _check_detector(job, start)
     times, keys = _frames(job, start, stop, progress)
     cuts = cut_by_length(start.frame, times, job.split, keys, str(job.clip))
-    record = {"key": key, "origin": start.origin, "note": start.note, "record": to_record(start)}
+    made = {"key": key, "init": {"from": start.origin, **to_record(start)}, "note": start.note}
     make_folder(folder)
-    write_new(folder / PLAN, dumps(record | {"cuts": [*cuts[:-1], (cuts[-1][0], job.stop)]}).encode(), overwrite=True)
+    text = dumps({**made, "cuts": [*cuts[:-1], (cuts[-1][0], job.stop)]})
+    write_new(folder / PLAN, text.encode(), overwrite=True)
     return read_plan(job.out)  # as others read it
 
 
@@ -190,15 +190,6 @@ def cut_by_length(
     return list(zip(begins, [*stops, end], strict=True))
 
 
-OVERLAP: Final = 0.5  # of boxes, intersection over union
-APART: Final = 0.5  # mean distance of points, in sizes of their shape
-SHARE: Final = 0.8  # of the frames that both have, in which they must agree
-TABLE: Final = "trajectory.json"
-_SAME: Final = 0.5  # of those frames, in which tracks of several faces agree if they are of one face
-_EYES: Final = ("eye_left", "eye_right")
-_NOTHING: Final = np.zeros((0, 0, 3), np.uint8)  # the pixels of a frame that nobody draws
-
-
 class ChunkPlan(BaseModel):
     """The start of a clip, and its `cuts`, the frames [first, stop) of each chunk; the last stop may be None: the end.
 
@@ -207,14 +198,13 @@ class ChunkPlan(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     key: str
-    origin: str
+    init: InitHeader
     note: str
-    record: dict[str, Any]
     cuts: tuple[tuple[int, int | None], ...]
 
     @property
     def start(self) -> Start:
-        return replace(StartRecord.model_validate(self.record).start_from(self.origin), note=self.note)
+        return replace(self.init.start, note=self.note)
 
 
 def read_plan(out: Path) -> ChunkPlan:
@@ -226,19 +216,12 @@ def read_plan(out: Path) -> ChunkPlan:
         raise InputError(f"{path}: is not as facetrack run --split writes it; give --overwrite") from e
 
 
-def folder_of(out: Path, chunk: int) -> Path:
-    return out / chunk_name(chunk)
-
-
 class Seam(NamedTuple):
     """Where the rows of a later chunk begin; `agreement`: the share of frames in which both agree, None without any."""
 
     frame: int
     agreement: float | None
     agrees: bool
-
-    def record(self) -> dict[str, Any]:
-        return self._asdict() | {"agreement": None if self.agreement is None else round(self.agreement, 4)}
 
 
 class Stitch(NamedTuple):
@@ -275,7 +258,7 @@ def stitch(earlier: Trajectory, later: Trajectory, taken: Collection[str], *, ma
     there = [name for name in a.targets if not matched or (choose(a, name).status != "lost").any()]
     agreement = min((agreements.get(name, 0.0) for name in there), default=0.0)
     names = _named(later, pairs, taken)
-    seam = Seam(int(both[len(both) // 2]), agreement, agreement >= SHARE)
+    seam = Seam(int(both[len(both) // 2]), round(agreement, 4), agreement >= SHARE)
     return Stitch(seam, names, frozenset(names[name] for name in later.targets if name not in pairs))
 
 
@@ -356,118 +339,111 @@ class _Part(NamedTuple):
         return replace(rows, status=np.where(begins, "init", rows.status))
 
 
+@dataclass
 class _Survey:
-    """What the chunks hold, and the seams between them. At most two chunks are in memory at a time.
+    """What the chunks of a clip hold: the `parts` that its rows are made of, and the seams between them.
 
-    `end`: the frame after the last one. Raises InputError if no chunk has rows.
+    `end`: the frame after the last one that was tracked. `failed` has a line for each chunk that was not tracked to its
+    end.
     """
 
-    def __init__(self, whole: Plan, plan: ChunkPlan) -> None:
-        job, everyone = whole.job, whole.everyone
-        assert job.out is not None
-        self.parts: list[_Part] = []
-        self.chunks: list[dict[str, object]] = []
-        self.seams: list[Seam] = []
-        self.failed: list[str] = []
-        self.complete, self.variable = True, None if plan.cuts[-1][1] else False
-        self._clip, self._why, self._everyone, self.end = str(job.clip), "", everyone, plan.start.frame
-        self._warnings: dict[str, None] = {}  # of the chunks, then of their seams
-        said: list[str] = []
-        matched, taken = job.faces == "all" and not job.recipe.followed, set[str]()
-        end, before = plan.start.frame, None
-        for i, (first, _) in enumerate(plan.cuts):
-            folder = folder_of(job.out, i)
-            if (rows := self._read(folder, first)) is None:
-                continue
-            begins = first if everyone else int(rows.frames[0])
-            names, marked = {name: name for name in rows.targets}, frozenset[str]()
-            if before is not None:
-                seam, names, marked = stitch(before, rows, taken, matched=matched)
-                begins = seam.frame
-                if not seam.agrees:
-                    marked = frozenset(names.values())
-                    if seam.agreement is not None:
-                        share = f"they agree in {100 * seam.agreement:.0f} % of the frames that both have"
-                        said.append(f"{self._clip}: two chunks differ where they meet at frame {seam.frame}: {share}")
-                self.seams.append(seam)
-                self.parts[-1] = self.parts[-1]._replace(stop=min(self.parts[-1].stop, begins))
-            said += self._gap(end if not self.parts else self.parts[-1].stop, begins)
-            end = int(rows.frames[-1]) + 1
-            self.parts.append(_Part(folder / TABLE, begins, end, names, marked))
-            taken |= {*names.values()}
-            # what a chunk after one that failed may still have in common
-            before = renamed(rows.between(plan.cuts[min(i + 1, len(plan.cuts) - 1)][0], end), names)
-        if not self.parts:
-            raise InputError(f"{self._clip}: no chunk has rows: {self._why}")
-        if self.chunks[-1]["frames"] == 0:
-            said += self._gap(end, plan.cuts[-1][1])
-        self.warnings = (*self._warnings, *said)
+    end: int
+    parts: list[_Part] = field(default_factory=list)
+    chunks: list[dict[str, object]] = field(default_factory=list)
+    seams: list[Seam] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)
+    warnings: dict[str, None] = field(default_factory=dict)
+    complete: bool = True
+    variable: bool | None = None
 
-    def _read(self, folder: Path, first: int) -> Trajectory | None:
-        """The rows of a chunk; None if it has none."""
+    def read(self, folder: Path, first: int, *, everyone: bool) -> Trajectory | str:
+        """The rows of a chunk; if it has none, why."""
         run = read_manifest(folder)
         why = "was not tracked" if run is None else run.error or run.stopped
         if run is None or (why is not None and (run.files or run.exit_code != ExitCode.INPUT)):
             self.failed.append(f"{CHUNKS}/{folder.name}: {why}")
         if run is None or not run.files:
-            self.complete, self._why = False, str(why)
+            self.complete = False
             self.chunks.append({"first": first, "frames": 0, "error": why})
-            return None
+            return str(why)
         self.end = first + run.frames
-        if self._everyone and not run.lost_frames:
+        if everyone and not run.lost_frames:
             with (folder / TABLE).open("rb") as table:
-                if not any(line.startswith(b'{"frame":') for line in table):  # it shows nobody
+                if not any(line.startswith(b'{"frame":') for line in table):
                     self.chunks.append({"first": first, "frames": run.frames})
-                    return None
+                    return "it shows nobody"
         rows = read_run(folder / TABLE)
         self.chunks.append({"first": int(rows.frames[0]), "frames": len(rows.frames)})
-        self._warnings |= dict.fromkeys(rows.header.get("warnings", ()))
+        self.warnings |= dict.fromkeys(rows.header.get("warnings", ()))
         self.complete &= bool(rows.header.get("complete")) and why is None
         self.variable = self.variable or rows.header.get("variable_fps")
         return rows
 
-    def _gap(self, end: int, begins: int | None) -> list[str]:
-        """A line if frames from `end` on are in no chunk; None: up to the end of the clip. Of a film nobody may be."""
-        if self._everyone or (begins is not None and end >= begins):
-            return []
-        self.complete = False
-        until = "on" if begins is None else f"to {begins - 1}"
-        why, self._why = f" ({self._why})" if self._why else "", ""
-        return [f"{self._clip}: no rows of frames {end} {until}{why}"]
+
+def _survey(whole: Plan, plan: ChunkPlan) -> _Survey:
+    """What the chunks hold; at most two of them are in memory at a time. Raises InputError if none has rows."""
+    job, everyone = whole.job, whole.everyone
+    assert job.out is not None
+    found = _Survey(plan.start.frame, variable=None if plan.cuts[-1][1] else False)
+    matched, taken = job.faces == "all" and not job.recipe.followed, set[str]()
+    before, why, said, gaps = None, "", list[str](), list[tuple[int, int | None, str]]()
+    stop = plan.start.frame  # of the rows so far
+    for i, (first, _) in enumerate(plan.cuts):
+        rows = found.read(folder := job.out / chunk_name(i), first, everyone=everyone)
+        if isinstance(rows, str):
+            why = rows
+            continue
+        begins = first if everyone else int(rows.frames[0])
+        names, marked = {name: name for name in rows.targets}, frozenset[str]()
+        if before is not None:
+            seam, names, marked = stitch(before, rows, taken, matched=matched)
+            begins = seam.frame
+            if not seam.agrees:
+                marked = frozenset(names.values())
+                if seam.agreement is not None:
+                    share = f"they agree in {100 * seam.agreement:.0f} % of the frames that both have"
+                    said.append(f"{job.clip}: two chunks differ where they meet at frame {seam.frame}: {share}")
+            found.seams.append(seam)
+            stop = min(stop, begins)
+            found.parts[-1] = found.parts[-1]._replace(stop=stop)
+        gaps.append((stop, begins, why))
+        stop, why = int(rows.frames[-1]) + 1, ""
+        found.parts.append(_Part(folder / TABLE, begins, stop, names, marked))
+        taken |= {*names.values()}
+        # what a chunk after one that failed may still have in common
+        before = renamed(rows.between(plan.cuts[min(i + 1, len(plan.cuts) - 1)][0], stop), names)
+    if not found.parts:
+        raise InputError(f"{job.clip}: no chunk has rows: {why}")
+    if why:
+        gaps.append((stop, plan.cuts[-1][1], why))
+    for first, begin, why in () if everyone else gaps:  # of a film a frame may show nobody
+        if begin is None or first < begin:
+            found.complete = False
+            until = "on" if begin is None else f"to {begin - 1}"
+            said.append(f"{job.clip}: no rows of frames {first} {until}{f' ({why})' if why else ''}")
+    found.warnings |= dict.fromkeys(said)
+    return found
 
 
-def join_chunks(plan: Plan, folder: RunFolder, stop: Stop, report: Report, looked: Report) -> Outcome:
-    """Join the chunks of a clip, which are there; nothing is written once `stop`. InputError if none has rows."""
-    with stitched(plan, stop) as (results, start):
-        monitor = RunMonitor.of(plan.job.recipe, start)
-        monitor.detector = None  # it has looked at the chunks as they were tracked
-        with Recorder(plan, [*outputs(plan, folder), monitor], folder) as into:
-            into.outcome.note = start.note
-            done = record(results, into, stop, report)
-    done.frames_per_s = 0.0  # rows were joined, not tracked
-    return done
+def join_chunks(plan: Plan, folder: RunFolder, stop: Stop, report: Report) -> Outcome:
+    """Join the chunks of a clip, which are there. A chunk that failed leaves a gap. Nothing is written once `stop`.
 
-
-@contextlib.contextmanager
-def stitched(plan: Plan, stop: Stop) -> Iterator[tuple[Results, Start]]:
-    """The rows of the chunks of a clip, which are there, and its start. A chunk that failed leaves a gap.
-
-    Raises InputError if no chunk has rows. The frames raise StoppedError once `stop` says so.
+    Raises InputError if no chunk has rows.
     """
     job = plan.job
     assert job.out is not None and job.split is not None
     chunks = read_plan(job.out)
-    survey, start, error = _Survey(plan, chunks), chunks.start, None
+    survey, start, error = _survey(plan, chunks), chunks.start, None
     if survey.failed:
         more = f" (and {len(survey.failed) - 1} more chunks failed)" if len(survey.failed) > 1 else ""
         again = "the same command with --retry-failed tries again"
         error = FacetrackError(f"{job.clip}: {survey.failed[0]}{more}; {again}")
     with replace(job, stop=survey.parts[-1].stop).open(start.frame) as source:
-        rows, clip = survey.parts[0].rows(), ClipFacts.of(job.clip, source)._replace(frames_hint=None)
-        about = {name: rows.header[name] for name in ("diagnostics",) if name in rows.header}
+        first, clip = survey.parts[0].rows(), ClipFacts.of(job.clip, source)._replace(frames_hint=None)
+        about = {name: first.header[name] for name in ("diagnostics",) if name in first.header}
         about |= {"split": job.split.record(), "chunks": survey.chunks}
-        about |= {"seams": [seam.record() for seam in survey.seams]} if survey.seams else {}
-        header = header_of(job, clip, start, about, rows)
+        about |= {"seams": [seam._asdict() for seam in survey.seams]} if survey.seams else {}
+        header = header_of(job, clip, start, about, first)
 
         def frames() -> Iterator[Frame]:
             """Those of the clip, if they are drawn; then, up to the end of the rows, frames without pixels."""
@@ -480,16 +456,25 @@ def stitched(plan: Plan, stop: Stop) -> Iterator[tuple[Results, Start]]:
             for missing in range(index, survey.end):
                 yield Frame(missing, 0.0, _NOTHING)
 
-        def joined(rows: Trajectory) -> Generator[FrameResult, None, None]:
-            later = iter(survey.parts[1:])
+        def joined() -> Generator[FrameResult, None, None]:
+            rows, later = first, iter(survey.parts[1:])
             for frame in frames():
                 if stop():
-                    raise StoppedError
+                    break
                 while frame.index > rows.frames[-1] and (part := next(later, None)) is not None:
                     rows = part.rows()
                 yield FrameResult(frame, recorded(frame.index, rows.at(frame.index)))
             if stop():
                 raise StoppedError
 
-        ended = Ended(survey.complete, survey.warnings, survey.variable, error)
-        yield Results(clip, lambda _: header, joined(rows), ended=lambda whole: ended), start
+        def ended(done: Outcome, whole: bool) -> None:
+            done.complete, done.variable_fps, done.error = survey.complete, survey.variable, error
+            done.warnings = tuple(survey.warnings)
+
+        monitor = RunMonitor.of(job.recipe, start)
+        monitor.detector = None  # it has looked at the chunks as they were tracked
+        with Recorder(plan, [*outputs(plan, folder), monitor], folder) as into:
+            into.outcome.note = start.note
+            done = record(Results(clip, lambda _: header, joined(), ended=ended), into, stop, report)
+    done.frames_per_s = 0.0  # rows were joined, not tracked
+    return done

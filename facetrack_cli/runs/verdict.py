@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -48,8 +48,6 @@ class RunMonitor(Sink):
     first: tuple[int, float] = (0, 0.0)
     looks: int = 0
     seen: int = 0
-    lost_looks: int = 0  # at whole frames in which all parts are lost
-    lost_seen: int = 0
     several: bool = False  # parts
     judged: int = 0  # frames with a confidence
     sure: float = 0.0  # the sum of their means
@@ -73,9 +71,6 @@ class RunMonitor(Sink):
         if mark is not None:
             self.__dict__ |= {**vars(mark), "start": self.start, "detector": self.detector}
 
-    def fits(self, mark: Any) -> bool:
-        return isinstance(mark, RunMonitor)
-
     def mark(self) -> RunMonitor:
         return self
 
@@ -88,12 +83,9 @@ class RunMonitor(Sink):
     def write(self, result: FrameResult) -> None:
         """Take in one more frame, and look at every few."""
         self.take(result.rows)
-        if self.detector is not None and self.frames % EVERY_FRAMES == 0:
-            if (result.rows.status == "lost").all():
-                self.lost_looks += 1
-                self.lost_seen += bool(self.detector.find(result.frame))
-            else:
-                self._look(result, self.detector)
+        lost = (result.rows.status == "lost").all()
+        if self.detector is not None and self.frames % EVERY_FRAMES == 0 and not lost:
+            self._look(result, self.detector)
 
     def take(self, rows: Trajectory) -> None:
         """Take in the rows of one more frame."""
@@ -140,8 +132,6 @@ class RunMonitor(Sink):
         parts = [f"doubtful: {why}" if why else lost + hidden, begins]
         if self.looks and not why:
             parts.append(f"while it is followed, {by} sees a face there in {self.seen} of {self.looks} looks")
-        if self.lost_seen:
-            parts.append(f"while it is lost, {by} sees a face in {self.lost_seen} of {self.lost_looks} looks")
         look = [f"{places(sorted(_longest(self.lost)))} (lost)"] if self.lost else []
         if self.least[0] < LOW:
             raw = "" if self.calibrated else ", not calibrated"

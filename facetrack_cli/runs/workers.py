@@ -22,12 +22,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import takewhile
+from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
+from multiprocessing.process import BaseProcess
 from queue import Empty, Full, Queue
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import cv2
 
@@ -36,10 +37,11 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.trajectory.trajectory import FrameResult
 
+T = TypeVar("T")
 MAX_QUEUE = 4  # frames in each queue
 MAX_QUEUE_BYTES = 32 << 20  # of their pixels, unless one frame alone has more
 POLL_S = 0.1  # how long a stage sleeps at most before it looks whether the run was cancelled
-PATIENCE_S = 1.0  # a decoder that does not come back from a read is left behind after this long
+PATIENCE_S = 0.5  # a decoder that does not come back from a read is left behind after this long
 
 
 def share_threads(threads: int) -> None:
@@ -54,20 +56,20 @@ def _room(frame: Frame) -> int:
 
 @contextlib.contextmanager
 def decoded_ahead(
-    frames: Iterable[Frame], *, threaded: bool = True, stopped: Callable[[], bool] = never
-) -> Iterator[Iterator[Frame]]:
-    """The frames in a `with`, decoded in a thread of their own. `stopped` is asked before each; then they end.
+    frames: Iterable[T], *, threaded: bool = True, most: int = MAX_QUEUE, stopped: Callable[[], bool] = never
+) -> Iterator[Iterator[T]]:
+    """Frames or images in a `with`, decoded in a thread of their own. `stopped` is asked before each; then they end.
 
     An exception of `frames` is raised behind the frames that came before it.
     """
     if not threaded:
         yield takewhile(lambda _: not stopped(), frames)
         return
-    queue, cancelled = Queue[Frame | BaseException | None](MAX_QUEUE), threading.Event()
+    queue, cancelled = Queue[T | BaseException | None](most), threading.Event()
 
-    def put(item: Frame | BaseException | None) -> bool:
+    def put(item: T | BaseException | None) -> bool:
         if isinstance(item, Frame):
-            queue.maxsize = _room(item)
+            queue.maxsize = min(most, _room(item))
         while not cancelled.is_set():
             with contextlib.suppress(Full):
                 queue.put(item, timeout=POLL_S)
@@ -81,7 +83,7 @@ def decoded_ahead(
         except BaseException as e:
             put(e)
 
-    def decoded() -> Iterator[Frame]:
+    def decoded() -> Iterator[T]:
         while not stopped():
             try:
                 item = queue.get(timeout=POLL_S)
@@ -146,10 +148,6 @@ LOOK_S = 0.2  # between two looks at the wish to stop
 ORPHAN_S = 1.5  # for a task to close its files, once the process that gave it is gone
 
 
-class DiedError(FacetrackError):
-    """A process ended by itself, and its result is lost. The argument says how."""
-
-
 def side_by_side(
     tasks: Sequence[Any],
     work: Work,
@@ -170,8 +168,8 @@ def side_by_side(
         yield from _here(tasks, work, stop, report)
         return
     waiting = deque((index, 1) for index in range(len(tasks)))
-    running: dict[Future[object], tuple[int, int, _Process]] = {}
-    processes: set[_Process] = set()
+    running: dict[Any, tuple[int, int, BaseProcess]] = {}
+    idle: list[tuple[Any, BaseProcess]] = []
     with _starting():
         context = worker_context()
         # without locks: a process that is killed while it holds a lock would stop all others
@@ -182,32 +180,32 @@ def side_by_side(
                 waiting.clear()
                 ending.value = stop.code or ExitCode.INTERRUPTED
             while waiting and len(running) < workers:
-                index, turn = waiting.popleft()
-                idle = processes - {process for _, _, process in running.values()}
-                while True:
-                    process = idle.pop() if idle else _Process(context, ending, frames, threads)
-                    processes.add(process)
-                    with _starting(), contextlib.suppress(BrokenProcessPool):  # it died while it had no task
-                        running[process.begin(work, index, tasks[index])] = index, turn, process
-                        break
-                    processes.remove(process)
-            for future in wait(running, LOOK_S, FIRST_COMPLETED).done:
-                index, turn, process = running.pop(future)
-                result: object = future.exception()
-                if isinstance(result, BrokenProcessPool):
-                    processes.remove(process)
-                    result, killed = process.died()
-                    if killed and turn < tries and not stop():
+                with _starting():
+                    pipe, process = idle.pop() if idle else _process(context, work, ending, frames, threads)
+                with contextlib.suppress(OSError):  # it has died while it had no task
+                    pipe.send((waiting[0][0], tasks[waiting[0][0]]))
+                    running[pipe] = *waiting.popleft(), process
+            ready: list[Any] = wait([*running], LOOK_S)
+            for pipe in ready:
+                index, turn, process = running.pop(pipe)
+                try:
+                    result = pipe.recv()
+                    idle.append((pipe, process))
+                except (EOFError, OSError):
+                    process.join()
+                    code = process.exitcode or 0
+                    if code < 0 and turn < tries and not stop():
                         waiting.appendleft((index, turn + 1))
                         continue
-                elif result is None:
-                    result = future.result()
+                    memory = " (too little memory?)" * (code == -9)
+                    result = FacetrackError(f"its process ended with code {code}{memory}")
                 yield index, result
             report(sum(frames))
     finally:
         ending.value = ending.value or ExitCode.INTERRUPTED
-        for process in processes:
-            process.pool.shutdown()
+        for pipe, process in [*idle, *((pipe, process) for pipe, (*_, process) in running.items())]:
+            pipe.close()
+            process.join()
 
 
 def _here(tasks: Sequence[Any], work: Work, stop: Stop, report: Callable[[int], None]) -> Iterator[tuple[int, Any]]:
@@ -230,68 +228,48 @@ def _result(work: Work, task: object, stop: Stop, report: Callable[..., None]) -
         return e
 
 
-class _Process:
-    """A pool of one process. A larger pool would lose all tasks when one of its processes dies."""
-
-    def __init__(self, context: BaseContext, ending: Any, frames: Any, threads: int) -> None:
-        given = (ending, frames, threads)
-        self.pool = ProcessPoolExecutor(1, mp_context=context, initializer=_begin, initargs=given)
-        self._process: Any = None
-
-    def begin(self, work: Work, index: int, task: object) -> Future[object]:
-        before = {*multiprocessing.active_children()} if self._process is None else set()
-        future = self.pool.submit(_do, work, index, task)
-        if self._process is None:
-            self._process = next(iter({*multiprocessing.active_children()} - before), None)
-        return future
-
-    def died(self) -> tuple[DiedError, bool]:
-        """The error that says how the process ended, and whether a signal ended it."""
-        self.pool.shutdown()
-        if self._process is None:  # it ended before it was looked at
-            return DiedError("its process ended as it began"), False
-        code = self._process.exitcode
-        return DiedError(f"its process ended with code {code}{' (too little memory?)' * (code == -9)}"), (code or 0) < 0
+def _process(context: BaseContext, *shared: Any) -> tuple[Any, BaseProcess]:
+    """A process that does tasks, and the pipe on which it takes them and gives results."""
+    ours, theirs = context.Pipe()
+    process: BaseProcess = context.Process(target=_do, args=(theirs, *shared), daemon=True)  # type: ignore[attr-defined]
+    process.start()
+    theirs.close()
+    return ours, process
 
 
 # --- in the processes ------------------------------------------------------------------------------------------------
 
-_ending: Any  # shared: the exit code of the wish to stop, 0 without one
-_frames: Any  # shared: the frames done of each task
 
-
-def _begin(ending: Any, frames: Any, threads: int) -> None:
-    global _ending, _frames
-    _ending, _frames = ending, frames
-    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+def _do(pipe: Connection, work: Work, ending: Any, frames: Any, threads: int) -> None:
+    """Do the tasks of a pipe. All share `ending`, the exit code of the wish to stop or 0, and the `frames` done."""
+    threading.Thread(target=_end_with_parent, args=(ending,), name="parent", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal; the parent acts on it
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115, PTH123 -- for as long as the process lives
     faulthandler.enable()
     share_threads(threads)
-
-
-def _end_with_parent() -> None:
-    """End when the process that gives the tasks has ended: one that is killed tells nobody."""
-    parent: Any = multiprocessing.parent_process()
-    parent.join()  # by a pipe's end, whoever has forked us
-    _ending.value = _ending.value or ExitCode.INTERRUPTED
-    time.sleep(ORPHAN_S)
-    os._exit(ExitCode.INTERRUPTED)
-
-
-def _do(work: Work, index: int, task: object) -> object:
-    """The result of a task."""
     last = 0.0
 
     def report(done: int, total: int | None = None) -> None:
         nonlocal last
         if (now := time.monotonic()) - last >= REPORT_S:
-            last, _frames[index] = now, done
+            last, frames[index] = now, done
 
-    # the parent asked to stop, or has died
-    with Stop(lambda: ExitCode(_ending.value) if _ending.value else None).listening() as stop:
-        return _result(work, task, stop, report)
+    with contextlib.suppress(EOFError, OSError):  # there are no more
+        while True:
+            index, task = pipe.recv()
+            # the parent asked to stop, or has died
+            with Stop(lambda: ExitCode(ending.value) if ending.value else None).listening() as stop:
+                pipe.send(_result(work, task, stop, report))
+
+
+def _end_with_parent(ending: Any) -> None:
+    """End when the process that gives the tasks has ended: one that is killed tells nobody."""
+    parent: Any = multiprocessing.parent_process()
+    parent.join()  # by a pipe's end, whoever has forked us
+    ending.value = ending.value or ExitCode.INTERRUPTED
+    time.sleep(ORPHAN_S)
+    os._exit(ExitCode.INTERRUPTED)
 
 
 @contextlib.contextmanager
@@ -310,7 +288,7 @@ def worker_context() -> BaseContext:
     from multiprocessing import forkserver, resource_tracker
 
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["facetrack_cli.runs.orphans", "facetrack_cli.runs.clip"])
+    context.set_forkserver_preload(["facetrack_cli.runs.clip"])
     resource_tracker.ensure_running()  # first: it lifts the mask when it starts
     # out of reach of Ctrl-C, which would break into its imports with a traceback
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

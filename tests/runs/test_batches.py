@@ -20,7 +20,7 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.run_folder import lease as locks
 from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import read_manifest
-from facetrack_cli.run_folder.status import MAX_ROWS, ClipStatus, duration, worst
+from facetrack_cli.run_folder.status import MAX_ROWS, ClipStatus, worst
 from facetrack_cli.runs.batch import expand
 from facetrack_cli.runs.plan import Outcome
 from facetrack_cli.video.source import brings_rate
@@ -198,7 +198,7 @@ def test_status_in_each_state(run, status, facetrack):
     assert found["remaining_s"] == found["work_s"] == pytest.approx(2.5 * done["seconds"], abs=0.1)
     assert "out: 5 clips" in text and "c1-face       0     –  failed: clips/c1.mp4: not a video" in text
     assert f"running: clips/c3.mp4: on {locks.here()[0]} since 2" in text and "3 of about 6 frames" in text
-    assert "3 clips left: about" in text and ", 1 at a time" in text
+    assert "3 clips left: about 0:00:0" in text and ", 1 at a time" in text
     after = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*") if "c3" not in str(path)}
     assert after.items() <= before.items() | {(Path("out"), Path("out").stat().st_mtime_ns)}, "nothing is written"
     assert "; nothing is running: give the command again" in facetrack("status", "out")[1]
@@ -248,11 +248,6 @@ def test_a_batch_ends_with_the_clips_to_look_at(run, status):
     assert code == 0 and lines[-1] == "c1-face       6   83%  face nose is lost in 5 and at the end, frames 1 to 4, 5"
 
 
-def test_durations():
-    seconds = (0.2, 99, 150, 7000, 80_000, 400_000)
-    assert [*map(duration, seconds)] == ["0 s", "99 s", "2 min", "1.9 h", "22 h", "4.6 days"]
-
-
 @pytest.mark.skipif(os.name != "posix", reason="a kill needs POSIX")
 @pytest.mark.parametrize(
     ("how", "moment"),
@@ -276,7 +271,7 @@ def test_a_batch_that_is_killed_leaves_no_process(tmp_path, how, moment):
     def gone():
         return not [one for one in children if one.is_running() and one.status() != psutil.STATUS_ZOMBIE]
 
-    until(gone, seconds=8)  # five seconds, and what a busy machine takes
+    until(gone, seconds=20)  # once the server has its imports, which a busy machine takes long for
 
 
 # --- what a command line names ---

@@ -98,19 +98,6 @@ def test_a_wish_to_stop_ends_after_the_frame_at_hand(threaded):
     assert recorded == painted == list(range(7))
 
 
-def test_a_stop_is_granted_while_the_decoder_hangs():
-    release = threading.Event()
-
-    def hanging():
-        yield from frames(3)
-        release.wait(20)
-
-    recorded, painted = Seen(), Seen()
-    threading.Timer(0.3, release.set).start()
-    run(hanging(), recorded, painted, stopped=lambda: len(recorded) == 3)
-    assert recorded == painted == [0, 1, 2]
-
-
 @pytest.mark.parametrize(("most_bytes", "queue"), [(workers.MAX_QUEUE_BYTES, workers.MAX_QUEUE), (25, 2), (1, 1)])
 def test_queues_are_short_and_those_of_large_frames_shorter(monkeypatch, most_bytes, queue):
     """What has been decoded is never far ahead of what has been painted; frames of 12 bytes here."""

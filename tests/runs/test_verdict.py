@@ -28,9 +28,6 @@ class Sees:
         self.count += 1
         return Detection(box, {}) if self.every and self.count % self.every == 0 else None
 
-    def find(self, frame):
-        return [one for one in [self.measure(frame.bgr, (0.0, 0.0, 9.0, 9.0))] if one is not None]
-
 
 BLACK = np.zeros((60, 80, 3), np.uint8)
 
@@ -64,7 +61,7 @@ def test_where_it_began_and_which_frames_to_look_at():
     [
         (10, 0, 1, False, "haar sees a face there in 10 of 10 looks"),
         (10, 0, 4, True, "doubtful: haar sees a face there in 2 of 10 looks alone"),
-        (5, 4, 1, False, "haar sees a face there in 5 of 5 looks; while it is lost, haar sees a face in 4 of 4 looks"),
+        (5, 4, 1, False, "haar sees a face there in 5 of 5 looks"),
         (1, 0, 0, False, "never called lost"),
         (2, 0, 0, False, "never called lost"),
         (3, 0, 0, True, "doubtful: haar sees"),

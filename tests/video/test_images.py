@@ -158,7 +158,7 @@ def test_an_animated_webp_keeps_its_clock(tmp_path: Path) -> None:
     assert source.fps == 25 and source.variable
     np.testing.assert_allclose([frame.time_s for frame in frames], [0, 0.04, 0.08, 0.2, 0.24, 0.28])
     assert "its own frame rate" in refusal(path, fps=10)
-    assert expand([tmp_path]).clips == [path]
+    assert expand([tmp_path])[0] == [path]
 
 
 def stack(path: Path, numbers: range, deep: bool = False, **options: object) -> Path:
@@ -185,7 +185,7 @@ def test_stacks_of_a_folder_and_of_an_archive_follow_each_other(tmp_path: Path) 
     stack(folder / "2.tif", range(10)), stack(folder / "10.tif", range(10, 15))
     for clip in (folder, Path(shutil.make_archive(str(folder), "zip", folder))):
         assert numbers(read(clip)[1]) == list(range(15))
-    assert expand([folder / "2.tif", folder / "10.tif"]).clips == [folder / "2.tif", folder / "10.tif"]
+    assert expand([folder / "2.tif", folder / "10.tif"])[0] == [folder / "2.tif", folder / "10.tif"]
 
 
 def test_a_thumbnail_is_no_frame(tmp_path: Path) -> None:

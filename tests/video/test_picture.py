@@ -12,9 +12,11 @@ from PIL import Image as Pictures
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.files import temporary_path
 from facetrack_cli.core.types import Frame
 from facetrack_cli.report.make import command
 from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.runs.smooth import repaint
 from facetrack_cli.trajectory.measures import measures_of
 from facetrack_cli.trajectory.trajectory import Trajectory, of_frame, one_part
 from facetrack_cli.video.decode import pixels
@@ -174,7 +176,9 @@ def test_a_stream_that_is_named_is_that_of_the_run_and_of_what_reads_it_again(tm
     with open_source(out / "annotated.mp4") as video:
         assert np.median(next(iter(video)).bgr) > 150
     run = open_run(out)
-    assert run.painted.stream == 1
+    repaint(run.rows, run.clip, path=out / "again.mp4", report=lambda *_: None, stop=lambda: False)
+    with open_source(temporary_path(out / "again.mp4")) as video:
+        assert np.median(next(iter(video)).bgr) > 150
     assert "--stream 1" in command(run.header, 7)
 
 
