@@ -413,16 +413,17 @@ class Page:
         """UsageError if there is to be no page, but an option of it was given."""
         refuse((self.port, f"--port is for the page; {remedy}"), (self.browse, f"--open is for the page; {remedy}"))
 
-    def serve(self, session: PageSession, stop: Stop) -> bool:
-        """Serve a page until it is saved or stopped, and say what it did; whether it was saved."""
+    def serve(self, session: PageSession, stop: Stop) -> int:
+        """Serve a page until it is saved or stopped, and say what it did; the exit code."""
         from facetrack_cli.editor.server import run_page
 
         run_page(session, stop, say, port=self.port or 0, browse=self.browse)
         if session.ended is None:
-            return False
+            say(f"facetrack: {stop.reason}; {session.left()}")
+            return stop.code or ExitCode.FAULT
         for line in (*session.ended["messages"], f"next: {session.ended['next']}"):
             say(line)
-        return True
+        return ExitCode.DONE
 
 
 page_options = gathered(

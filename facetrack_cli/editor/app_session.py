@@ -14,9 +14,9 @@ from pydantic import Field
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
 from facetrack_cli.core.files import make_folder, write_new, writing
-from facetrack_cli.core.types import Array, Correction, checked_name
+from facetrack_cli.core.types import Array, checked_name
 from facetrack_cli.editor.fix_session import CastSession, FixSession
-from facetrack_cli.editor.history import Fixer, corrections_of
+from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.pick_session import PickSession
 from facetrack_cli.editor.project import RECIPES, Clip, Project, What, free
 from facetrack_cli.editor.save import open_track
@@ -30,7 +30,7 @@ from facetrack_cli.runs.export import content, encoded
 from facetrack_cli.runs.people import film_of, people_in, rows_in
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats import EXPORTS, tables
-from facetrack_cli.trajectory.reader import UNSAVED, clip_of
+from facetrack_cli.trajectory.reader import clip_of
 from facetrack_cli.video.seek import Frames
 
 LOOKS: Final = 5  # frames of a clip in which faces are sought, in its first seconds
@@ -334,10 +334,7 @@ def _fix_page(folder: Path, stack: ExitStack, person: str | None, frame: int) ->
     run = open_run(folder) if person is None else open_track(folder, person, frame)
     frames = stack.enter_context(Frames(run.clip, fps=run.fps, stream=run.header.source.stream))
     fixer = stack.enter_context(closing(Fixer(run, frames.read)))
-    kept, unsaved = folder / UNSAVED, tuple[Correction, ...]()
-    with suppress(FacetrackError):  # of another track
-        unsaved = corrections_of(kept, run) if kept.is_file() else ()
-    return FixSession(fixer, frames, unsaved=unsaved)
+    return FixSession(fixer, frames)
 
 
 def likely_in(frames: Frames) -> What:

@@ -18,7 +18,7 @@ from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, f
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Correction, TargetStart
-from facetrack_cli.editor.history import Fixer, merged
+from facetrack_cli.editor.history import Fixer, corrections_of, merged
 from facetrack_cli.editor.pick_session import requirement
 from facetrack_cli.editor.save import is_tracked_again, keep, save
 from facetrack_cli.editor.session import Answer, Draft, Json, Page, Proposer, RefusedError, Route, Session, jpeg
@@ -41,19 +41,18 @@ MAX_DOUBTFUL: Final = 100
 
 
 class FixSession(Session):
-    """The corrections of one run. The `unsaved` corrections of the last session are applied first.
+    """The corrections of one run. Those that the last session did not save are applied first.
 
     With `video`, Save also writes the annotated video again, if the run has one.
     """
 
     mode: ClassVar[Literal["fix"]] = "fix"
 
-    def __init__(self, fixer: Fixer, frames: Frames, *, video: bool = True, unsaved: Sequence[Correction] = ()) -> None:
+    def __init__(self, fixer: Fixer, frames: Frames, *, video: bool = True) -> None:
         run = fixer.run
         self.fixer, self.video = fixer, video
         self.saved: list[str] = []  # a line on each file, of the last save
         self.saves = self.rows_revision = 0
-        self._resumed = unsaved  # until they are applied
         self._parts = run.parts
         about = {
             "clip": run.header.clip_name + f": {run.rows.targets[0]}" * run.film,
@@ -67,8 +66,13 @@ class FixSession(Session):
         }
         proposer, draft = Proposer(frames, run.recipe, run.recipe.points), Draft(run.first, {})
         super().__init__(frames, proposer, draft, about, first=run.first, last=run.last)
-        if unsaved:
-            self._begin("tracking the corrections of the last session", partial(self._resume, unsaved))
+        self._resumed: Sequence[Correction] = ()  # until they are applied
+        try:
+            self._resumed = corrections_of(run.folder / UNSAVED, run) if (run.folder / UNSAVED).is_file() else ()
+        except FacetrackError as e:  # they are not of this run any more
+            self.message = f"{flat(str(e))}; the page begins without it"
+        if self._resumed:
+            self._begin("tracking the corrections of the last session", self._resume)
 
     def routes(self) -> Sequence[Route]:
         return (
@@ -114,7 +118,7 @@ class FixSession(Session):
         if not draft.empty:
             frame = draft.frame
             raise RefusedError(422, f"what was moved in frame {frame} is not tracked yet; track it, or discard it")
-        self.start_job("saving", self._write, saves=draft)
+        self.start_job("saving", self._write, saves=True)
 
     def _rows(self, first: int, last: int) -> Json:
         """The rows of frames `first` to `last`, both included."""
@@ -131,8 +135,10 @@ class FixSession(Session):
 
     def _track(self, base: StrictInt, learn: StrictBool | Literal["keep"] | None = "keep") -> Answer:
         """Make the draft a correction of its frame. `learn` as of Correction; "keep" leaves that as it is."""
-        draft = self.current(base)
-        self.refuse_if_busy()
+        with self.lock:
+            self.refuse_unless(base)
+            self.refuse_if_busy()
+            draft = self.draft
         corrections = self._drafted(draft)
         if not corrections:
             raise RefusedError(422, f"nothing is corrected in frame {draft.frame}; move a part, or mark it as absent")
@@ -213,6 +219,13 @@ class FixSession(Session):
         self.end(self.saved + left * (folder / UNSAVED).is_file() or nothing, f"facetrack report {folder} --overwrite")
         return self.state()
 
+    def left(self) -> str:
+        kept = self.fixer.run.folder / UNSAVED
+        if kept.is_file():
+            goes_on = f"all else is as it was; {self.fixer.run.fixed_by} goes on with them"
+            return f"the corrections are kept in {kept}, {goes_on}"
+        return "what was saved stays" if self.saves else super().left()
+
     def _undo(self) -> Answer:
         if not self.fixer.can_undo:
             raise RefusedError(422, "there is nothing to undo")
@@ -230,10 +243,10 @@ class FixSession(Session):
         self.start_job(what, job)
         return Answer({}, 202)
 
-    def _resume(self, corrections: Sequence[Correction], **options: Any) -> None:
+    def _resume(self, **options: Any) -> None:
         """Apply the corrections that the last session did not save."""
         try:
-            self.fixer.apply(corrections, **options)
+            self.fixer.apply(self._resumed, **options)
         except FacetrackError as e:
             raise InputError(f"the corrections of the last session were left out: {e}") from e
         finally:
@@ -414,6 +427,10 @@ class CastSession(Page):
             self.start_job("saving", self._write)
             return Answer(self.state(), 202)
 
+    def left(self) -> str:
+        lost = f"; not saved: {', '.join(words for (words, _), _ in self._steps)}" if self._steps else ""
+        return ("what was saved stays" if self.saved else super().left()) + lost
+
     def _write(self, report: Callable[[int, int | None], None]) -> None:
         steps = [change for change, _ in self._steps]
         if steps:
@@ -441,7 +458,7 @@ class CastSession(Page):
     def _check(self, base: int) -> None:
         """RefusedError (409) while a job runs, after the end, and for what was meant for an earlier state."""
         self.refuse_if_busy()
-        self.refuse_unless(base == self.revision)
+        self.refuse_unless(base)
 
     def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")

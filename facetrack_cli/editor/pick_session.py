@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
-from facetrack_cli.core.errors import FacetrackError, flat
+from facetrack_cli.core.errors import FacetrackError, OutputError, flat
 from facetrack_cli.core.types import Box, Start, TargetStart
 from facetrack_cli.editor.session import MAX_POINTS, Draft, Json, Proposer, RefusedError, Session, draft_of
 from facetrack_cli.engine.spaces import check_size
@@ -42,7 +42,8 @@ class PickSession(Session):
     """The choice of a start. The page first shows `frame`, where the `box` of a face may give the first draft.
 
     `previous` is the start in the file to be replaced. Save writes to `out`, and an image to `preview`; without `out`
-    the start is left in `saved`. Raises InputError for a frame that does not exist or a box outside of it.
+    the start is left in `saved`. What is not saved goes to `unsaved`, if that is given. Raises InputError for a frame
+    that does not exist or a box outside of it.
     """
 
     mode: ClassVar[Literal["pick"]] = "pick"
@@ -60,9 +61,10 @@ class PickSession(Session):
         previous: Start | None = None,
         next_: str | None = None,
         preview: Path | None = None,
+        unsaved: Path | None = None,
     ) -> None:
         self.clip, self.out, self.overwrite, self.recipe = clip, out, overwrite, recipe
-        self.next, self.preview = next_, preview
+        self.next, self.preview, self._unsaved = next_, preview, unsaved
         self.previous = previous = None if previous is None else fitted(previous, recipe)
         self.saved: Start | None = None
         self._previewed = False
@@ -96,16 +98,18 @@ class PickSession(Session):
             self.frames.read(start.frame)  # how long the clip is may be known only then
         by = self._placed_by(draft)
         start = replace(start, detector=by, placed=by != "")
-        self.start_job("writing the init file", lambda _: self._write(start), saves=draft)
+        self.start_job("writing the init file", lambda _: self._write(start), saves=True)
 
-    def unsaved(self) -> Start | None:
-        """The start that was chosen and not saved; None if nothing was chosen since the beginning."""
-        with self.lock:
-            draft = self.draft
-            if self.ended is not None or draft == self._unchanged:
-                return None
-        chosen = draft.placed()
-        return carried(Start(draft.frame, chosen, ORIGIN), self.previous) if chosen else None
+    def left(self) -> str:
+        kept, chosen = self._unsaved, self.draft.placed()
+        if kept is None or not chosen or self.draft == self._unchanged:
+            return f"what was chosen the last time is still in {kept}" if kept and kept.is_file() else super().left()
+        start = carried(Start(self.draft.frame, chosen, ORIGIN), self.previous)
+        try:
+            write_init(kept, start, clip=self.clip.name, overwrite=True)
+        except OutputError as e:
+            return f"what was chosen is lost: {e}"
+        return f"what was chosen is kept in {kept}; the same command goes on with it"
 
     def _placed_by(self, chosen: Draft) -> str:
         """The detector that has placed all chosen parts; "" if the user has moved or drawn one of them."""

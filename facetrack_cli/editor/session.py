@@ -217,6 +217,7 @@ class Page(ABC):
         self.revision = 0
         self.message: str | None = None
         self.ended: Json | None = None
+        self.saving = False
         self.first_error: Exception | None = None  # of the program itself
         self.opened: dict[str, Page] = {}  # the pages below this one, by the first part of their addresses
         self.resources = ExitStack()  # what is closed after the page
@@ -243,17 +244,24 @@ class Page(ABC):
     def routes(self) -> Sequence[Route]:
         """The addresses of the page."""
 
+    def left(self) -> str:
+        """What becomes of what was not saved, where the page is stopped; it may be written for the next time."""
+        return "nothing was written"
+
     def state(self) -> Json:
         """What the page shows."""
         with self.lock:
             return {"revision": self.revision, "job": self._job, "ended": self.ended, "message": self.message}
 
-    def start_job(self, what: str, work: Callable[[Report], None]) -> None:
-        """Run `work` as the job. Its error is shown as the message. RefusedError (409) as of `refuse_if_busy`."""
+    def start_job(self, what: str, work: Callable[[Report], None], *, saves: bool = False) -> None:
+        """Run `work` as the job. Its error is shown as the message. RefusedError (409) as of `refuse_if_busy`.
+
+        While a job runs that `saves`, no draft is accepted.
+        """
         with self.lock:
             self.refuse_if_busy()
             self._job = {"what": what, "done": 0, "total": None}
-            self.message = None
+            self.message, self.saving = None, saves
             self._worker = threading.Thread(target=self._run, args=(work,), daemon=True)
             self._worker.start()
 
@@ -265,10 +273,11 @@ class Page(ABC):
             if self._job is not None:
                 raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished", self.state())
 
-    def refuse_unless(self, current: bool) -> None:
-        """RefusedError (409) with the state, for what is meant for an earlier state of the page."""
-        if not current:
-            raise RefusedError(409, f"another window has changed the {self.edits}", self.state())
+    def refuse_unless(self, base: int) -> None:
+        """RefusedError (409) with the state, for what is meant for another revision of the page."""
+        with self.lock:
+            if base != self.revision:
+                raise RefusedError(409, f"another window has changed the {self.edits}", self.state())
 
     def end(self, messages: Sequence[str], next_: str | None) -> None:
         """End the session: show the `messages`, a line each, and the command to continue with."""
@@ -310,7 +319,7 @@ class Page(ABC):
             message = self.record(e)
         finally:
             with self.lock:
-                self._job = None
+                self._job, self.saving = None, False
                 self.message = message or self.message
 
 
@@ -327,11 +336,11 @@ class Session(Page):
         super().__init__()
         self.resources.callback(proposer.close)
         self.frames, self.draft, self.first, self.last = frames, draft, first, last
-        self._proposer, self._about, self._saving = proposer, about, False
+        self._proposer, self._about = proposer, about
 
     @abstractmethod
     def save(self, draft: Draft) -> None:
-        """Begin the job that writes the draft and calls `end`; RefusedError (422) if something is missing. No lock."""
+        """Begin the job that writes the draft and calls `end`; RefusedError (422) if something is missing."""
 
     def check_draft(self, draft: Draft) -> None:
         """RefusedError (400) for a draft that this session cannot hold; called with the lock."""
@@ -346,23 +355,6 @@ class Session(Page):
         with self.lock:
             self.draft = draft
             self.revision += 1
-
-    def start_job(self, what: str, work: Callable[[Report], None], *, saves: Draft | None = None) -> None:
-        """RefusedError (409) if the job `saves` a draft that has changed meanwhile.
-
-        While such a job runs, no draft is accepted.
-        """
-        with self.lock:
-            self.refuse_if_busy()
-            self.refuse_unless(saves in (None, self.draft))
-            super().start_job(what, work)
-            self._saving = saves is not None
-
-    def current(self, base: int) -> Draft:
-        """The draft, if `base` is its revision; else RefusedError (409) with the state."""
-        with self.lock:
-            self.refuse_unless(base == self.revision)
-            return self.draft
 
     def routes(self) -> Sequence[Route]:
         return (
@@ -395,8 +387,8 @@ class Session(Page):
 
     def _put_draft(self, base: StrictInt, draft: Draft) -> Json:
         with self.lock:
-            self.current(base)
-            if self.ended is not None or self._saving:
+            self.refuse_unless(base)
+            if self.ended is not None or self.saving:
                 self.refuse_if_busy()
             self._check_frame(draft.frame)
             self.check_draft(draft)
@@ -405,10 +397,11 @@ class Session(Page):
             return {"revision": self.revision}
 
     def _save(self, base: StrictInt) -> Answer:
-        draft = self.current(base)
-        self.refuse_if_busy()
-        self.save(draft)
-        return Answer({"job": self.state()["job"]}, 202)
+        with self.lock:
+            self.refuse_unless(base)
+            self.refuse_if_busy()
+            self.save(self.draft)
+            return Answer({"job": self.state()["job"]}, 202)
 
     def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         self._check_frame(frame)

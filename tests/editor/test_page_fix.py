@@ -396,7 +396,6 @@ def test_interrupted_it_keeps_the_corrections_and_goes_on_with_them(command, out
 
     running = command("fix", out)
     client = Client(running.url)
-    assert running.said == [f"{kept}: one correction was not saved the last time; the page begins with it\n"]
     state = client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
     assert state["message"].startswith("the corrections of the last session, which were not saved, are applied")
     assert client.get("api/rows?first=8&last=8").json["frames"][0][0][:2] == [150.0, 130.5]

@@ -234,15 +234,18 @@ def test_windows_and_corrections_of_the_file_before_are_kept(clips, tmp_path):
     assert messages[1] == "corrections left out, since they come before the start or have no target: 1"
 
 
-def test_what_the_page_begins_with(clips):
+def test_what_the_page_begins_with(clips, tmp_path):
     for names in (["face"], ["head", "foot"]):  # a file of another recipe is fitted to this one
         begun = Start(0, {name: TargetStart(box=(10, 10, 40, 40)) for name in names}, "old.yaml")
         with picking(clips / "face", config="head_hands", previous=begun) as (client, _):
             assert list(client.get("api/state").json["draft"]["targets"]) == ["head"]
-    with picking(clips / "face", frame=1, box=(112, 79, 98, 98)) as (client, session):  # a box has its points
+    with picking(clips / "face", frame=1, box=(112, 79, 98, 98), unsaved=tmp_path / "u.yaml") as (
+        client,
+        session,
+    ):  # a box has its points
         draft = client.get("api/state").json["draft"]
         assert draft["frame"] == 1 and set(draft["targets"]["face"]["points"]) == set(PARTS)
-        assert session.unsaved() is not None
+        assert session.left().startswith("what was chosen is kept in")
     with picking(clips / "sign", config="head_hands", frame=0, box=(135, 44, 50, 50)) as (client, _):
         assert set(client.get("api/state").json["draft"]["targets"]) == set(HANDS)
     with pytest.raises(InputError, match="not in the frame"), picking(clips / "face", box=(900, 79, 98, 98)):

@@ -12,16 +12,13 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import Command, flag, frame_at, moment, option, page_options, refuse, say, words, working
-from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
+from facetrack_cli.core.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from facetrack_cli.core.types import Correction
     from facetrack_cli.editor.history import Fixer
     from facetrack_cli.run_folder.finished import Run
-    from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.people import People, Tracks
     from facetrack_cli.trajectory.views import Clock
-    from facetrack_cli.video.seek import Frames
 
     Change: TypeAlias = tuple[str, Callable[[Tracks], Tracks]]
 
@@ -60,10 +57,8 @@ def fix_command(
     trajectories and the annotated video again, and RUN_DIR/corrected.init.yaml, with which facetrack run makes the same
     trajectory. The page goes on after it, until Done.
 
-    The rows of a smoothed run are given the whole clip, so at Save all of it is tracked and smoothed again.
-
-    Where a recipe has mutual exclusion, the corrected target avoids the others at their recorded places, and their rows
-    stay; a whole run from the file moves them, too.
+    The rows of a smoothed run are given the whole clip, and targets that exclude each other move each other: at Save
+    all of such a run is tracked again.
 
     With --import, the corrections are what differs from the run in a file of an annotation tool, to which facetrack
     export --to cvat, labelstudio or eaf has brought it: parts that were moved, and parts that were marked as not
@@ -80,6 +75,7 @@ def fix_command(
       facetrack fix out --import annotations.xml
       facetrack fix film --person Eileen@0:03
     """
+    from facetrack_cli.editor.fix_session import FixSession
     from facetrack_cli.editor.history import Fixer
     from facetrack_cli.run_folder.finished import check_size, open_run
     from facetrack_cli.runs.signals import Stop
@@ -103,7 +99,7 @@ def fix_command(
             if file is not None:
                 return _apply(fixer, file, quiet, adds=init is None, video=not no_video)
             with Stop().listening() as stop:
-                return _serve_fixer(fixer, frames, page, stop, video=not no_video)
+                return page.serve(FixSession(fixer, frames, video=not no_video), stop)
 
 
 def _track(folder: Path, clip: Path | None, name: str, at: str) -> Run:
@@ -171,33 +167,6 @@ def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: 
     with working(quiet, folder.name or str(folder), f"{folder} is as it was") as (stop, shown):
         recast(folder, changes, clip=clip, video=video, report=shown.looked, stop=stop)
         shown.say(f"{folder}: {', '.join(f'{old} is {name}' for old, name in names.items())}")
-    return ExitCode.DONE
-
-
-def _serve_fixer(fixer: Fixer, frames: Frames, page: options.Page, stop: Stop, *, video: bool) -> int:
-    """Serve the page until it is saved or stopped; the exit code."""
-    from facetrack_cli.editor.fix_session import FixSession
-    from facetrack_cli.editor.history import corrections_of
-    from facetrack_cli.trajectory.reader import UNSAVED
-
-    folder = fixer.run.folder
-    kept = folder / UNSAVED
-    unsaved: tuple[Correction, ...] = ()
-    try:
-        if kept.is_file():
-            unsaved = corrections_of(kept, fixer.run)
-    except FacetrackError as e:  # they are not of this run any more
-        say(f"facetrack: warning: {e}; the page begins without it")
-    if unsaved:
-        count, them = (f"{len(unsaved)} corrections were", "them") if len(unsaved) > 1 else ("one correction was", "it")
-        say(f"{kept}: {count} not saved the last time; the page begins with {them}")
-    session = FixSession(fixer, frames, video=video, unsaved=unsaved)
-    if not page.serve(session, stop):
-        goes_on = f"all else is as it was; {fixer.run.fixed_by} goes on with them"
-        none = "what was saved stays" if session.saves else "nothing was written"
-        what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else none
-        say(f"facetrack: {stop.reason}; {what}")
-        return stop.code or ExitCode.FAULT
     return ExitCode.DONE
 
 
@@ -285,13 +254,7 @@ def _serve_cast(folder: Path, elsewhere: Path | None, page: options.Page, *, vid
     if clip is None:
         raise UsageError(f"{folder}: does not name its clip; give it with --clip")
     with Frames(clip, **how) as frames, Stop().listening() as stop:
-        session = CastSession(folder, frames, clip, video=video)
-        if page.serve(session, stop):
-            return 0
-        left = ", ".join(session.state()["changes"])
-        what = "what was saved stays" if session.saved else "nothing was written"
-        say(f"facetrack: {stop.reason}; {what}{'; not saved: ' * bool(left)}{left}")
-        return stop.code or ExitCode.FAULT
+        return page.serve(CastSession(folder, frames, clip, video=video), stop)
 
 
 def _changes(clock: Clock, split: Words, give: Words, merge: Words, rename: Words) -> list[Change]:

@@ -193,10 +193,9 @@ def _pick(
     from facetrack_cli.start.init_file import default_path, read_init, write_init
     from facetrack_cli.video.seek import Frames
 
-    beside = path or default_path(clip)
+    beside, start = path or default_path(clip), None
     unsaved = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
-    start, goes_on = None, box is None and unsaved.is_file()
-    source = unsaved if goes_on else path
+    source = unsaved if box is None and unsaved.is_file() else path
     if source is not None and source.is_file():
         try:
             start = read_init(source)
@@ -204,36 +203,12 @@ def _pick(
             say(f"facetrack: warning: {e}; the page begins without it")
     with Frames(clip) as frames, Stop().listening() as stop:
         session = PickSession(
-            clip,
-            frames,
-            out=path,
-            overwrite=overwrite,
-            recipe=recipe,
-            frame=frame,
-            box=box,
-            previous=start,
-            next_=run,
-            preview=preview,
-        )
-        saved = page.serve(session, stop)
-    if not saved:
-        say(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), clip, unsaved)}")
-        return stop.code or ExitCode.FAULT
-    if goes_on:
+            clip, frames, out=path, overwrite=overwrite, recipe=recipe, frame=frame, box=box, previous=start,
+            next_=run, preview=preview, unsaved=unsaved,
+        )  # fmt: skip
+        code = page.serve(session, stop)
+    if code == ExitCode.DONE and source == unsaved:
         unsaved.unlink(missing_ok=True)
     if path is None and session.saved is not None:
         write_init(sys.stdout, session.saved, clip=clip.name)
-    return ExitCode.DONE
-
-
-def _keep_unsaved(start: Start | None, clip: Path, unsaved: Path) -> str:
-    """Write what was chosen and not saved, if anything was; what became of it."""
-    from facetrack_cli.start.init_file import write_init
-
-    if start is None:
-        return f"what was chosen the last time is still in {unsaved}" if unsaved.is_file() else "nothing was written"
-    try:
-        write_init(unsaved, start, clip=clip.name, overwrite=True)
-    except OutputError as e:
-        return f"what was chosen is lost: {e}"
-    return f"what was chosen is kept in {unsaved}; the same command goes on with it"
+    return code
