@@ -279,23 +279,10 @@ def gathered(name: str, kind: type[Any], *options: Decorator) -> Decorator:
 # options of several commands
 
 
-def box(text: str) -> Decorator:
-    return option("--box", type=BOX, help=text)
-
-
-def gallery(text: str) -> Decorator:
-    return option("--gallery", type=GALLERY, help=text)
-
-
 def figure_file(default: str) -> Decorator:
     """--out of a figure; `default` says in words where it goes without."""
     text = f"File to write: .png, .svg or .pdf [default: {default}]."
     return option("-o", "--out", type=FIGURE, help=text)
-
-
-def array_file(what: str) -> Decorator:
-    """--out of an .npz file that holds a `what`, as a gallery."""
-    return option("-o", "--out", type=NPZ, default=f"{what}.npz", help=f"Where the {what} goes.")
 
 
 def jobs(text: str) -> Decorator:
@@ -353,7 +340,7 @@ extent_options = gathered(
     "extent", Extent,
     option("--init", type=INIT,
            help="Init file; `haar` or `yunet` looks for a face even if one lies beside the clip."),
-    box("The face, head or hand in the first frame, in pixels."),
+    option("--box", type=BOX, help="The face, head or hand in the first frame, in pixels."),
     option("--start", type=FRAME, default=0, show_default=False, help="First frame, from 0."),
     option("--stop", type=FRAME, help="Frame to stop before."),
     option("--fps", type=RATE, help="Frames per second of a folder or .zip of images."),

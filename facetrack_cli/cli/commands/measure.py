@@ -180,7 +180,7 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
 @option("--seeds", type=options.Whole(min=1), default=10, help="Runs of each, seed 0 on.")
 @option("--rank-by", type=options.Text("MEASURE"), help="Rank by this, as points.median_px or boxes.precision_20.")
 @options.set_("Override a key of all; repeatable.")
-@options.gallery("People to recognise, as facetrack gallery fit writes them.")
+@option("--gallery", type=options.GALLERY, help="People to recognise, as facetrack gallery fit writes them.")
 @option(
     "--truth", type=options.FILE,
     help="Ground truth [default: <clip>.truth.csv, else groundtruth.csv, groundtruth_rect.txt or groundtruth.txt in "

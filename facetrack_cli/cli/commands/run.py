@@ -76,9 +76,10 @@ def _formats(value: str) -> tuple[Format, ...]:
 @options.config
 @options.set_("Override a key of the recipe; repeatable.")
 @option("--seed", type=int, metavar="N", help="Seed of the random numbers, instead of the recipe's.")
-@options.gallery(
-    "People to recognise, as facetrack gallery fit writes them; with --faces all as facetrack people --save does."
-)
+@option(
+    "--gallery", type=options.GALLERY,
+    help="People to recognise, as facetrack gallery fit writes them; with --faces all as facetrack people --save does.",
+)  # fmt: skip
 @option(
     "-o", "--out", type=options.FOLDER_OR_DASH,
     help="Folder for results [default: ./<clip>-<recipe>, with --set]; - streams to stdout.",

@@ -77,7 +77,7 @@ def status_command(results: Path, as_json: bool) -> None:
     "--faces", type=click.Choice(["one", "all"]), metavar="WHICH", default="one", show_default=False,
     help="`one`, the largest face that stays, or `all` that are there with it [default: one].",
 )  # fmt: skip
-@options.box("The face's box in that frame: place the points in it.")
+@option("--box", type=options.BOX, help="The face's box in that frame: place the points in it.")
 @option(
     "--config", type=options.RECIPE,
     help="Write what this recipe begins with: its points, or a head and hands; without, a face and five points.",
