@@ -6,6 +6,7 @@ renamed and split, and doubts are settled.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,17 +15,18 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import numpy as np
 from pydantic import Field, StrictBool, StrictInt
 
-from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, flat
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError, flat
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Correction, TargetStart
-from facetrack_cli.editor.history import Fixer, corrections_of, merged
+from facetrack_cli.editor.history import corrections_of, fixing, merged
 from facetrack_cli.editor.pick_session import requirement
 from facetrack_cli.editor.save import is_tracked_again, keep, save
 from facetrack_cli.editor.session import Answer, Draft, Json, Page, Proposer, RefusedError, Route, Session, jpeg
 from facetrack_cli.engine.corrected import correctable_parts
 from facetrack_cli.recipe.model import OpenCvRecipe
-from facetrack_cli.runs.people import people_in, recast, rows_in, still_of
+from facetrack_cli.run_folder.finished import Run
+from facetrack_cli.runs.people import film_of, people_in, recast, rows_in, still_of
 from facetrack_cli.runs.plan import Report
 from facetrack_cli.trackers.face.detectors import PARTS
 from facetrack_cli.trajectory import people as changes
@@ -48,9 +50,8 @@ class FixSession(Session):
 
     mode: ClassVar[Literal["fix"]] = "fix"
 
-    def __init__(self, fixer: Fixer, frames: Frames, *, video: bool = True) -> None:
-        run = fixer.run
-        self.fixer, self.video = fixer, video
+    def __init__(self, run: Run, *, video: bool = True) -> None:
+        self.video = video
         self.saved: list[str] = []  # a line on each file, of the last save
         self.saves = self.rows_revision = 0
         self._parts = run.parts
@@ -64,8 +65,11 @@ class FixSession(Session):
             "again": is_tracked_again(run),
             "learns": not isinstance(run.recipe, OpenCvRecipe),  # OpenCV's trackers always learn again
         }
-        proposer, draft = Proposer(frames, run.recipe, run.recipe.points), Draft(run.first, {})
-        super().__init__(frames, proposer, draft, about, first=run.first, last=run.last)
+        with ExitStack() as stack:
+            self.fixer, frames = stack.enter_context(fixing(run))
+            proposer = stack.enter_context(closing(Proposer(frames, run.recipe, run.recipe.points)))
+            super().__init__(frames, proposer, Draft(run.first, {}), about, first=run.first, last=run.last)
+            self.resources = stack.pop_all()
         self._resumed: Sequence[Correction] = ()  # until they are applied
         try:
             self._resumed = corrections_of(run.folder / UNSAVED, run) if (run.folder / UNSAVED).is_file() else ()
@@ -340,14 +344,18 @@ Change = tuple[str, Callable[[Tracks], Tracks]]
 
 
 class CastSession(Page):
-    """The people of the run in `folder`, whose frames are at hand. Nothing is written before it is saved."""
+    """The people of the run in `folder`; its clip may be elsewhere now. Nothing is written before it is saved."""
 
     index, edits = "cast.html", "cast"
 
-    def __init__(self, folder: Path, frames: Frames, clip: Path, *, video: bool) -> None:
+    def __init__(self, folder: Path, elsewhere: Path | None = None, *, video: bool = True) -> None:
         super().__init__()
-        self.folder, self.frames, self.clip, self.video = folder, frames, clip, video
         self.before, self._rows = people_in(folder), rows_in(folder)
+        clip, how = film_of(self.before, self._rows, elsewhere)
+        if clip is None:
+            raise UsageError(f"{folder}: does not name its clip; give it with --clip")
+        self.folder, self.clip, self.video = folder, clip, video
+        self.frames = self.resources.enter_context(Frames(clip, **how))
         self._clock = Clock(self._rows, self.before.fps)
         self._steps: list[tuple[Change, Tracks]] = []
         self.saved = 0  # changes

@@ -18,7 +18,7 @@ from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
 from facetrack_cli.editor.pick_session import fitted
 from facetrack_cli.engine.corrected import CorrectedTarget, all_or, completed, is_complete, with_confirmed
 from facetrack_cli.engine.loop import Target, stream
-from facetrack_cli.run_folder.finished import Run, stamp
+from facetrack_cli.run_folder.finished import Run, check_size, stamp
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.start.assembly import build_tracker, tracker_for
@@ -27,6 +27,7 @@ from facetrack_cli.start.presence import among_others
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import as_written
+from facetrack_cli.video.seek import Frames
 
 MAX_STEPS: Final = 1000  # steps that can be undone
 MAX_TIME_OFF_S: Final = 0.002  # a frame whose time differs more from the run's is of another clip
@@ -260,6 +261,15 @@ def _writing() -> Iterator[None]:
     except OSError as e:
         remedy = "free some space, or set TMPDIR to another folder"
         raise OutputError(f"temporary files cannot be written: {reason(e)}; {remedy}") from e
+
+
+@contextlib.contextmanager
+def fixing(run: Run) -> Iterator[tuple[Fixer, Frames]]:
+    """A run with its corrections, and the frames of its clip. Raises InputError for a clip of another size."""
+    with Frames(run.clip, fps=run.fps, stream=run.header.source.stream) as frames:
+        check_size(run, frames.size)
+        with contextlib.closing(Fixer(run, frames.read)) as fixer:
+            yield fixer, frames
 
 
 def completed_by(correction: Correction, rows: Trajectory) -> Correction:

@@ -1,6 +1,7 @@
 """Choosing the start of a track on the page: which parts a recipe requires, and whether a draft has them."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -13,7 +14,7 @@ from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.report.story import names as listed
-from facetrack_cli.start.assembly import name_targets
+from facetrack_cli.start.assembly import build_tracker, check_windows, name_targets
 from facetrack_cli.start.init_file import (
     KEYS,
     OF_CORRECTIONS,
@@ -51,7 +52,6 @@ class PickSession(Session):
     def __init__(
         self,
         clip: Path,
-        frames: Frames,
         *,
         out: Path | None,
         overwrite: bool = False,
@@ -69,17 +69,6 @@ class PickSession(Session):
         self.saved: Start | None = None
         self._previewed = False
         required = requirements(recipe)
-        proposer = Proposer(frames, recipe, required[0]["points"])
-        shown = frame if frame is not None else previous.frame if previous is not None else 0
-        image = frames.read(shown)  # raises InputError before anything is served
-        self._placed: list[tuple[Draft, str]] = []  # drafts that a detector has placed, and its name
-        if previous is not None:
-            self._placed.append((draft_of(previous.frame, previous.targets), previous.placed_by))
-        draft = draft_of(shown, previous.targets if previous is not None else {})
-        self._unchanged = draft if box is None else None
-        if box is not None:
-            draft = proposer.in_box(image, box, str(clip))
-            self._placed.append((draft, detector().name))
         about = {
             "clip": clip.name or str(clip),
             "recipe": None if recipe is None else recipe.name,
@@ -87,7 +76,21 @@ class PickSession(Session):
             "free": recipe is None or not recipe.followed,
             "saves_to": "standard output" if out is None else str(out),
         }
-        super().__init__(frames, proposer, draft, about)
+        shown = frame if frame is not None else previous.frame if previous is not None else 0
+        draft = draft_of(shown, previous.targets if previous is not None else {})
+        self._placed: list[tuple[Draft, str]] = []  # drafts that a detector has placed, and its name
+        if previous is not None:
+            self._placed.append((draft_of(previous.frame, previous.targets), previous.placed_by))
+        self._unchanged = draft if box is None else None
+        with ExitStack() as stack:
+            frames = stack.enter_context(Frames(clip))
+            proposer = stack.enter_context(closing(Proposer(frames, recipe, required[0]["points"])))
+            image = frames.read(shown)  # raises InputError before anything is served
+            if box is not None:
+                draft = proposer.in_box(image, box, str(clip))
+                self._placed.append((draft, detector().name))
+            super().__init__(frames, proposer, draft, about)
+            self.resources = stack.pop_all()
         if previous is not None and box is None:
             self.message = f"taken from {previous.origin}"
 
@@ -235,8 +238,6 @@ def _missing(target: TargetStart, required: Json) -> list[str]:
 
 def _check_build(start: Start, size: tuple[int, int], recipe: Recipe) -> None:
     """Raises what the run would: build_tracker, and check_windows. Recognition is left out: it needs a gallery."""
-    from facetrack_cli.start.assembly import build_tracker, check_windows
-
     nobody = {"recognition": None}
     if isinstance(recipe, ParticleRecipe):
         recipe = recipe.model_copy(update=nobody)

@@ -100,8 +100,8 @@ class Server(ThreadingHTTPServer):
 
 @contextlib.contextmanager
 def serving(session: Page, port: int = 0) -> Iterator[Server]:
-    """The server of a session, running in its own threads within the `with`."""
-    with Server(session, port) as server:
+    """The server of a session, running in its own threads within the `with`; then the session is closed."""
+    with contextlib.closing(session), Server(session, port) as server:
         thread = threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True)
         thread.start()
         try:
@@ -109,7 +109,6 @@ def serving(session: Page, port: int = 0) -> Iterator[Server]:
         finally:
             server.shutdown()
             thread.join()
-            session.close()
 
 
 def run_page(

@@ -220,7 +220,7 @@ class Page(ABC):
         self.saving = False
         self.first_error: Exception | None = None  # of the program itself
         self.opened: dict[str, Page] = {}  # the pages below this one, by the first part of their addresses
-        self.resources = ExitStack()  # what is closed after the page
+        self.resources = ExitStack()  # what is closed with the page
         self._job: Json | None = None
         self._worker: threading.Thread | None = None
         self._ended_at = 0.0
@@ -334,7 +334,6 @@ class Session(Page):
         self, frames: Frames, proposer: Proposer, draft: Draft, about: Json, *, first: int = 0, last: int | None = None
     ) -> None:
         super().__init__()
-        self.resources.callback(proposer.close)
         self.frames, self.draft, self.first, self.last = frames, draft, first, last
         self._proposer, self._about = proposer, about
 

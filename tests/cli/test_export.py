@@ -19,9 +19,7 @@ from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import LINES, POINTS
 from facetrack_cli.trajectory.formats import EXPORTS
-from facetrack_cli.trajectory.formats.boxes import read_got10k, read_mot, read_otb, read_vot
 from facetrack_cli.trajectory.formats.keypoints import write_dlc_h5
-from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
 from facetrack_cli.trajectory.views import enclose
 from facetrack_cli.trajectory.writers import SCHEMA
@@ -83,30 +81,6 @@ def refused(*args, code):
 
 
 SOURCE = {"source": {"path": "clip.mp4", "size": [640, 480], "fps": 25.0}, "recipe": {"name": "sir"}}
-
-
-@pytest.mark.parametrize(
-    ("form", "read"), [("mot", lambda p: read_mot(p, results=True)), ("otb", read_otb), ("got10k", read_got10k),
-                       ("vot", read_vot)]
-)  # fmt: skip
-def test_boxes_come_back_as_they_were(track, form, read):
-    path = track(rows(parts=("box",), size=(20.5, 10.0)))
-    export(path, "--to", form)
-    ours, (found,) = read_trajectory(path).parts[0], read(path.with_name(f"trajectory.{form}.txt")).parts
-    np.testing.assert_array_equal(found.frame, ours.frame)
-    first = 1 if form == "vot" else 0  # VOT does not repeat the box that a track began with
-    for name in ("x", "y", "w", "h"):
-        np.testing.assert_allclose(getattr(found, name)[first:], getattr(ours, name)[first:], atol=1e-4)
-    if form == "mot":
-        np.testing.assert_allclose(found.confidence, ours.confidence)
-
-
-def test_mot_numbers_targets_and_keeps_gaps(track):
-    path = track(rows(), rows("hand", ("box",), frames=(2, 4)))
-    export(path, "--to", "mot")
-    one, two = read_mot(path.with_name("trajectory.mot.txt"), results=True).parts
-    assert (one.target, two.target) == ("1", "2")
-    assert one.frame.tolist() == [0, 1, 2, 3, 4, 5] and two.frame.tolist() == [2, 4]
 
 
 @pytest.mark.parametrize(("box", "ltwh"), [("windows", [90.75, 76, 50, 30]), ("points", [100.25, 80.5, 31, 21])])

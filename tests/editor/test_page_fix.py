@@ -15,19 +15,16 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Correction
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor import session as session_module
 from facetrack_cli.editor.fix_session import doubtful, overview
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.server import run_page
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.run_folder.manifest import write_rows
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.trajectory import Collector
 from tests.support import results
-from tests.support.browser import READY
 from tests.support.hands_run import hands_run
-from tests.support.page_client import Client, fixing, wait_for
+from tests.support.page_client import Client, fixing
 from tests.support.samples import FOLDER
 from tests.support.terminal import refusal
 
@@ -402,15 +399,3 @@ def test_interrupted_it_keeps_the_corrections_and_goes_on_with_them(command, out
     client.ask("POST", "api/undo", {})
     client.until(lambda state: state["rows_revision"] == 2)
     assert interrupted(running, client) == (130, "nothing was written") and not kept.exists()
-
-
-def test_the_page_ends_with_its_session(page, monkeypatch):
-    monkeypatch.setattr(session_module, "LINGER_S", 0.3)
-    session, said = page().session, []
-    worker = threading.Thread(target=run_page, args=(session, lambda: False, said.append))
-    worker.start()
-    client = Client(wait_for(lambda: next((s for s in said if s.startswith(READY)), None), "the address")[len(READY) :])
-    assert client.ask("POST", "api/done", {}).status == 200
-    worker.join(60)
-    assert not worker.is_alive() and "nothing was corrected" in session.ended["messages"][0]
-    client.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import inspect
 import sys
 from collections.abc import Callable
@@ -82,11 +81,10 @@ def fix_command(
       facetrack fix film --person Eileen@0:03
     """
     from facetrack_cli.editor.fix_session import FixSession
-    from facetrack_cli.editor.history import Fixer
-    from facetrack_cli.run_folder.finished import check_size, open_run
+    from facetrack_cli.editor.history import fixing
+    from facetrack_cli.run_folder.finished import open_run
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.reader import PEOPLE
-    from facetrack_cli.video.seek import Frames
 
     file = init or imported
     both = init is not None and imported is not None
@@ -99,13 +97,11 @@ def fix_command(
     if imported is not None and imported.suffix.lower() == ".eaf" and not person and (folder / PEOPLE).is_file():
         return _rename(folder, clip, imported, quiet, video=not no_video)
     opened = _track(folder, clip, *person) if person else open_run(folder, clip)
-    with Frames(opened.clip, fps=opened.fps, stream=opened.header.source.stream) as frames:
-        check_size(opened, frames.size)
-        with contextlib.closing(Fixer(opened, frames.read)) as fixer:
-            if file is not None:
-                return _apply(fixer, file, quiet, adds=init is None, video=not no_video)
-            with Stop().listening() as stop:
-                return page.serve(FixSession(fixer, frames, video=not no_video), stop)
+    if file is None:
+        with Stop().listening() as stop:
+            return page.serve(FixSession(opened, video=not no_video), stop)
+    with fixing(opened) as (fixer, _):
+        return _apply(fixer, file, quiet, adds=init is None, video=not no_video)
 
 
 def _track(folder: Path, clip: Path | None, name: str, at: str) -> Run:
@@ -230,7 +226,11 @@ def people_command(
     clock = Clock(rows_in(folder) if split or give else None, people.fps)
     changes = _changes(clock, split, give, merge, rename)
     if edit:
-        return _serve_cast(folder, clip, page, video=not no_video)
+        from facetrack_cli.editor.fix_session import CastSession
+        from facetrack_cli.runs.signals import Stop
+
+        with Stop().listening() as stop:
+            return page.serve(CastSession(folder, clip, video=not no_video), stop)
     page.refuse("give --page")
     if save is not None:
         check_new(save, overwrite=overwrite)
@@ -247,20 +247,6 @@ def people_command(
     elif not quiet:
         _show(people, Clock(rows_in(folder), people.fps))
     return 0
-
-
-def _serve_cast(folder: Path, elsewhere: Path | None, page: options.Page, *, video: bool) -> int:
-    """Serve the page until it is saved or stopped; the exit code."""
-    from facetrack_cli.editor.fix_session import CastSession
-    from facetrack_cli.runs.people import film_of, people_in, rows_in
-    from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.video.seek import Frames
-
-    clip, how = film_of(people_in(folder), rows_in(folder), elsewhere)
-    if clip is None:
-        raise UsageError(f"{folder}: does not name its clip; give it with --clip")
-    with Frames(clip, **how) as frames, Stop().listening() as stop:
-        return page.serve(CastSession(folder, frames, clip, video=video), stop)
 
 
 def _changes(clock: Clock, split: Words, give: Words, merge: Words, rename: Words) -> list[Change]:

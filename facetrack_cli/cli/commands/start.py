@@ -191,7 +191,6 @@ def _pick(
     from facetrack_cli.editor.pick_session import PickSession
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.start.init_file import default_path, read_init, write_init
-    from facetrack_cli.video.seek import Frames
 
     beside, start = path or default_path(clip), None
     unsaved = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
@@ -201,9 +200,9 @@ def _pick(
             start = read_init(source)
         except InputError as e:  # it will be replaced in any case
             say(f"facetrack: warning: {e}; the page begins without it")
-    with Frames(clip) as frames, Stop().listening() as stop:
+    with Stop().listening() as stop:
         session = PickSession(
-            clip, frames, out=path, overwrite=overwrite, recipe=recipe, frame=frame, box=box, previous=start,
+            clip, out=path, overwrite=overwrite, recipe=recipe, frame=frame, box=box, previous=start,
             next_=run, preview=preview, unsaved=unsaved,
         )  # fmt: skip
         code = page.serve(session, stop)
