@@ -276,11 +276,9 @@ def test_a_crop_is_lossless_and_clipped(shared):
 
 
 def test_numbers_of_a_query_are_checked(shared):
-    reductions = ["reduce=3", "reduce=0", "reduce=-2", "reduce=16", "reduce=", "reduce=x", "reduce=1e1", "reduce=nan",
-                  "reduce=%C2%B2", "reduce=" + "9" * 300, "reduce=1&reduce=2",
-                  "&".join(f"a{k}=1" for k in range(40))]  # fmt: skip
-    regions = ["", "x=0&y=0&w=8", "x=0&y=0&w=0&h=8", "x=0&y=0&w=5000&h=8", "x=0.5&y=0&w=8&h=8", "x=0&x=1&y=0&w=8&h=8",
-               f"x={'9' * 5000}&y=0&w=8&h=8"]  # fmt: skip
+    reductions = ["reduce=3", "reduce=-2", "reduce=", "reduce=x", "reduce=1e1", "reduce=" + "9" * 300,
+                  "reduce=1&reduce=2", "a=1"]  # fmt: skip
+    regions = ["", "x=0&y=0&w=8", "x=0&y=0&w=0&h=8", "x=0&y=0&w=5000&h=8", "x=0.5&y=0&w=8&h=8", "x=0&x=1&y=0&w=8&h=8"]
     paths = [f"api/frame/3.jpg?{query}" for query in reductions] + [f"api/crop/3.png?{query}" for query in regions]
     for path in paths:
         got = shared[1].get(path)
@@ -311,18 +309,15 @@ def test_a_body_that_is_no_draft_is_refused_in_one_line(shared):
         assert client.ask("PUT", "api/draft", body).status == 400, body[:20]
         assert client.ask("POST", "api/save", body).status == 400
     targets = [
-        {"box": [1, 2, 3]}, {"box": [1, 2, 0, 4]}, {"box": [1, 2, 3, -4]}, {"box": [1, 2, 3, True]}, {"box": "1234"},
-        {"box": [1e300, 2, 3, 4]}, {"box": [10**400, 2, 3, 4]}, {"box": [1e999, 2, 3, 4]}, {"box": [math.nan, 2, 3, 4]},
-        {"size": 1}, {"points": {"nose": [1]}}, {"points": {"nose": [1, None]}}, {"points": [1]},
-        {"points": {"": [1, 2]}}, {"points": {"nose": [-1e7, 2]}}, {"points": {"nose": ["1", 2]}},
-        {"points": {f"p{k}": [1, 2] for k in range(501)}}, {"absent": "nose"}, {"absent": [1]}, {"absent": ["a/b"]},
-        {"absent": {}}, {"absent": ["nose\n"]},
+        {"box": [1, 2, 3]}, {"box": [1, 2, 0, 4]}, {"box": [1, 2, 3, True]}, {"box": "1234"},
+        {"box": [1e300, 2, 3, 4]}, {"box": [10**400, 2, 3, 4]}, {"box": [math.nan, 2, 3, 4]}, {"size": 1},
+        {"points": {"nose": [1, None]}}, {"points": [1]}, {"points": {"": [1, 2]}}, {"points": {"nose": [-1e7, 2]}},
+        {"points": {f"p{k}": [1, 2] for k in range(501)}}, {"absent": "nose"}, {"absent": ["a/b"]},
+        {"absent": ["nose\n"]},
     ]  # fmt: skip
     for draft in [
-        None, [], {"frame": -1, "targets": {}}, {"frame": 1.5, "targets": {}}, {"frame": True, "targets": {}},
-        {"frame": 0}, {"frame": 10**30, "targets": {}}, {"frame": 0, "targets": []},
-        {"frame": 0, "targets": {}, "more": 1}, {"frame": 0, "targets": {"face": []}},
-        {"frame": 0, "targets": {"a b": {}}}, {"frame": 0, "targets": {"": {}}},
+        None, {"frame": -1, "targets": {}}, {"frame": True, "targets": {}}, {"frame": 0},
+        {"frame": 10**30, "targets": {}}, {"frame": 0, "targets": {}, "more": 1},
         {"frame": 0, "targets": {"\ud800": {}}}, {"frame": 0, "targets": {f"t{k}": {} for k in range(21)}},
         *({"frame": 0, "targets": {"face": target}} for target in targets),
     ]:  # fmt: skip

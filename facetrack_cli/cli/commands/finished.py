@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from facetrack_cli.editor.history import Fixer
-    from facetrack_cli.run_folder.finished import Run
     from facetrack_cli.trajectory.formats.tables import Clip
     from facetrack_cli.trajectory.people import People, Tracks
     from facetrack_cli.trajectory.views import Around, Clock
@@ -82,9 +81,12 @@ def fix_command(
     """
     from facetrack_cli.editor.fix_session import FixSession
     from facetrack_cli.editor.history import fixing
+    from facetrack_cli.editor.save import open_track
     from facetrack_cli.run_folder.finished import open_run
+    from facetrack_cli.runs.people import people_in, rows_in
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.reader import PEOPLE
+    from facetrack_cli.trajectory.views import Clock
 
     file = init or imported
     both = init is not None and imported is not None
@@ -96,21 +98,16 @@ def fix_command(
         page.refuse(f"leave it or {'--init' if init else '--import'} out")
     if imported is not None and imported.suffix.lower() == ".eaf" and not person and (folder / PEOPLE).is_file():
         return _rename(folder, clip, imported, quiet, video=not no_video)
-    opened = _track(folder, clip, *person) if person else open_run(folder, clip)
+    if person is None:
+        opened = open_run(folder, clip)
+    else:
+        at = frame_at(person[1], Clock(rows_in(folder), people_in(folder).fps))
+        opened = open_track(folder, person[0], at, clip)
     if file is None:
         with Stop().listening() as stop:
             return page.serve(FixSession(opened, video=not no_video), stop)
     with fixing(opened) as (fixer, _):
         return _apply(fixer, file, quiet, adds=init is None, video=not no_video)
-
-
-def _track(folder: Path, clip: Path | None, name: str, at: str) -> Run:
-    """The track of a person of a film."""
-    from facetrack_cli.editor.save import open_track
-    from facetrack_cli.runs.people import people_in, rows_in
-    from facetrack_cli.trajectory.views import Clock
-
-    return open_track(folder, name, frame_at(at, Clock(rows_in(folder), people_in(folder).fps)), clip)
 
 
 def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) -> int:

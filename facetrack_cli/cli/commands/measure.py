@@ -17,7 +17,6 @@ from facetrack_cli.core.errors import ExitCode, InputError, UsageError, flat
 
 if TYPE_CHECKING:
     from facetrack_cli.evaluation.compare import Comparison
-    from facetrack_cli.evaluation.summary import Evaluation
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -105,7 +104,8 @@ def eval_command(
     for path in files.values():
         check_new(path, overwrite=overwrite)
     if plot is not None:
-        from facetrack_cli.report.figures.style import need_matplotlib  # with it the tracker is loaded
+        from facetrack_cli.report.figures import calibration_figure, render  # with them the tracker is loaded
+        from facetrack_cli.report.figures.style import need_matplotlib
 
         need_matplotlib()
     check_normalise(normalise)
@@ -131,7 +131,11 @@ def eval_command(
     texts = {"--json": to_json, "--csv": to_csv}
     made = {name: texts[name](evaluation, about).encode(errors="backslashreplace") for name in files if name in texts}
     if plot is not None:
-        made["--plot"] = _plot(evaluation, ours.path)
+        confidence = evaluation.all.confidence
+        if confidence is None or not confidence.bins:
+            nothing = "has no confidence from 0 to 1 in rows with known ground truth to draw; leave --plot out"
+            raise InputError(f"{ours.path}: {nothing}")
+        made["--plot"] = render(calibration_figure(confidence.bins))
     for name, content in made.items():
         write_new(files[name], content, overwrite=overwrite)
         say(f"{trajectory} -> {files[name]}")
@@ -155,17 +159,6 @@ def _truth_beside(ours: Trajectory) -> Path:
     if not is_there(beside):
         raise UsageError(f"{ours.path}: beside its clip there is no {beside}; give --truth FILE")
     return beside
-
-
-def _plot(evaluation: Evaluation, path: Path) -> bytes:
-    from facetrack_cli.report.figures import calibration_figure, render
-
-    confidence = evaluation.all.confidence
-    if confidence is None or not confidence.bins:
-        raise InputError(
-            f"{path}: has no confidence from 0 to 1 in rows with known ground truth to draw; leave --plot out"
-        )
-    return render(calibration_figure(confidence.bins))
 
 
 # --- compare ---------------------------------------------------------------------------------------------------------

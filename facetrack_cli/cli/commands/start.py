@@ -13,7 +13,7 @@ from facetrack_cli.cli.options import FILE_OR_DASH, FRAME, Page, flag, option, p
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError, flat
 
 if TYPE_CHECKING:
-    from facetrack_cli.core.types import Box, Frame, Start
+    from facetrack_cli.core.types import Box
     from facetrack_cli.recipe.model import Recipe
 
 
@@ -113,7 +113,10 @@ def init_command(
       facetrack init frames/ -o - > start.yaml
     """
     from facetrack_cli.recipe.load import load_recipe
+    from facetrack_cli.runs.plan import ClipRequest
+    from facetrack_cli.runs.progress import progress
     from facetrack_cli.start.init_file import default_path, write_init
+    from facetrack_cli.trackers.face.detectors import detector
     from facetrack_cli.video.overlay import write_preview
 
     others = faces == "all" and (box is not None or pick)
@@ -121,14 +124,18 @@ def init_command(
     if not pick:
         page.refuse("add --pick")
     path = None if out == "-" else Path(out) if out else default_path(clip)
-    _check_files(clip, path, preview, overwrite, pick)
+    _check_files(clip, path, preview, overwrite)
     recipe = None if config is None else load_recipe(config)
     if pick:
         run = _run_with(path, clip, config, recipe)
         return _pick(clip, path, recipe, init_frame, box, preview, page, run, overwrite=overwrite)
-    start, frame = _find(clip, recipe or load_recipe("factorized"), faces, box, init_frame, quiet=path is None)
+    by = None if box is not None else detector().name
+    request = ClipRequest(clip, init=by, faces=faces, box=box, init_frame=init_frame)
+    with progress(path is None) as shown:
+        shown.begin(f"{clip.name}: looking for a face")
+        start = request.find(recipe or load_recipe("factorized"), looked=shown.update)
     if preview is not None:
-        write_preview(preview, frame, start, overwrite=overwrite)
+        write_preview(preview, request.frame(start.frame), start, overwrite=overwrite)
         say(f"{preview}: the start drawn on frame {start.frame}")
     if path is None:
         write_init(sys.stdout, start, clip=clip.name)
@@ -139,36 +146,17 @@ def init_command(
     return ExitCode.DONE
 
 
-def _check_files(clip: Path, path: Path | None, preview: Path | None, overwrite: bool, pick: bool) -> None:
+def _check_files(clip: Path, path: Path | None, preview: Path | None, overwrite: bool) -> None:
     """Refuse before the search what would be refused after it."""
     from facetrack_cli.core.files import check_new
     from facetrack_cli.start.init_file import SUFFIXES
 
     if path is not None and path.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
-    if pick and not overwrite and path is not None and path.is_file():
-        begin = f"facetrack init {clip} --pick --overwrite begins with it"
-        raise OutputError(f"{path}: exists already; {begin}, and replaces it; or name another file with --out")
     for file in filter(None, (path, preview)):
         check_new(file, overwrite=overwrite)
     if preview is not None and clip.is_dir() and preview.parent.resolve() == clip.resolve():
         raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
-
-
-def _find(
-    clip: Path, recipe: Recipe, faces: Literal["one", "all"], box: Box | None, init_frame: int | None, *, quiet: bool
-) -> tuple[Start, Frame]:
-    """The start that detectors find, and its frame."""
-    from facetrack_cli.runs.plan import ClipRequest
-    from facetrack_cli.runs.progress import progress
-    from facetrack_cli.trackers.face.detectors import detector
-
-    by = None if box is not None else detector().name
-    request = ClipRequest(clip, init=by, faces=faces, box=box, init_frame=init_frame)
-    with progress(quiet) as shown:
-        shown.begin(f"{clip.name}: looking for a face")
-        start = request.find(recipe, looked=shown.update)
-    return start, request.frame(start.frame)
 
 
 def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe | None) -> str:
