@@ -120,7 +120,10 @@ def test_statuses_and_confidence_of_a_target_sum_up_its_parts():
 
 
 def test_coco_says_lost_by_visibility(track):
-    path = track(rows(), rows("hand", ("box",), frames=(0, 1)), header=SOURCE)
+    """The box of a face is no keypoint, and encloses windows, or points alone."""
+    path = track(rows(parts=("nose", "lip_upper", "box")), rows("hand", ("box",), frames=(0, 1)), header=SOURCE)
+    points = export(path, "--to", "coco", "--box", "points", "-o", "-").stdout
+    assert json.loads(points)["annotations"][0]["bbox"] == [100.25, 80.5, 31, 21]
     export(path, "--to", "coco")
     found = json.loads(path.with_name("trajectory.coco.json").read_text())
     face, hand = found["categories"]
@@ -130,7 +133,7 @@ def test_coco_says_lost_by_visibility(track):
     assert sorted(one["id"] for one in found["annotations"]) == list(range(1, 9))
     lost = by_image[4, 1]
     assert lost["keypoints"] == [103.25, 80.5, 2, 133.25, 100.5, 1] and lost["num_keypoints"] == 2
-    assert lost["bbox"] == [93.75, 76, 50, 30] and lost["area"] == 1500 and lost["score"] == pytest.approx(0.5)
+    assert lost["bbox"] == [93.75, 76, 80, 50] and lost["area"] == 4000 and lost["score"] == pytest.approx(1.9 / 3)
     assert by_image[3, 1]["keypoints"][5] == 2
     assert by_image[1, 2]["track_id"] == 2
 
@@ -158,23 +161,6 @@ def test_a_face_of_all_points_with_lost_and_absent_rows(track):
     assert np.isnan(table.loc[6, ("chin", "x")]) and table.loc[6, ("nose", "x")] == POINTS.index("nose")
     dropped = export(path, "--to", "dlc", "--drop-lost", "-o", "-").stdout.splitlines()
     assert dropped[3 + 3].split(",")[4:7] == ["", "", ""]
-
-
-def test_coco_has_no_keypoint_for_the_box_of_a_face(track):
-    path = track(rows(parts=("nose", "lip_upper", "box")), rows("hand", ("box",)), header=SOURCE)
-    export(path, "--to", "coco")
-    found = json.loads(path.with_name("trajectory.coco.json").read_text())
-    face, hand = found["categories"]
-    assert face["keypoints"] == ["nose", "lip_upper"] and "keypoints" not in hand
-    first = found["annotations"][0]
-    assert len(first["keypoints"]) == 6 and first["num_keypoints"] == 2 and first["bbox"] == [90.75, 76, 80, 50]
-    export(path, "--to", "coco", "--box", "points", "--overwrite")
-    assert json.loads(path.with_name("trajectory.coco.json").read_text())["annotations"][0]["bbox"] == [
-        100.25,
-        80.5,
-        31,
-        21,
-    ]
 
 
 def test_what_is_beyond_the_picture_is_not_seen(track):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.face.detectors import PARTS
 from tests.support.browser import DESK, PHONE, SMALL, go_to, idle
 from tests.support.browser_looks import wrong_looks
@@ -129,8 +129,7 @@ def test_a_lost_head_is_corrected_with_the_mouse(page):
     assert now[CUT][0][STATUS] == "init" and {row[0][STATUS] for row in now[CUT + 1 :]} == {"tracked"}
     messages = window.save()
     assert all(f"{folder / name}: written" in messages for name in ("trajectory.csv", "corrected.init.yaml"))
-    rows = open_run(folder).rows
-    assert rows.frame[rows.by_hand].tolist() == [CUT]
+    assert [one.frame for one in read_init(folder / "corrected.init.yaml").corrections] == [CUT]
 
 
 def test_what_is_dragged_or_absent_is_tracked_undone_and_removed(page):
