@@ -358,14 +358,9 @@ class TruthOptions:
 
     def refuse(self, *, target: bool) -> None:
         """UsageError, since there is no file, for an option that says how to read it; for --target only if `target`."""
-        idle = {
-            "--truth-format": self.truth_format != "auto",
-            "--shift": self.shift,
-            "--partial": self.partial,
-            "--target": target and self.target,
-        }
-        how = "says how to use ground truth; give its file with --truth FILE"
-        refuse(*((value, f"{name} {how}") for name, value in idle.items()))
+        given = self.truth_format != "auto" or self.shift or self.partial or (target and self.target)
+        names = f"--truth-format, --shift{', --partial and --target' if target else ' and --partial'}"
+        refuse((given, f"{names} say how to use ground truth; give its file with --truth FILE"))
 
     def read(self, path: Path, beside: Trajectory | None = None) -> Trajectory:
         from facetrack_cli.trajectory.formats.read import read_truth

@@ -25,10 +25,9 @@ from facetrack_cli.run_folder.finished import open_run, stamp
 from facetrack_cli.run_folder.manifest import NAME as MANIFEST
 from facetrack_cli.run_folder.manifest import VIDEO, read_run
 from facetrack_cli.runs.batch import expand
-from facetrack_cli.runs.export import content, encoded
+from facetrack_cli.runs.export import content, encoded, named
 from facetrack_cli.start.init_file import read_init
-from facetrack_cli.trajectory.formats import EXPORTS, tables
-from facetrack_cli.trajectory.reader import clip_of
+from facetrack_cli.trajectory.formats import EXPORTS
 from facetrack_cli.video.seek import Frames
 
 LOOKS: Final = 5  # frames of a clip in which faces are sought, in its first seconds
@@ -93,8 +92,8 @@ class AppSession(Page):
         super().close()
         self.project.close()
         self._looks.shutdown(cancel_futures=True)
-        for name in [*self.opened]:
-            self._shut(name)
+        for page in [*self.opened.values()]:
+            page.close()  # what was corrected and not saved is kept beside the run
 
     def state(self) -> Json:
         self._shut_of()
@@ -276,13 +275,8 @@ class AppSession(Page):
     def _shut_of(self, clip: int | None = None) -> None:
         """Close the pages of a clip, or those that have ended."""
         for name, page in [*self.opened.items()]:
-            if name.split("-")[1] == str(clip) or page.over():
-                self._shut(name)
-
-    def _shut(self, name: str) -> None:
-        """Close a page that was opened; what was corrected and not saved is kept beside the run."""
-        if (page := self.opened.pop(name, None)) is not None:
-            page.close()
+            if (name.split("-")[1] == str(clip) or page.over()) and self.opened.pop(name, None) is not None:
+                page.close()
 
     # exporting
 
@@ -302,9 +296,7 @@ class AppSession(Page):
             clips = []
             for run in runs:
                 with suppress(InputError) if clip is None else nullcontext():  # of many, those that can be read
-                    table = read_run(run)
-                    where = clip_of(table)
-                    clips.append(tables.Clip(where.name if where else run.name, table))
+                    clips.append(named(read_run(run), drop_lost=False))
             if not clips:
                 raise InputError("no run can be read yet")
             data = encoded(content(clips, program, path, box="points", many=clip is None))

@@ -112,18 +112,14 @@ def test_a_doubt_is_settled_and_a_name_that_is_none_refused(client):
     assert names(client.get("api/state").json) == ["person_1", "person_2"]
 
 
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
+@pytest.mark.parametrize("more", ["--rename person_1=A", "--merge person_2=person_1", "--save x.npz", "--csv"])
+def test_the_page_goes_with_no_correction_of_the_command_line(ran, capsys, more):
+    for words, said in (
+        (["--page", *more.split()], "--page corrects on the page alone"),
         (["--port", "8000"], "--port is for the page; give --page"),
-        (["--page", "--rename", "person_1=A"], "alone; give --rename in a command without it"),
-        (["--page", "--merge", "person_2=person_1", "--csv"], "alone; give --merge, --csv in a command without it"),
-        (["--page", "--save", "x.npz"], "--page corrects on the page alone; give --save in a command without it"),
-    ],
-)
-def test_the_page_goes_with_no_correction_of_the_command_line(ran, capsys, more, said):
-    assert main(["people", str(ran), *more]) == ExitCode.USAGE
-    assert said in capsys.readouterr().err
+    ):
+        assert main(["people", str(ran), *words]) == ExitCode.USAGE
+        assert said in capsys.readouterr().err
 
 
 def test_interrupted_the_page_says_what_is_not_saved(ran, tmp_path, monkeypatch, capsys):

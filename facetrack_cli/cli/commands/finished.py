@@ -215,10 +215,8 @@ def people_command(
     from facetrack_cli.trajectory.views import Clock
 
     refuse((as_json and as_csv, "--json and --csv both go to standard output; give one of them"))
-    flags: dict[str, object] = {"--split": split, "--give": give, "--merge": merge, "--rename": rename}
-    flags |= {"--save": save is not None, "--json": as_json, "--csv": as_csv}
-    also = ", ".join(name for name, value in flags.items() if value)
-    refuse((edit and also, f"--page corrects on the page alone; give {also} in a command without it"))
+    others = split or give or merge or rename or save is not None or as_json or as_csv
+    refuse((edit and others, "--page corrects on the page alone; correct, save and print in a command without it"))
     people = people_in(folder)
     clock = Clock(rows_in(folder) if split or give else None, people.fps)
     changes = _changes(clock, split, give, merge, rename)
