@@ -4,7 +4,7 @@ import re
 import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
@@ -311,14 +311,14 @@ class AppSession(Page):
 
 def likely_in(frames: Frames) -> What:
     """What is likely to be tracked, by the faces and hands that a detector sees in some frames."""
-    recipe, faces, hands, several = load_recipe("head_hands"), 0, 0, 0
-    with closing(Proposer(frames, recipe, recipe.points)) as proposer:
-        last = min(max(frames.count - 1, 0), LOOKS_WITHIN)
-        for at in sorted({last * k // (LOOKS - 1) for k in range(LOOKS)}):
-            with suppress(InputError):
-                proposals = [proposal["targets"] for proposal in proposer(at)["proposals"]]
-                faces, several = faces + bool(proposals), several + (len(proposals) > 1)
-                hands += len(proposals) == 1 and len(proposals[0]) > 1
+    faces = hands = several = 0
+    proposer = Proposer(frames, recipe := load_recipe("head_hands"), recipe.points)
+    last = min(max(frames.count - 1, 0), LOOKS_WITHIN)
+    for at in sorted({last * k // (LOOKS - 1) for k in range(LOOKS)}):
+        with suppress(InputError):
+            proposals = [proposal["targets"] for proposal in proposer(at)["proposals"]]
+            faces, several = faces + bool(proposals), several + (len(proposals) > 1)
+            hands += len(proposals) == 1 and len(proposals[0]) > 1
     return "box" if not faces else "everybody" if several else "signer" if 2 * hands > LOOKS else "face"
 
 

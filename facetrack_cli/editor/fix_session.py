@@ -6,7 +6,7 @@ renamed and split, and doubts are settled.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -67,7 +67,7 @@ class FixSession(Session):
         }
         with ExitStack() as stack:
             self.fixer, frames = stack.enter_context(fixing(run))
-            proposer = stack.enter_context(closing(Proposer(frames, run.recipe, run.recipe.points)))
+            proposer = Proposer(frames, run.recipe, run.recipe.points)
             super().__init__(frames, proposer, Draft(run.first, {}), about, first=run.first, last=run.last)
             self.resources = stack.pop_all()
         self._resumed: Sequence[Correction] = ()  # until they are applied

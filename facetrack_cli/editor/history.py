@@ -1,6 +1,7 @@
 """The corrections of a run, and the rows that follow from them. Every step can be undone.
 
-A target is tracked again from a correction to its next one. The other targets stay as recorded.
+A target is tracked again from a correction to its next one, alone; the other targets stay as recorded. Where targets
+depend on each other, `save` tracks all of them again.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
 """Choosing the start of a track on the page: which parts a recipe requires, and whether a draft has them."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -84,7 +84,7 @@ class PickSession(Session):
         self._unchanged = draft if box is None else None
         with ExitStack() as stack:
             frames = stack.enter_context(Frames(clip))
-            proposer = stack.enter_context(closing(Proposer(frames, recipe, required[0]["points"])))
+            proposer = Proposer(frames, recipe, required[0]["points"])
             image = frames.read(shown)  # raises InputError before anything is served
             if box is not None:
                 draft = proposer.in_box(image, box, str(clip))

@@ -7,7 +7,6 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -107,7 +106,7 @@ def crop(frames: Frames, index: int, x: int, y: int, w: int, h: int) -> bytes:
 
 
 class Proposer:
-    """Proposes the faces of a frame. One thread looks for them, since it keeps the cascades; a frame is searched once.
+    """Proposes the faces of a frame, which is searched once; one frame at a time.
 
     `points` are the points of the first target.
     """
@@ -116,20 +115,20 @@ class Proposer:
         self._frames, self._recipe = frames, recipe
         self._points = [part for part in points if part in PARTS]
         self._by_hand = [part for part in points if part not in PARTS]
-        self._worker = ThreadPoolExecutor(1, "proposals")
+        self._looking = threading.Lock()
         self._found: dict[int, Json] = {}
 
     def __call__(self, index: int) -> Json:
         """{"frame", "proposals": [{"label", "targets"}], "note"}. Raises InputError if there is no such frame."""
-        return self._worker.submit(self._find, index).result()
+        with self._looking:
+            if index not in self._found:
+                self._found[index] = self._find(index)
+            return self._found[index]
 
     def proposed(self, index: int) -> list[Draft]:
         """The drafts that were proposed for a frame; none if nobody asked for proposals there."""
         each = (proposal["targets"].items() for proposal in self._found.get(index, {}).get("proposals", ()))
         return [Draft(index, {name: DraftTarget(**target) for name, target in targets}) for targets in each]
-
-    def close(self) -> None:
-        self._worker.shutdown(wait=True, cancel_futures=True)
 
     def in_box(self, frame: Frame, box: Box, clip: str) -> Draft:
         """The draft of the face in a given box. Raises InputError as `box_start` does."""
@@ -137,8 +136,6 @@ class Proposer:
         return draft_of(frame.index, self._complete(frame, start)[0].targets)
 
     def _find(self, index: int) -> Json:
-        if index in self._found:
-            return self._found[index]
         frame, faces = self._frames.read(index), detector()
         notes, proposals = [], []
         for number, seen in enumerate(faces.find(frame)[:MAX_FACES], start=1):
@@ -156,7 +153,7 @@ class Proposer:
         elif self._by_hand:
             notes.append(f"{', '.join(self._by_hand)}: only by hand")
         note = "; ".join(dict.fromkeys(filter(None, notes)))
-        return self._found.setdefault(index, {"frame": index, "proposals": proposals, "note": note or None})
+        return {"frame": index, "proposals": proposals, "note": note or None}
 
     def _complete(self, frame: Frame, start: Start) -> tuple[Start, str]:
         """With the other targets that the recipe names, if they are found; else the first one alone, and why."""

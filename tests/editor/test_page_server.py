@@ -50,20 +50,12 @@ class Frames:
         return Frame(index, index / 25, np.dstack([2 * x, 3 * y + 10 * index, x + y]).astype(np.uint8))
 
 
-class Proposer:
-    def __call__(self, index):
-        return {"frame": index}
-
-    def close(self):
-        pass
-
-
 class Plain(Session):
     mode = "pick"
 
     def __init__(self):
         about = {"clip": "clip.mp4", "recipe": None, "requirements": [], "free": True, "saves_to": "clip.init.yaml"}
-        super().__init__(Frames(), Proposer(), Draft(0, {}), about)
+        super().__init__(Frames(), lambda index: {"frame": index}, Draft(0, {}), about)
         self.go = threading.Event()
         self.fails = None
 
