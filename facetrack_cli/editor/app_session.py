@@ -16,7 +16,7 @@ from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, fl
 from facetrack_cli.core.files import make_folder, write_new, writing
 from facetrack_cli.core.types import Array, checked_name
 from facetrack_cli.editor.fix_session import CastSession, FixSession
-from facetrack_cli.editor.pick_session import PickSession
+from facetrack_cli.editor.pick_session import NOTHING, PickSession
 from facetrack_cli.editor.project import RECIPES, Clip, Project, What, free
 from facetrack_cli.editor.save import open_track
 from facetrack_cli.editor.session import Answer, Json, Page, Proposer, RefusedError, Route, jpeg
@@ -269,7 +269,7 @@ class AppSession(Page):
     def _start_page(self, clip: Clip) -> Page:
         place, out = self.project.place(clip), self.project.start_of(clip)
         make_folder(out.parent)
-        previous = read_init(out) if out.is_file() else None
+        previous = read_init(out) if out.is_file() else NOTHING
         return PickSession(place, out=out, overwrite=True, recipe=load_recipe(RECIPES[clip.what]), previous=previous)
 
     def _shut_of(self, clip: int | None = None) -> None:

@@ -141,7 +141,6 @@ class FixSession(Session):
         """Make the draft a correction of its frame. `learn` as of Correction; "keep" leaves that as it is."""
         with self.lock:
             self.refuse_unless(base)
-            self.refuse_if_busy()
             draft = self.draft
         corrections = self._drafted(draft)
         if not corrections:
@@ -416,14 +415,14 @@ class CastSession(Page):
         else:
             words, change = f"give {name}@{frame}f={to or ''}", partial(changes.give, name=name, frame=frame, to=to)
         with self.lock:
-            self._check(base)
+            self.refuse_unless(base)
             self._steps.append(((words, change), change(self.tracks)))
             self.revision += 1
             return self.state()
 
     def _undo(self, base: StrictInt) -> Json:
         with self.lock:
-            self._check(base)
+            self.refuse_unless(base)
             if self._steps:
                 self._steps.pop()
                 self.revision += 1
@@ -431,7 +430,7 @@ class CastSession(Page):
 
     def _save(self, base: StrictInt) -> Answer:
         with self.lock:
-            self._check(base)
+            self.refuse_unless(base)
             self.start_job("saving", self._write)
             return Answer(self.state(), 202)
 
@@ -459,14 +458,9 @@ class CastSession(Page):
     def _done(self, base: StrictInt) -> Json:
         """End the session; changes that are not saved are gone."""
         with self.lock:
-            self._check(base)
+            self.refuse_unless(base)
             self.end([self._said()], f"facetrack people {self.folder}")
             return self.state()
-
-    def _check(self, base: int) -> None:
-        """RefusedError (409) while a job runs, after the end, and for what was meant for an earlier state."""
-        self.refuse_if_busy()
-        self.refuse_unless(base)
 
     def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")

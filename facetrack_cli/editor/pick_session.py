@@ -30,6 +30,7 @@ from facetrack_cli.video.overlay import write_preview
 from facetrack_cli.video.seek import Frames
 
 ORIGIN: Final = "the page"
+NOTHING: Final = Start(0, {}, "")  # of no file
 DEFAULT: Final = "factorized"  # the recipe of `facetrack run` without --config
 _RESERVED: Final = (*OF_FILES, *KEYS, *OF_CORRECTIONS)
 _ABOUT_BOXES: Final = {
@@ -58,14 +59,14 @@ class PickSession(Session):
         recipe: Recipe | None = None,
         frame: int | None = None,
         box: Box | None = None,
-        previous: Start | None = None,
+        previous: Start = NOTHING,
         next_: str | None = None,
         preview: Path | None = None,
         unsaved: Path | None = None,
     ) -> None:
         self.clip, self.out, self.overwrite, self.recipe = clip, out, overwrite, recipe
         self.next, self.preview, self._unsaved = next_, preview, unsaved
-        self.previous = previous = None if previous is None else fitted(previous, recipe)
+        self.previous = previous = fitted(previous, recipe)
         self.saved: Start | None = None
         self._previewed = False
         required = requirements(recipe)
@@ -76,11 +77,10 @@ class PickSession(Session):
             "free": recipe is None or not recipe.followed,
             "saves_to": "standard output" if out is None else str(out),
         }
-        shown = frame if frame is not None else previous.frame if previous is not None else 0
-        draft = draft_of(shown, previous.targets if previous is not None else {})
-        self._placed: list[tuple[Draft, str]] = []  # drafts that a detector has placed, and its name
-        if previous is not None:
-            self._placed.append((draft_of(previous.frame, previous.targets), previous.placed_by))
+        shown = previous.frame if frame is None else frame
+        draft = draft_of(shown, previous.targets)
+        # drafts that a detector has placed, and its name
+        self._placed = [(draft_of(previous.frame, previous.targets), previous.placed_by)]
         self._unchanged = draft if box is None else None
         with ExitStack() as stack:
             frames = stack.enter_context(Frames(clip))
@@ -91,7 +91,7 @@ class PickSession(Session):
                 self._placed.append((draft, detector().name))
             super().__init__(frames, proposer, draft, about)
             self.resources = stack.pop_all()
-        if previous is not None and box is None:
+        if previous.origin and box is None:
             self.message = f"taken from {previous.origin}"
 
     def save(self, draft: Draft) -> None:
@@ -130,7 +130,7 @@ class PickSession(Session):
         if self.out is not None:
             write_init(self.out, start, clip=self.clip.name, overwrite=self.overwrite)
         messages.append(f"{self.out}: written" if self.out is not None else "standard output: what was chosen")
-        if self.previous is not None and (lost := len(self.previous.corrections) - len(start.corrections)):
+        if lost := len(self.previous.corrections) - len(start.corrections):
             messages.append(f"corrections left out, since they come before the start or have no target: {lost}")
         self.saved = start
         self.end(messages, self.next)
@@ -165,9 +165,7 @@ def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
     return "needed" if len(points) < 2 else "optional"
 
 
-def start_of(
-    draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, previous: Start | None
-) -> Start:
+def start_of(draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, previous: Start) -> Start:
     """The start of a draft, to 0.01 px, as a run accepts it, with windows and corrections `carried` from `previous`.
 
     `frames` is the number of frames where it is certain. Raises RefusedError (422) that names all missing parts.
@@ -204,10 +202,8 @@ def fitted(start: Start, recipe: Recipe | None) -> Start:
     return replace(start, targets=targets, corrections=kept)
 
 
-def carried(start: Start, previous: Start | None) -> Start:
+def carried(start: Start, previous: Start) -> Start:
     """The start with the windows and corrections of `previous` that still have their target and come after it."""
-    if previous is None:
-        return start
     targets = {}
     for name, target in start.targets.items():
         before = previous.targets.get(name, TargetStart())

@@ -270,9 +270,11 @@ class Page(ABC):
             if self._job is not None:
                 raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished", self.state())
 
-    def refuse_unless(self, base: int) -> None:
-        """RefusedError (409) with the state, for what is meant for another revision of the page."""
+    def refuse_unless(self, base: int, *, idle: bool = True) -> None:
+        """RefusedError (409) with the state, for what is meant for another revision, or for a page that is `idle`."""
         with self.lock:
+            if idle:
+                self.refuse_if_busy()
             if base != self.revision:
                 raise RefusedError(409, f"another window has changed the {self.edits}", self.state())
 
@@ -383,9 +385,7 @@ class Session(Page):
 
     def _put_draft(self, base: StrictInt, draft: Draft) -> Json:
         with self.lock:
-            self.refuse_unless(base)
-            if self.ended is not None or self.saving:
-                self.refuse_if_busy()
+            self.refuse_unless(base, idle=self.ended is not None or self.saving)
             self._check_frame(draft.frame)
             self.check_draft(draft)
             self.message = None
@@ -395,7 +395,6 @@ class Session(Page):
     def _save(self, base: StrictInt) -> Answer:
         with self.lock:
             self.refuse_unless(base)
-            self.refuse_if_busy()
             self.save(self.draft)
             return Answer({"job": self.state()["job"]}, 202)
 

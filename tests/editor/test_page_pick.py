@@ -15,7 +15,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.editor import server as server_module
 from facetrack_cli.editor import session as session_module
-from facetrack_cli.editor.pick_session import start_of
+from facetrack_cli.editor.pick_session import NOTHING, start_of
 from facetrack_cli.editor.session import Draft, DraftTarget, RefusedError
 from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import read_init
@@ -281,7 +281,7 @@ def test_the_file_says_which_detector_has_placed_what_nobody_moved(clips, tmp_pa
 def test_a_start_past_the_end_of_the_clip_is_refused():
     face = DraftTarget((1, 1, 40, 40), {part: (k, 5) for k, part in enumerate(PARTS)})
     with pytest.raises(RefusedError, match="starts at frame 0, but the clip ends with frame -1"):
-        start_of(Draft(0, {"face": face}), (320, 240), 0, None, None)
+        start_of(Draft(0, {"face": face}), (320, 240), 0, None, NOTHING)
 
 
 # --- the command -----------------------------------------------------------------------------------------------------

@@ -176,11 +176,11 @@ def _pick(
     page: Page, run: str, *, overwrite: bool,
 ) -> int:  # fmt: skip
     """Let somebody choose on the page; the exit code."""
-    from facetrack_cli.editor.pick_session import PickSession
+    from facetrack_cli.editor.pick_session import NOTHING, PickSession
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.start.init_file import default_path, read_init, write_init
 
-    beside, start = path or default_path(clip), None
+    beside, start = path or default_path(clip), NOTHING
     unsaved = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
     source = unsaved if box is None and unsaved.is_file() else path
     if source is not None and source.is_file():
