@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, count, zip_longest
+from itertools import chain, count
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
@@ -189,10 +189,10 @@ class Fixer:
         correction does not place all parts: its rows place the others.
         """
         before: Track | None = None
-        for track, after in zip_longest(plan, plan[1:]):
+        for track, after in zip(plan, [*(track.begin for track in plan[1:]), None], strict=True):
             if before is not None and track.begin is not None:
                 track = replace(track, begin=completed_by(track.begin, self._rows(before)))
-            more = after is not None and not is_complete(after.begin, self.run.parts[track.target])
+            more = after is not None and not is_complete(after, self.run.parts[track.target])
             longer = replace(track, stop=track.stop + more)
             longer = self._find(longer) or self._track(longer, step)
             before = longer if more else None
