@@ -102,8 +102,10 @@ def calls(command):
     except ValueError:  # a quotation that goes on in the next line
         return None
     lines = [words for words in lines if words]
+    odd = {*"|&;<$*"}
     plain = (
-        words[0] == "facetrack" and ">" not in words[:-2] and not {*"|&;<$*"} & {*"".join(words)} for words in lines
+        words[0] == "facetrack" and "2>" not in words and ">" not in words[:-2] and not odd & {*"".join(words)}
+        for words in lines
     )
     return [words[1:] for words in lines] if all(plain) else None
 

@@ -50,11 +50,9 @@ SECTIONS = {
 COMMANDS = {name: text for section in SECTIONS.values() for name, text in section.items()}
 MODULES = {
     **dict.fromkeys(("app", "init", "status"), "start"),
-    **dict.fromkeys(SECTIONS["Correct"], "correct"),
-    **dict.fromkeys(SECTIONS["Look and share"], "share"),
+    **dict.fromkeys((*SECTIONS["Correct"], *SECTIONS["Look and share"]), "finished"),
     **dict.fromkeys(SECTIONS["Measure"], "measure"),
-    **dict.fromkeys(("prior", "gallery"), "learn"),
-    **dict.fromkeys(SECTIONS["Others"], "recipes"),
+    **dict.fromkeys((*SECTIONS["Recipes and models"], *SECTIONS["Others"]), "recipes"),
 }
 """The file in commands/ of a command; others have one of their own name."""
 ALIASES = {"track": "run"}

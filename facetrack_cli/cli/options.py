@@ -279,23 +279,10 @@ def gathered(name: str, kind: type[Any], *options: Decorator) -> Decorator:
 # options of several commands
 
 
-def box(text: str) -> Decorator:
-    return option("--box", type=BOX, help=text)
-
-
-def gallery(text: str) -> Decorator:
-    return option("--gallery", type=GALLERY, help=text)
-
-
 def figure_file(default: str) -> Decorator:
     """--out of a figure; `default` says in words where it goes without."""
     text = f"File to write: .png, .svg or .pdf [default: {default}]."
     return option("-o", "--out", type=FIGURE, help=text)
-
-
-def array_file(what: str) -> Decorator:
-    """--out of an .npz file that holds a `what`, as a gallery."""
-    return option("-o", "--out", type=NPZ, default=f"{what}.npz", help=f"Where the {what} goes.")
 
 
 def jobs(text: str) -> Decorator:
@@ -353,7 +340,7 @@ extent_options = gathered(
     "extent", Extent,
     option("--init", type=INIT,
            help="Init file; `haar` or `yunet` looks for a face even if one lies beside the clip."),
-    box("The face, head or hand in the first frame, in pixels."),
+    option("--box", type=BOX, help="The face, head or hand in the first frame, in pixels."),
     option("--start", type=FRAME, default=0, show_default=False, help="First frame, from 0."),
     option("--stop", type=FRAME, help="Frame to stop before."),
     option("--fps", type=RATE, help="Frames per second of a folder or .zip of images."),
@@ -371,14 +358,9 @@ class TruthOptions:
 
     def refuse(self, *, target: bool) -> None:
         """UsageError, since there is no file, for an option that says how to read it; for --target only if `target`."""
-        idle = {
-            "--truth-format": self.truth_format != "auto",
-            "--shift": self.shift,
-            "--partial": self.partial,
-            "--target": target and self.target,
-        }
-        how = "says how to use ground truth; give its file with --truth FILE"
-        refuse(*((value, f"{name} {how}") for name, value in idle.items()))
+        given = self.truth_format != "auto" or self.shift or self.partial or (target and self.target)
+        names = f"--truth-format, --shift{', --partial and --target' if target else ' and --partial'}"
+        refuse((given, f"{names} say how to use ground truth; give its file with --truth FILE"))
 
     def read(self, path: Path, beside: Trajectory | None = None) -> Trajectory:
         from facetrack_cli.trajectory.formats.read import read_truth
@@ -413,16 +395,17 @@ class Page:
         """UsageError if there is to be no page, but an option of it was given."""
         refuse((self.port, f"--port is for the page; {remedy}"), (self.browse, f"--open is for the page; {remedy}"))
 
-    def serve(self, session: PageSession, stop: Stop) -> bool:
-        """Serve a page until it is saved or stopped, and say what it did; whether it was saved."""
+    def serve(self, session: PageSession, stop: Stop) -> int:
+        """Serve a page until it is saved or stopped, and say what it did; the exit code."""
         from facetrack_cli.editor.server import run_page
 
         run_page(session, stop, say, port=self.port or 0, browse=self.browse)
         if session.ended is None:
-            return False
+            say(f"facetrack: {stop.reason}; {session.left()}")
+            return stop.code or ExitCode.FAULT
         for line in (*session.ended["messages"], f"next: {session.ended['next']}"):
             say(line)
-        return True
+        return ExitCode.DONE
 
 
 page_options = gathered(

@@ -4,7 +4,7 @@ import re
 import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, closing, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
@@ -14,10 +14,9 @@ from pydantic import Field
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
 from facetrack_cli.core.files import make_folder, write_new, writing
-from facetrack_cli.core.types import Array, Correction, checked_name
+from facetrack_cli.core.types import Array, checked_name
 from facetrack_cli.editor.fix_session import CastSession, FixSession
-from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.pick_session import PickSession
+from facetrack_cli.editor.pick_session import NOTHING, PickSession
 from facetrack_cli.editor.project import RECIPES, Clip, Project, What, free
 from facetrack_cli.editor.save import open_track
 from facetrack_cli.editor.session import Answer, Json, Page, Proposer, RefusedError, Route, jpeg
@@ -26,11 +25,9 @@ from facetrack_cli.run_folder.finished import open_run, stamp
 from facetrack_cli.run_folder.manifest import NAME as MANIFEST
 from facetrack_cli.run_folder.manifest import VIDEO, read_run
 from facetrack_cli.runs.batch import expand
-from facetrack_cli.runs.export import content, encoded
-from facetrack_cli.runs.people import film_of, people_in, rows_in
+from facetrack_cli.runs.export import content, encoded, named
 from facetrack_cli.start.init_file import read_init
-from facetrack_cli.trajectory.formats import EXPORTS, tables
-from facetrack_cli.trajectory.reader import UNSAVED, clip_of
+from facetrack_cli.trajectory.formats import EXPORTS
 from facetrack_cli.video.seek import Frames
 
 LOOKS: Final = 5  # frames of a clip in which faces are sought, in its first seconds
@@ -95,8 +92,8 @@ class AppSession(Page):
         super().close()
         self.project.close()
         self._looks.shutdown(cancel_futures=True)
-        for name in [*self.opened]:
-            self._shut(name)
+        for page in [*self.opened.values()]:
+            page.close()  # what was corrected and not saved is kept beside the run
 
     def state(self) -> Json:
         self._shut_of()
@@ -253,7 +250,7 @@ class AppSession(Page):
     ) -> Json:
         """Open the page that corrects a run, or a `person` of a film, or who is who in it, or that chooses a start."""
         name = f"{page}-{clip}" + ("" if person is None else f"-{frame}")
-        with self.lock, ExitStack() as stack:
+        with self.lock:
             self._shut_of()
             chosen = self.project.find(clip)
             if chosen.wanted:
@@ -261,34 +258,25 @@ class AppSession(Page):
             if name not in self.opened:
                 folder = self.project.run_of(chosen)
                 if page == "start":
-                    opened = self._start_page(chosen, stack)
+                    self.opened[name] = self._start_page(chosen)
                 elif page == "people":
-                    opened = _cast_page(folder, stack)
+                    self.opened[name] = CastSession(folder)
                 else:
-                    opened = _fix_page(folder, stack, person, frame)
-                stack.push(opened.resources.pop_all())
-                opened.resources = stack.pop_all()
-                self.opened[name] = opened
+                    run = open_run(folder) if person is None else open_track(folder, person, frame)
+                    self.opened[name] = FixSession(run)
         return {"url": f"{name}/"}
 
-    def _start_page(self, clip: Clip, stack: ExitStack) -> Page:
+    def _start_page(self, clip: Clip) -> Page:
         place, out = self.project.place(clip), self.project.start_of(clip)
         make_folder(out.parent)
-        previous = read_init(out) if out.is_file() else None
-        frames = stack.enter_context(Frames(place))
-        recipe = load_recipe(RECIPES[clip.what])
-        return PickSession(place, frames, out=out, overwrite=True, recipe=recipe, previous=previous)
+        previous = read_init(out) if out.is_file() else NOTHING
+        return PickSession(place, out=out, overwrite=True, recipe=load_recipe(RECIPES[clip.what]), previous=previous)
 
     def _shut_of(self, clip: int | None = None) -> None:
         """Close the pages of a clip, or those that have ended."""
         for name, page in [*self.opened.items()]:
-            if name.split("-")[1] == str(clip) or page.over():
-                self._shut(name)
-
-    def _shut(self, name: str) -> None:
-        """Close a page that was opened; what was corrected and not saved is kept beside the run."""
-        if (page := self.opened.pop(name, None)) is not None:
-            page.close()
+            if (name.split("-")[1] == str(clip) or page.over()) and self.opened.pop(name, None) is not None:
+                page.close()
 
     # exporting
 
@@ -308,9 +296,7 @@ class AppSession(Page):
             clips = []
             for run in runs:
                 with suppress(InputError) if clip is None else nullcontext():  # of many, those that can be read
-                    table = read_run(run)
-                    where = clip_of(table)
-                    clips.append(tables.Clip(where.name if where else run.name, table))
+                    clips.append(named(read_run(run), drop_lost=False))
             if not clips:
                 raise InputError("no run can be read yet")
             data = encoded(content(clips, program, path, box="points", many=clip is None))
@@ -323,36 +309,16 @@ class AppSession(Page):
         return Answer(path, kind="application/octet-stream", headers=headers)
 
 
-def _cast_page(folder: Path, stack: ExitStack) -> Page:
-    film, how = film_of(people_in(folder), rows_in(folder), None)
-    if film is None:
-        raise InputError(f"{folder}: does not name its clip")
-    return CastSession(folder, stack.enter_context(Frames(film, **how)), film, video=True)
-
-
-def _fix_page(folder: Path, stack: ExitStack, person: str | None, frame: int) -> Page:
-    run = open_run(folder) if person is None else open_track(folder, person, frame)
-    frames = stack.enter_context(Frames(run.clip, fps=run.fps, stream=run.header.source.stream))
-    fixer = stack.enter_context(closing(Fixer(run, frames.read)))
-    kept, unsaved = folder / UNSAVED, tuple[Correction, ...]()
-    with suppress(FacetrackError):  # of another track
-        unsaved = corrections_of(kept, run) if kept.is_file() else ()
-    return FixSession(fixer, frames, unsaved=unsaved)
-
-
 def likely_in(frames: Frames) -> What:
     """What is likely to be tracked, by the faces and hands that a detector sees in some frames."""
-    proposer = Proposer(frames, recipe := load_recipe("head_hands"), recipe.points)
     faces = hands = several = 0
-    try:
-        last = min(max(frames.count - 1, 0), LOOKS_WITHIN)
-        for at in sorted({last * k // (LOOKS - 1) for k in range(LOOKS)}):
-            with suppress(InputError):
-                proposals = [proposal["targets"] for proposal in proposer(at)["proposals"]]
-                faces, several = faces + bool(proposals), several + (len(proposals) > 1)
-                hands += len(proposals) == 1 and len(proposals[0]) > 1
-    finally:
-        proposer.close()
+    proposer = Proposer(frames, recipe := load_recipe("head_hands"), recipe.points)
+    last = min(max(frames.count - 1, 0), LOOKS_WITHIN)
+    for at in sorted({last * k // (LOOKS - 1) for k in range(LOOKS)}):
+        with suppress(InputError):
+            proposals = [proposal["targets"] for proposal in proposer(at)["proposals"]]
+            faces, several = faces + bool(proposals), several + (len(proposals) > 1)
+            hands += len(proposals) == 1 and len(proposals[0]) > 1
     return "box" if not faces else "everybody" if several else "signer" if 2 * hands > LOOKS else "face"
 
 

@@ -6,6 +6,7 @@ renamed and split, and doubts are settled.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,17 +15,18 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import numpy as np
 from pydantic import Field, StrictBool, StrictInt
 
-from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, flat
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError, flat
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Correction, TargetStart
-from facetrack_cli.editor.history import Fixer, merged
+from facetrack_cli.editor.history import corrections_of, fixing, merged
 from facetrack_cli.editor.pick_session import requirement
 from facetrack_cli.editor.save import is_tracked_again, keep, save
 from facetrack_cli.editor.session import Answer, Draft, Json, Page, Proposer, RefusedError, Route, Session, jpeg
 from facetrack_cli.engine.corrected import correctable_parts
 from facetrack_cli.recipe.model import OpenCvRecipe
-from facetrack_cli.runs.people import people_in, recast, rows_in, still_of
+from facetrack_cli.run_folder.finished import Run
+from facetrack_cli.runs.people import film_of, people_in, recast, rows_in, still_of
 from facetrack_cli.runs.plan import Report
 from facetrack_cli.trackers.face.detectors import PARTS
 from facetrack_cli.trajectory import people as changes
@@ -41,19 +43,17 @@ MAX_DOUBTFUL: Final = 100
 
 
 class FixSession(Session):
-    """The corrections of one run. The `unsaved` corrections of the last session are applied first.
+    """The corrections of one run. Those that the last session did not save are applied first.
 
     With `video`, Save also writes the annotated video again, if the run has one.
     """
 
     mode: ClassVar[Literal["fix"]] = "fix"
 
-    def __init__(self, fixer: Fixer, frames: Frames, *, video: bool = True, unsaved: Sequence[Correction] = ()) -> None:
-        run = fixer.run
-        self.fixer, self.video = fixer, video
+    def __init__(self, run: Run, *, video: bool = True) -> None:
+        self.video = video
         self.saved: list[str] = []  # a line on each file, of the last save
         self.saves = self.rows_revision = 0
-        self._resumed = unsaved  # until they are applied
         self._parts = run.parts
         about = {
             "clip": run.header.clip_name + f": {run.rows.targets[0]}" * run.film,
@@ -65,10 +65,18 @@ class FixSession(Session):
             "again": is_tracked_again(run),
             "learns": not isinstance(run.recipe, OpenCvRecipe),  # OpenCV's trackers always learn again
         }
-        proposer, draft = Proposer(frames, run.recipe, run.recipe.points), Draft(run.first, {})
-        super().__init__(frames, proposer, draft, about, first=run.first, last=run.last)
-        if unsaved:
-            self._begin("tracking the corrections of the last session", partial(self._resume, unsaved))
+        with ExitStack() as stack:
+            self.fixer, frames = stack.enter_context(fixing(run))
+            proposer = Proposer(frames, run.recipe, run.recipe.points)
+            super().__init__(frames, proposer, Draft(run.first, {}), about, first=run.first, last=run.last)
+            self.resources = stack.pop_all()
+        self._resumed: Sequence[Correction] = ()  # until they are applied
+        try:
+            self._resumed = corrections_of(run.folder / UNSAVED, run) if (run.folder / UNSAVED).is_file() else ()
+        except FacetrackError as e:  # they are not of this run any more
+            self.message = f"{flat(str(e))}; the page begins without it"
+        if self._resumed:
+            self._begin("tracking the corrections of the last session", self._resume)
 
     def routes(self) -> Sequence[Route]:
         return (
@@ -114,7 +122,7 @@ class FixSession(Session):
         if not draft.empty:
             frame = draft.frame
             raise RefusedError(422, f"what was moved in frame {frame} is not tracked yet; track it, or discard it")
-        self.start_job("saving", self._write, saves=draft)
+        self.start_job("saving", self._write, saves=True)
 
     def _rows(self, first: int, last: int) -> Json:
         """The rows of frames `first` to `last`, both included."""
@@ -131,8 +139,9 @@ class FixSession(Session):
 
     def _track(self, base: StrictInt, learn: StrictBool | Literal["keep"] | None = "keep") -> Answer:
         """Make the draft a correction of its frame. `learn` as of Correction; "keep" leaves that as it is."""
-        draft = self.current(base)
-        self.refuse_if_busy()
+        with self.lock:
+            self.refuse_unless(base)
+            draft = self.draft
         corrections = self._drafted(draft)
         if not corrections:
             raise RefusedError(422, f"nothing is corrected in frame {draft.frame}; move a part, or mark it as absent")
@@ -213,6 +222,13 @@ class FixSession(Session):
         self.end(self.saved + left * (folder / UNSAVED).is_file() or nothing, f"facetrack report {folder} --overwrite")
         return self.state()
 
+    def left(self) -> str:
+        kept = self.fixer.run.folder / UNSAVED
+        if kept.is_file():
+            goes_on = f"all else is as it was; {self.fixer.run.fixed_by} goes on with them"
+            return f"the corrections are kept in {kept}, {goes_on}"
+        return "what was saved stays" if self.saves else super().left()
+
     def _undo(self) -> Answer:
         if not self.fixer.can_undo:
             raise RefusedError(422, "there is nothing to undo")
@@ -230,10 +246,10 @@ class FixSession(Session):
         self.start_job(what, job)
         return Answer({}, 202)
 
-    def _resume(self, corrections: Sequence[Correction], **options: Any) -> None:
+    def _resume(self, **options: Any) -> None:
         """Apply the corrections that the last session did not save."""
         try:
-            self.fixer.apply(corrections, **options)
+            self.fixer.apply(self._resumed, **options)
         except FacetrackError as e:
             raise InputError(f"the corrections of the last session were left out: {e}") from e
         finally:
@@ -327,14 +343,18 @@ Change = tuple[str, Callable[[Tracks], Tracks]]
 
 
 class CastSession(Page):
-    """The people of the run in `folder`, whose frames are at hand. Nothing is written before it is saved."""
+    """The people of the run in `folder`; its clip may be elsewhere now. Nothing is written before it is saved."""
 
     index, edits = "cast.html", "cast"
 
-    def __init__(self, folder: Path, frames: Frames, clip: Path, *, video: bool) -> None:
+    def __init__(self, folder: Path, elsewhere: Path | None = None, *, video: bool = True) -> None:
         super().__init__()
-        self.folder, self.frames, self.clip, self.video = folder, frames, clip, video
         self.before, self._rows = people_in(folder), rows_in(folder)
+        clip, how = film_of(self.before, self._rows, elsewhere)
+        if clip is None:
+            raise UsageError(f"{folder}: does not name its clip; give it with --clip")
+        self.folder, self.clip, self.video = folder, clip, video
+        self.frames = self.resources.enter_context(Frames(clip, **how))
         self._clock = Clock(self._rows, self.before.fps)
         self._steps: list[tuple[Change, Tracks]] = []
         self.saved = 0  # changes
@@ -395,14 +415,14 @@ class CastSession(Page):
         else:
             words, change = f"give {name}@{frame}f={to or ''}", partial(changes.give, name=name, frame=frame, to=to)
         with self.lock:
-            self._check(base)
+            self.refuse_unless(base)
             self._steps.append(((words, change), change(self.tracks)))
             self.revision += 1
             return self.state()
 
     def _undo(self, base: StrictInt) -> Json:
         with self.lock:
-            self._check(base)
+            self.refuse_unless(base)
             if self._steps:
                 self._steps.pop()
                 self.revision += 1
@@ -410,9 +430,13 @@ class CastSession(Page):
 
     def _save(self, base: StrictInt) -> Answer:
         with self.lock:
-            self._check(base)
+            self.refuse_unless(base)
             self.start_job("saving", self._write)
             return Answer(self.state(), 202)
+
+    def left(self) -> str:
+        lost = f"; not saved: {', '.join(words for (words, _), _ in self._steps)}" if self._steps else ""
+        return ("what was saved stays" if self.saved else super().left()) + lost
 
     def _write(self, report: Callable[[int, int | None], None]) -> None:
         steps = [change for change, _ in self._steps]
@@ -434,14 +458,9 @@ class CastSession(Page):
     def _done(self, base: StrictInt) -> Json:
         """End the session; changes that are not saved are gone."""
         with self.lock:
-            self._check(base)
+            self.refuse_unless(base)
             self.end([self._said()], f"facetrack people {self.folder}")
             return self.state()
-
-    def _check(self, base: int) -> None:
-        """RefusedError (409) while a job runs, after the end, and for what was meant for an earlier state."""
-        self.refuse_if_busy()
-        self.refuse_unless(base == self.revision)
 
     def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")

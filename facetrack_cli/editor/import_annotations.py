@@ -58,33 +58,18 @@ def imported_corrections(
             kept = part.take(part.status != "absent") if carries else part
             if run.film:
                 kept = kept.between(run.first, run.last + 1)
-            for frame, place in _moves(kept, row):
-                changes[frame, part.target][part.part] = place
-        beside |= _taken_out(changes, run, rows, annotated)
+            can = correctable_parts(run.parts[part.target])
+            for frame, place, moved in _moves(kept, row):
+                if part.part in (*can, BOX):
+                    changes[frame, part.target][part.part] = place
+                # no correction places it: it is told of, unless it comes back, or is absent with the whole target
+                elif moved and (
+                    place is not None or not all(_is_absent(annotated.find(part.target, name), frame) for name in can)
+                ):
+                    beside[part.name] = None
     if beside:
         note(f"{path}: {', '.join(beside)}: no correction places {'these' if len(beside) > 1 else 'this'}; left out")
     return tuple(_correction(*key, parts, run) for key, parts in sorted(changes.items()))
-
-
-def _taken_out(changes: Changes, run: Run, rows: Trajectory, annotated: Trajectory) -> dict[str, None]:
-    """Takes the parts that no correction places out of the changes; the names of those that changed by themselves."""
-    beside: dict[str, None] = {}
-    for (frame, target), parts in [*changes.items()]:
-        can = correctable_parts(run.parts[target])
-        gone = all(_is_absent(annotated.find(target, part), frame) for part in can)  # the whole target
-        for name in [name for name in parts if name not in (*can, BOX)]:
-            row, place = rows.find(target, name), parts.pop(name)
-            at = None if row is None else row.row(frame)
-            if place is None:
-                changed = not gone
-            else:  # one that comes back where it was has not changed
-                there = np.array([row.x[at], row.y[at]]) if row is not None and at is not None else np.array(np.nan)
-                changed = not np.abs(there - place).max() <= MOVED
-            if changed:
-                beside[f"{target}/{name}"] = None
-        if not parts:
-            del changes[frame, target]
-    return beside
 
 
 def _is_absent(part: Trajectory | None, frame: int) -> bool:
@@ -185,8 +170,8 @@ def read_annotations(path: Path, run: Run, rows: Trajectory) -> Trajectory:
     return read_cvat(path)
 
 
-def _moves(part: Trajectory, row: Trajectory) -> Iterator[tuple[int, Place]]:
-    """The frames in which a part is corrected, and its place there."""
+def _moves(part: Trajectory, row: Trajectory) -> Iterator[tuple[int, Place, bool]]:
+    """The frames in which a part is corrected, its place there, and whether that is another than the row's."""
     gone = False  # by a correction of these
     box = part.part == BOX
     ours, theirs = ((each.boxes if box else np.stack([each.x, each.y], axis=1)) for each in (row, part))
@@ -196,13 +181,14 @@ def _moves(part: Trajectory, row: Trajectory) -> Iterator[tuple[int, Place]]:
         lost = not placed or row.status[at] in UNSEEN
         if part.status[n] == "absent":
             if not lost and not gone:
-                yield frame, None
+                yield frame, None, True
                 gone = True
             continue
         place = tuple(round(value, DECIMALS["x"]) for value in theirs[n].tolist())
         there = ours[at] if placed else np.array(np.nan)
-        if gone or not np.abs(there - place).max() <= MOVED or (lost and part.status[n] == "visible"):
-            yield frame, place
+        moved = not np.abs(there - place).max() <= MOVED
+        if gone or moved or (lost and part.status[n] == "visible"):
+            yield frame, place, moved
         gone = False
 
 

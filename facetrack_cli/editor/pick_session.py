@@ -1,19 +1,20 @@
 """Choosing the start of a track on the page: which parts a recipe requires, and whether a draft has them."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
-from facetrack_cli.core.errors import FacetrackError, flat
+from facetrack_cli.core.errors import FacetrackError, OutputError, flat
 from facetrack_cli.core.types import Box, Start, TargetStart
 from facetrack_cli.editor.session import MAX_POINTS, Draft, Json, Proposer, RefusedError, Session, draft_of
 from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.report.story import names as listed
-from facetrack_cli.start.assembly import name_targets
+from facetrack_cli.start.assembly import build_tracker, check_windows, name_targets
 from facetrack_cli.start.init_file import (
     KEYS,
     OF_CORRECTIONS,
@@ -29,6 +30,7 @@ from facetrack_cli.video.overlay import write_preview
 from facetrack_cli.video.seek import Frames
 
 ORIGIN: Final = "the page"
+NOTHING: Final = Start(0, {}, "")  # of no file
 DEFAULT: Final = "factorized"  # the recipe of `facetrack run` without --config
 _RESERVED: Final = (*OF_FILES, *KEYS, *OF_CORRECTIONS)
 _ABOUT_BOXES: Final = {
@@ -42,7 +44,8 @@ class PickSession(Session):
     """The choice of a start. The page first shows `frame`, where the `box` of a face may give the first draft.
 
     `previous` is the start in the file to be replaced. Save writes to `out`, and an image to `preview`; without `out`
-    the start is left in `saved`. Raises InputError for a frame that does not exist or a box outside of it.
+    the start is left in `saved`. What is not saved goes to `unsaved`, if that is given. Raises InputError for a frame
+    that does not exist or a box outside of it.
     """
 
     mode: ClassVar[Literal["pick"]] = "pick"
@@ -50,34 +53,23 @@ class PickSession(Session):
     def __init__(
         self,
         clip: Path,
-        frames: Frames,
         *,
         out: Path | None,
         overwrite: bool = False,
         recipe: Recipe | None = None,
         frame: int | None = None,
         box: Box | None = None,
-        previous: Start | None = None,
+        previous: Start = NOTHING,
         next_: str | None = None,
         preview: Path | None = None,
+        unsaved: Path | None = None,
     ) -> None:
         self.clip, self.out, self.overwrite, self.recipe = clip, out, overwrite, recipe
-        self.next, self.preview = next_, preview
-        self.previous = previous = None if previous is None else fitted(previous, recipe)
+        self.next, self.preview, self._unsaved = next_, preview, unsaved
+        self.previous = previous = fitted(previous, recipe)
         self.saved: Start | None = None
         self._previewed = False
         required = requirements(recipe)
-        proposer = Proposer(frames, recipe, required[0]["points"])
-        shown = frame if frame is not None else previous.frame if previous is not None else 0
-        image = frames.read(shown)  # raises InputError before anything is served
-        self._placed: list[tuple[Draft, str]] = []  # drafts that a detector has placed, and its name
-        if previous is not None:
-            self._placed.append((draft_of(previous.frame, previous.targets), previous.placed_by))
-        draft = draft_of(shown, previous.targets if previous is not None else {})
-        self._unchanged = draft if box is None else None
-        if box is not None:
-            draft = proposer.in_box(image, box, str(clip))
-            self._placed.append((draft, detector().name))
         about = {
             "clip": clip.name or str(clip),
             "recipe": None if recipe is None else recipe.name,
@@ -85,8 +77,21 @@ class PickSession(Session):
             "free": recipe is None or not recipe.followed,
             "saves_to": "standard output" if out is None else str(out),
         }
-        super().__init__(frames, proposer, draft, about)
-        if previous is not None and box is None:
+        shown = previous.frame if frame is None else frame
+        draft = draft_of(shown, previous.targets)
+        # drafts that a detector has placed, and its name
+        self._placed = [(draft_of(previous.frame, previous.targets), previous.placed_by)]
+        self._unchanged = draft if box is None else None
+        with ExitStack() as stack:
+            frames = stack.enter_context(Frames(clip))
+            proposer = Proposer(frames, recipe, required[0]["points"])
+            image = frames.read(shown)  # raises InputError before anything is served
+            if box is not None:
+                draft = proposer.in_box(image, box, str(clip))
+                self._placed.append((draft, detector().name))
+            super().__init__(frames, proposer, draft, about)
+            self.resources = stack.pop_all()
+        if previous.origin and box is None:
             self.message = f"taken from {previous.origin}"
 
     def save(self, draft: Draft) -> None:
@@ -96,16 +101,18 @@ class PickSession(Session):
             self.frames.read(start.frame)  # how long the clip is may be known only then
         by = self._placed_by(draft)
         start = replace(start, detector=by, placed=by != "")
-        self.start_job("writing the init file", lambda _: self._write(start), saves=draft)
+        self.start_job("writing the init file", lambda _: self._write(start), saves=True)
 
-    def unsaved(self) -> Start | None:
-        """The start that was chosen and not saved; None if nothing was chosen since the beginning."""
-        with self.lock:
-            draft = self.draft
-            if self.ended is not None or draft == self._unchanged:
-                return None
-        chosen = draft.placed()
-        return carried(Start(draft.frame, chosen, ORIGIN), self.previous) if chosen else None
+    def left(self) -> str:
+        kept, chosen = self._unsaved, self.draft.placed()
+        if kept is None or not chosen or self.draft == self._unchanged:
+            return f"what was chosen the last time is still in {kept}" if kept and kept.is_file() else super().left()
+        start = carried(Start(self.draft.frame, chosen, ORIGIN), self.previous)
+        try:
+            write_init(kept, start, clip=self.clip.name, overwrite=True)
+        except OutputError as e:
+            return f"what was chosen is lost: {e}"
+        return f"what was chosen is kept in {kept}; the same command goes on with it"
 
     def _placed_by(self, chosen: Draft) -> str:
         """The detector that has placed all chosen parts; "" if the user has moved or drawn one of them."""
@@ -123,7 +130,7 @@ class PickSession(Session):
         if self.out is not None:
             write_init(self.out, start, clip=self.clip.name, overwrite=self.overwrite)
         messages.append(f"{self.out}: written" if self.out is not None else "standard output: what was chosen")
-        if self.previous is not None and (lost := len(self.previous.corrections) - len(start.corrections)):
+        if lost := len(self.previous.corrections) - len(start.corrections):
             messages.append(f"corrections left out, since they come before the start or have no target: {lost}")
         self.saved = start
         self.end(messages, self.next)
@@ -158,9 +165,7 @@ def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
     return "needed" if len(points) < 2 else "optional"
 
 
-def start_of(
-    draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, previous: Start | None
-) -> Start:
+def start_of(draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, previous: Start) -> Start:
     """The start of a draft, to 0.01 px, as a run accepts it, with windows and corrections `carried` from `previous`.
 
     `frames` is the number of frames where it is certain. Raises RefusedError (422) that names all missing parts.
@@ -197,10 +202,8 @@ def fitted(start: Start, recipe: Recipe | None) -> Start:
     return replace(start, targets=targets, corrections=kept)
 
 
-def carried(start: Start, previous: Start | None) -> Start:
+def carried(start: Start, previous: Start) -> Start:
     """The start with the windows and corrections of `previous` that still have their target and come after it."""
-    if previous is None:
-        return start
     targets = {}
     for name, target in start.targets.items():
         before = previous.targets.get(name, TargetStart())
@@ -231,8 +234,6 @@ def _missing(target: TargetStart, required: Json) -> list[str]:
 
 def _check_build(start: Start, size: tuple[int, int], recipe: Recipe) -> None:
     """Raises what the run would: build_tracker, and check_windows. Recognition is left out: it needs a gallery."""
-    from facetrack_cli.start.assembly import build_tracker, check_windows
-
     nobody = {"recognition": None}
     if isinstance(recipe, ParticleRecipe):
         recipe = recipe.model_copy(update=nobody)

@@ -16,6 +16,7 @@ from facetrack_cli.editor.history import Fixer
 from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe
 from facetrack_cli.run_folder.finished import Run, recipe_of, run_files, stamp
 from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest, write_rows
@@ -71,15 +72,17 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
 
 
 def is_tracked_again(run: Run) -> bool:
-    """Whether the whole clip is tracked again to save a corrected run."""
-    return "smoothed" in run.rows.header or bool(run.recipe.later)
+    """Whether the whole clip is tracked again to save a corrected run: its targets, or its frames, depend on others."""
+    exclusive = isinstance(run.recipe, ParticleRecipe | ParticlesRecipe) and run.recipe.exclusion is not None
+    return "smoothed" in run.rows.header or bool(run.recipe.later) or exclusive
 
 
 def _tracked_again(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Trajectory | None, Trajectory]:
     """The rows of a run whose clip is tracked again with the corrections: the filter's, and the smoothed.
 
-    Smoothing needs all frames, and two hands are one filter's: what corrects one of them moves the other. A run with a
-    lag, or without smoothing, keeps no other rows of the filter. Raises StoppedError once `stop` says so.
+    Smoothing needs all frames; where two hands are one filter's, or targets exclude each other, what corrects one of
+    them moves the others. A run with a lag, or without smoothing, keeps no other rows of the filter. Raises
+    StoppedError once `stop` says so.
     """
     run = fixer.run
     smoothed = run.rows.header.get("smoothed", {"lag": 0})

@@ -100,8 +100,8 @@ class Server(ThreadingHTTPServer):
 
 @contextlib.contextmanager
 def serving(session: Page, port: int = 0) -> Iterator[Server]:
-    """The server of a session, running in its own threads within the `with`."""
-    with Server(session, port) as server:
+    """The server of a session, running in its own threads within the `with`; then the session is closed."""
+    with contextlib.closing(session), Server(session, port) as server:
         thread = threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True)
         thread.start()
         try:
@@ -109,7 +109,6 @@ def serving(session: Page, port: int = 0) -> Iterator[Server]:
         finally:
             server.shutdown()
             thread.join()
-            session.close()
 
 
 def run_page(
@@ -164,19 +163,12 @@ class _Handler(BaseHTTPRequestHandler):
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """What http.server refuses by itself, as JSON."""
         self.close_connection = True
-        self._send(_encoded(Answer({"error": (message or "refused")[:200]}, int(code))))
+        self._send(Answer({"error": (message or "refused")[:200]}, int(code)))
 
     def do_GET(self) -> None:
-        # the body is always read, or the rest of it would be taken for the next request
-        self._length = self._body_length()
-        readable = self._length is not None and self._length <= MAX_REFUSED_BYTES
-        self.close_connection = self.close_connection or not readable
-        self._data = self.rfile.read(self._length) if readable else b""
-        if readable and len(self._data) != self._length:
-            raise ConnectionResetError
-        self._page = self.server.session
+        body, self._page = self._read(), self.server.session
         try:
-            answer = _encoded(self._route(self.command))
+            answer = _encoded(self._route(self.command, body))
         except RefusedError as e:
             answer = Answer({"error": str(e), **e.more}, e.code)
         except ValidationError as e:
@@ -195,11 +187,11 @@ class _Handler(BaseHTTPRequestHandler):
         if isinstance(answer.body, Path):
             self._send_file(answer.body, answer)
         else:
-            self._send(_encoded(answer))
+            self._send(answer)
 
     do_PUT = do_POST = do_GET  # noqa: N815
 
-    def _route(self, method: str) -> Answer:
+    def _route(self, method: str, data: bytes | RefusedError) -> Answer:
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or not _HOST.fullmatch(hosts[0].strip()):
             only = "this page is for localhost and 127.0.0.1 alone"
@@ -225,10 +217,12 @@ class _Handler(BaseHTTPRequestHandler):
             raise RefusedError(405, f"{method} is not for this address")
         route, match, handler = matches[method]
         body: dict[str, Any] = {}
-        if route.raw:
-            body = {"data": self._raw(MAX_REFUSED_BYTES)}
-        elif method != "GET":
-            body = _BODY.validate_json(self._raw(MAX_BODY_BYTES) or b"{}")
+        if method != "GET":
+            if isinstance(data, RefusedError):
+                raise data
+            if len(data) > MAX_BODY_BYTES and not route.raw:
+                raise RefusedError(413, f"{len(data)} bytes are too many; at most {MAX_BODY_BYTES} are accepted")
+            body = {"data": data} if route.raw else _BODY.validate_json(data or b"{}")
         fields = parse_qs(query, keep_blank_values=True)  # a list, if given twice, is refused by any handler
         once = {name: values[0] if len(values) == 1 else values for name, values in fields.items()}
         answer = handler(**{**once, **body, **match.groupdict()})
@@ -241,24 +235,25 @@ class _Handler(BaseHTTPRequestHandler):
         hidden = origins == ["null"] and self.headers.get_all("Sec-Fetch-Site") == ["same-origin"]
         return hidden or origins in ([], [f"http://{host}"])
 
-    def _body_length(self) -> int | None:
-        """Bytes of the body that follows; None if that is unknown."""
+    def _read(self) -> bytes | RefusedError:
+        """The body, which is read in any case, or it would be taken for the next request; else why it is not."""
         lengths = self.headers.get_all("Content-Length", ["0"])
-        if self.headers.get("Transfer-Encoding") is not None or len(lengths) > 1:
-            return None
-        text = lengths[0].strip()
-        return int(text) if text.isascii() and text.isdigit() and len(text) < 16 else None
-
-    def _raw(self, most: int) -> bytes:
-        if self._length is None:
-            raise RefusedError(411, "the length of the body must be given, once")
-        if self._length > most:
-            raise RefusedError(413, f"{self._length} bytes are too many; at most {most} are accepted")
-        return self._data
+        known = len(lengths) == 1 and "Transfer-Encoding" not in self.headers
+        if not (known and re.fullmatch("[0-9]{1,15}", text := lengths[0].strip())):
+            self.close_connection = True
+            return RefusedError(411, "the length of the body must be given, once")
+        if (length := int(text)) > MAX_REFUSED_BYTES:
+            self.close_connection = True
+            return RefusedError(413, f"{length} bytes are too many; at most {MAX_REFUSED_BYTES} are accepted")
+        data = self.rfile.read(length)
+        if len(data) != length:
+            raise ConnectionResetError
+        return data
 
     def _send(self, answer: Answer) -> None:
-        self._send_head(answer, len(answer.body))
-        self.wfile.write(answer.body)
+        data = _encoded(answer).body
+        self._send_head(answer, len(data))
+        self.wfile.write(data)
 
     def _send_head(self, answer: Answer, length: int) -> None:
         self.send_response(answer.code)
@@ -275,7 +270,7 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             file = path.open("rb")
         except OSError as e:
-            self._send(_encoded(Answer({"error": f"{path}: {e.strerror or e}"}, 404)))
+            self._send(Answer({"error": f"{path}: {e.strerror or e}"}, 404))
             return
         with file:
             size = os.fstat(file.fileno()).st_size

@@ -7,7 +7,6 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -107,7 +106,7 @@ def crop(frames: Frames, index: int, x: int, y: int, w: int, h: int) -> bytes:
 
 
 class Proposer:
-    """Proposes the faces of a frame. One thread looks for them, since it keeps the cascades; a frame is searched once.
+    """Proposes the faces of a frame, which is searched once; one frame at a time.
 
     `points` are the points of the first target.
     """
@@ -116,20 +115,20 @@ class Proposer:
         self._frames, self._recipe = frames, recipe
         self._points = [part for part in points if part in PARTS]
         self._by_hand = [part for part in points if part not in PARTS]
-        self._worker = ThreadPoolExecutor(1, "proposals")
+        self._looking = threading.Lock()
         self._found: dict[int, Json] = {}
 
     def __call__(self, index: int) -> Json:
         """{"frame", "proposals": [{"label", "targets"}], "note"}. Raises InputError if there is no such frame."""
-        return self._worker.submit(self._find, index).result()
+        with self._looking:
+            if index not in self._found:
+                self._found[index] = self._find(index)
+            return self._found[index]
 
     def proposed(self, index: int) -> list[Draft]:
         """The drafts that were proposed for a frame; none if nobody asked for proposals there."""
         each = (proposal["targets"].items() for proposal in self._found.get(index, {}).get("proposals", ()))
         return [Draft(index, {name: DraftTarget(**target) for name, target in targets}) for targets in each]
-
-    def close(self) -> None:
-        self._worker.shutdown(wait=True, cancel_futures=True)
 
     def in_box(self, frame: Frame, box: Box, clip: str) -> Draft:
         """The draft of the face in a given box. Raises InputError as `box_start` does."""
@@ -137,8 +136,6 @@ class Proposer:
         return draft_of(frame.index, self._complete(frame, start)[0].targets)
 
     def _find(self, index: int) -> Json:
-        if index in self._found:
-            return self._found[index]
         frame, faces = self._frames.read(index), detector()
         notes, proposals = [], []
         for number, seen in enumerate(faces.find(frame)[:MAX_FACES], start=1):
@@ -156,7 +153,7 @@ class Proposer:
         elif self._by_hand:
             notes.append(f"{', '.join(self._by_hand)}: only by hand")
         note = "; ".join(dict.fromkeys(filter(None, notes)))
-        return self._found.setdefault(index, {"frame": index, "proposals": proposals, "note": note or None})
+        return {"frame": index, "proposals": proposals, "note": note or None}
 
     def _complete(self, frame: Frame, start: Start) -> tuple[Start, str]:
         """With the other targets that the recipe names, if they are found; else the first one alone, and why."""
@@ -217,9 +214,10 @@ class Page(ABC):
         self.revision = 0
         self.message: str | None = None
         self.ended: Json | None = None
+        self.saving = False
         self.first_error: Exception | None = None  # of the program itself
         self.opened: dict[str, Page] = {}  # the pages below this one, by the first part of their addresses
-        self.resources = ExitStack()  # what is closed after the page
+        self.resources = ExitStack()  # what is closed with the page
         self._job: Json | None = None
         self._worker: threading.Thread | None = None
         self._ended_at = 0.0
@@ -243,17 +241,24 @@ class Page(ABC):
     def routes(self) -> Sequence[Route]:
         """The addresses of the page."""
 
+    def left(self) -> str:
+        """What becomes of what was not saved, where the page is stopped; it may be written for the next time."""
+        return "nothing was written"
+
     def state(self) -> Json:
         """What the page shows."""
         with self.lock:
             return {"revision": self.revision, "job": self._job, "ended": self.ended, "message": self.message}
 
-    def start_job(self, what: str, work: Callable[[Report], None]) -> None:
-        """Run `work` as the job. Its error is shown as the message. RefusedError (409) as of `refuse_if_busy`."""
+    def start_job(self, what: str, work: Callable[[Report], None], *, saves: bool = False) -> None:
+        """Run `work` as the job. Its error is shown as the message. RefusedError (409) as of `refuse_if_busy`.
+
+        While a job runs that `saves`, no draft is accepted.
+        """
         with self.lock:
             self.refuse_if_busy()
             self._job = {"what": what, "done": 0, "total": None}
-            self.message = None
+            self.message, self.saving = None, saves
             self._worker = threading.Thread(target=self._run, args=(work,), daemon=True)
             self._worker.start()
 
@@ -265,10 +270,13 @@ class Page(ABC):
             if self._job is not None:
                 raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished", self.state())
 
-    def refuse_unless(self, current: bool) -> None:
-        """RefusedError (409) with the state, for what is meant for an earlier state of the page."""
-        if not current:
-            raise RefusedError(409, f"another window has changed the {self.edits}", self.state())
+    def refuse_unless(self, base: int, *, idle: bool = True) -> None:
+        """RefusedError (409) with the state, for what is meant for another revision, or for a page that is `idle`."""
+        with self.lock:
+            if idle:
+                self.refuse_if_busy()
+            if base != self.revision:
+                raise RefusedError(409, f"another window has changed the {self.edits}", self.state())
 
     def end(self, messages: Sequence[str], next_: str | None) -> None:
         """End the session: show the `messages`, a line each, and the command to continue with."""
@@ -310,7 +318,7 @@ class Page(ABC):
             message = self.record(e)
         finally:
             with self.lock:
-                self._job = None
+                self._job, self.saving = None, False
                 self.message = message or self.message
 
 
@@ -325,13 +333,12 @@ class Session(Page):
         self, frames: Frames, proposer: Proposer, draft: Draft, about: Json, *, first: int = 0, last: int | None = None
     ) -> None:
         super().__init__()
-        self.resources.callback(proposer.close)
         self.frames, self.draft, self.first, self.last = frames, draft, first, last
-        self._proposer, self._about, self._saving = proposer, about, False
+        self._proposer, self._about = proposer, about
 
     @abstractmethod
     def save(self, draft: Draft) -> None:
-        """Begin the job that writes the draft and calls `end`; RefusedError (422) if something is missing. No lock."""
+        """Begin the job that writes the draft and calls `end`; RefusedError (422) if something is missing."""
 
     def check_draft(self, draft: Draft) -> None:
         """RefusedError (400) for a draft that this session cannot hold; called with the lock."""
@@ -346,23 +353,6 @@ class Session(Page):
         with self.lock:
             self.draft = draft
             self.revision += 1
-
-    def start_job(self, what: str, work: Callable[[Report], None], *, saves: Draft | None = None) -> None:
-        """RefusedError (409) if the job `saves` a draft that has changed meanwhile.
-
-        While such a job runs, no draft is accepted.
-        """
-        with self.lock:
-            self.refuse_if_busy()
-            self.refuse_unless(saves in (None, self.draft))
-            super().start_job(what, work)
-            self._saving = saves is not None
-
-    def current(self, base: int) -> Draft:
-        """The draft, if `base` is its revision; else RefusedError (409) with the state."""
-        with self.lock:
-            self.refuse_unless(base == self.revision)
-            return self.draft
 
     def routes(self) -> Sequence[Route]:
         return (
@@ -395,9 +385,7 @@ class Session(Page):
 
     def _put_draft(self, base: StrictInt, draft: Draft) -> Json:
         with self.lock:
-            self.current(base)
-            if self.ended is not None or self._saving:
-                self.refuse_if_busy()
+            self.refuse_unless(base, idle=self.ended is not None or self.saving)
             self._check_frame(draft.frame)
             self.check_draft(draft)
             self.message = None
@@ -405,10 +393,10 @@ class Session(Page):
             return {"revision": self.revision}
 
     def _save(self, base: StrictInt) -> Answer:
-        draft = self.current(base)
-        self.refuse_if_busy()
-        self.save(draft)
-        return Answer({"job": self.state()["job"]}, 202)
+        with self.lock:
+            self.refuse_unless(base)
+            self.save(self.draft)
+            return Answer({"job": self.state()["job"]}, 202)
 
     def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         self._check_frame(frame)

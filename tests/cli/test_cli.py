@@ -225,8 +225,11 @@ def test_a_reader_that_goes_is_no_error(arguments):
 # recipes
 
 
-def test_shipped_recipes_are_found_from_anywhere(tmp_path, monkeypatch, capsys):
+def test_recipes_are_found_from_anywhere_and_shown_as_they_are(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    Path("r.yaml").write_text("# wrong, but shown: é\nseed: [", encoding="utf-8")
+    assert main(["recipes", "show", "r.yaml"]) == 0
+    assert capsys.readouterr().out == "# wrong, but shown: é\nseed: [\n"
     assert main(["recipes"]) == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
     particles = {name: count for name, count, _ in rows}
@@ -237,13 +240,6 @@ def test_shipped_recipes_are_found_from_anywhere(tmp_path, monkeypatch, capsys):
         assert main(["recipes", "show", name]) == 0
         out = capsys.readouterr().out
         assert out.startswith("# Patras & Pantic") and "\x1b" not in out
-
-
-def test_show_prints_the_very_text(capsys, tmp_path):
-    path = tmp_path / "r.yaml"
-    path.write_text("# wrong, but shown: é\nseed: [", encoding="utf-8")
-    assert main(["recipes", "show", str(path)]) == 0
-    assert capsys.readouterr().out == path.read_text(encoding="utf-8") + "\n"
 
 
 def test_check_lists_every_error_of_every_file(capsys, tmp_path):

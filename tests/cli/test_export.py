@@ -19,9 +19,7 @@ from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import LINES, POINTS
 from facetrack_cli.trajectory.formats import EXPORTS
-from facetrack_cli.trajectory.formats.boxes import read_got10k, read_mot, read_otb, read_vot
 from facetrack_cli.trajectory.formats.keypoints import write_dlc_h5
-from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
 from facetrack_cli.trajectory.views import enclose
 from facetrack_cli.trajectory.writers import SCHEMA
@@ -85,30 +83,6 @@ def refused(*args, code):
 SOURCE = {"source": {"path": "clip.mp4", "size": [640, 480], "fps": 25.0}, "recipe": {"name": "sir"}}
 
 
-@pytest.mark.parametrize(
-    ("form", "read"), [("mot", lambda p: read_mot(p, results=True)), ("otb", read_otb), ("got10k", read_got10k),
-                       ("vot", read_vot)]
-)  # fmt: skip
-def test_boxes_come_back_as_they_were(track, form, read):
-    path = track(rows(parts=("box",), size=(20.5, 10.0)))
-    export(path, "--to", form)
-    ours, (found,) = read_trajectory(path).parts[0], read(path.with_name(f"trajectory.{form}.txt")).parts
-    np.testing.assert_array_equal(found.frame, ours.frame)
-    first = 1 if form == "vot" else 0  # VOT does not repeat the box that a track began with
-    for name in ("x", "y", "w", "h"):
-        np.testing.assert_allclose(getattr(found, name)[first:], getattr(ours, name)[first:], atol=1e-4)
-    if form == "mot":
-        np.testing.assert_allclose(found.confidence, ours.confidence)
-
-
-def test_mot_numbers_targets_and_keeps_gaps(track):
-    path = track(rows(), rows("hand", ("box",), frames=(2, 4)))
-    export(path, "--to", "mot")
-    one, two = read_mot(path.with_name("trajectory.mot.txt"), results=True).parts
-    assert (one.target, two.target) == ("1", "2")
-    assert one.frame.tolist() == [0, 1, 2, 3, 4, 5] and two.frame.tolist() == [2, 4]
-
-
 @pytest.mark.parametrize(("box", "ltwh"), [("windows", [90.75, 76, 50, 30]), ("points", [100.25, 80.5, 31, 21])])
 def test_the_box_of_points_encloses_windows_or_points(track, box, ltwh):
     found = export(track(), "--to", "otb", "--box", box, "-o", "-").stdout.splitlines()
@@ -146,7 +120,10 @@ def test_statuses_and_confidence_of_a_target_sum_up_its_parts():
 
 
 def test_coco_says_lost_by_visibility(track):
-    path = track(rows(), rows("hand", ("box",), frames=(0, 1)), header=SOURCE)
+    """The box of a face is no keypoint, and encloses windows, or points alone."""
+    path = track(rows(parts=("nose", "lip_upper", "box")), rows("hand", ("box",), frames=(0, 1)), header=SOURCE)
+    points = export(path, "--to", "coco", "--box", "points", "-o", "-").stdout
+    assert json.loads(points)["annotations"][0]["bbox"] == [100.25, 80.5, 31, 21]
     export(path, "--to", "coco")
     found = json.loads(path.with_name("trajectory.coco.json").read_text())
     face, hand = found["categories"]
@@ -156,7 +133,7 @@ def test_coco_says_lost_by_visibility(track):
     assert sorted(one["id"] for one in found["annotations"]) == list(range(1, 9))
     lost = by_image[4, 1]
     assert lost["keypoints"] == [103.25, 80.5, 2, 133.25, 100.5, 1] and lost["num_keypoints"] == 2
-    assert lost["bbox"] == [93.75, 76, 50, 30] and lost["area"] == 1500 and lost["score"] == pytest.approx(0.5)
+    assert lost["bbox"] == [93.75, 76, 80, 50] and lost["area"] == 4000 and lost["score"] == pytest.approx(1.9 / 3)
     assert by_image[3, 1]["keypoints"][5] == 2
     assert by_image[1, 2]["track_id"] == 2
 
@@ -184,23 +161,6 @@ def test_a_face_of_all_points_with_lost_and_absent_rows(track):
     assert np.isnan(table.loc[6, ("chin", "x")]) and table.loc[6, ("nose", "x")] == POINTS.index("nose")
     dropped = export(path, "--to", "dlc", "--drop-lost", "-o", "-").stdout.splitlines()
     assert dropped[3 + 3].split(",")[4:7] == ["", "", ""]
-
-
-def test_coco_has_no_keypoint_for_the_box_of_a_face(track):
-    path = track(rows(parts=("nose", "lip_upper", "box")), rows("hand", ("box",)), header=SOURCE)
-    export(path, "--to", "coco")
-    found = json.loads(path.with_name("trajectory.coco.json").read_text())
-    face, hand = found["categories"]
-    assert face["keypoints"] == ["nose", "lip_upper"] and "keypoints" not in hand
-    first = found["annotations"][0]
-    assert len(first["keypoints"]) == 6 and first["num_keypoints"] == 2 and first["bbox"] == [90.75, 76, 80, 50]
-    export(path, "--to", "coco", "--box", "points", "--overwrite")
-    assert json.loads(path.with_name("trajectory.coco.json").read_text())["annotations"][0]["bbox"] == [
-        100.25,
-        80.5,
-        31,
-        21,
-    ]
 
 
 def test_what_is_beyond_the_picture_is_not_seen(track):

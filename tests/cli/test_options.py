@@ -119,13 +119,6 @@ def test_a_wrong_variable_is_one_line(given, name, value, said):
     assert refusal(given("run", "a.mp4", **{name: value}), 2).startswith(f"facetrack: error: {said}")
 
 
-def test_a_folder_sets_nothing(given, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "pyproject.toml").write_text("[tool.facetrack.run]\njobs = 4\nout = 'there'\noverwrite = true\n")
-    found = given("run", "a.mp4")
-    assert (found["jobs"], found["out"], found["overwrite"]) == (1, None, False)
-
-
 def test_commands_below_commands_have_theirs(given):
     assert given("recipes", "check", "sir", RECIPES_CHECK_SET="filter.particles=0")[0] == 2
     assert given("recipes", "check", "sir", RECIPES_CHECK_SET="filter.particles=9") == {}

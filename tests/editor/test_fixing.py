@@ -17,7 +17,7 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import history
 from facetrack_cli.editor.fix_session import overview
-from facetrack_cli.editor.history import Fixer, corrections_of, recorded_footprint
+from facetrack_cli.editor.history import Fixer, corrections_of
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.runs.signals import StoppedError
@@ -29,6 +29,7 @@ from facetrack_cli.trajectory.writers import csv_frames, json_frames
 from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
+from tests.support.hands_run import FEW as HANDS
 from tests.support.hands_run import hands_run
 from tests.support.page_client import fixing
 from tests.support.results import rows_of as objects_of
@@ -71,7 +72,6 @@ def runs(tmp_path_factory):
     run(folder / "box", FOLDER / "textured.mp4", "--config", "contour_histogram_correlation", *part)
     run(folder / "affine", FOLDER / "zoom.mp4", "--config", "adaptive_velocity", *part)
     run(folder / "late", CLIP, "--init", folder / "late.yaml", "--stop", 12, *FEW)
-    hands_run(folder / "hands", 14)
     return folder
 
 
@@ -464,43 +464,11 @@ def test_what_is_dragged_goes_over_what_its_frame_has():
 # --- what is tracked again -------------------------------------------------------------------------------------------
 
 
-def test_targets_that_are_tracked_together_see_each_other_as_they_are_now(fixed, monkeypatch):
-    one, seen = fixed("hands"), {}
-
-    class Spy(Fixer):
-        def _footprints(self, live, now, index):
-            seen[index, live.task.target] = footprints = super()._footprints(live, now, index)
-            return footprints
-
-    monkeypatch.setattr(one.fixer, "__class__", Spy)
-    left, right = (95.0, 120.0, 40.0, 46.0), (180.0, 110.0, 44.0, 50.0)
-    one.fixer.put([box("left_hand", 4, *left), box("right_hand", 4, *right)])
-
-    def place(frame, name):
-        row = one.fixer.rows.at(frame).find(name, "box")
-        return pytest.approx([row.x[0], row.y[0]], abs=6e-4)
-
-    # the first of them is known in this frame, the second where it is expected from the one before
-    for frame in (5, 8):
-        head, first = seen[frame, "right_hand"]
-        assert first.centre.tolist() == place(frame, "left_hand") and head.centre.tolist() == place(frame, "head")
-    assert seen[4, "right_hand"][1].centre.tolist() == [left[0] + 19.5, left[1] + 22.5]
-    recorded = one.run.rows.at(3).find("right_hand", "box")
-    assert seen[4, "left_hand"][1].centre.tolist() == [recorded.x[0], recorded.y[0]]  # which has not begun
-    ahead = seen[5, "left_hand"][1]
-    assert ahead.centre.tolist() == [right[0] + 21.5, right[1] + 24.5] and ahead.half.tolist() == [22, 25]
-    # what is recorded of points and of what is gone covers nothing
-    assert recorded_footprint(fixed("face").run.rows, 2, "face") is None
-    assert np.isfinite(recorded_footprint(one.fixer.rows, 5, "head").centre).all()
-    one.put(Correction(4, "head", absent=True))
-    assert recorded_footprint(one.fixer.rows, 5, "head") is None
-
-
-@pytest.mark.parametrize("more", [(), ("--smooth",)])
-def test_a_signer_is_tracked_again_as_a_whole(more, tmp_path, monkeypatch):
-    """Two hands are one filter's, and smoothing needs all frames: what is saved is a run with corrections."""
+@pytest.mark.parametrize("how", [("signer",), ("signer", "--smooth"), ("head_hands", *HANDS)])
+def test_hands_are_tracked_again_as_a_whole(how, tmp_path, monkeypatch):
+    """They are one filter's, or exclude each other, and smoothing needs all frames: a run with corrections is saved."""
     monkeypatch.chdir(tmp_path)
-    asked = ["run", str(FOLDER / "signing.mp4"), "--config", "signer", "--stop", "14", "--no-video", "-q", *more, "-o"]
+    asked = ["run", str(FOLDER / "signing.mp4"), "--config", *how, "--stop", "14", "--no-video", "-q", "-o"]
     assert main([*asked, "out"]) == 0
     start = (FOLDER / "signing.init.yaml").read_text()
     Path("one.yaml").write_text(f"{start}corrections:\n- frame: 6\n  right_hand: {{box: [200, 110, 50, 56]}}\n")

@@ -15,14 +15,13 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.history import fixing
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.finished import check_size, open_run, read_files, recipe_of
 from facetrack_cli.run_folder.lease import NOTE, FolderLease
 from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED
-from facetrack_cli.video.seek import Frames
 from tests.support.leases import abandon
 from tests.support.samples import FOLDER
 
@@ -34,15 +33,8 @@ class Killed(BaseException):
     """Nothing is done after it."""
 
 
-@contextlib.contextmanager
-def fixing(folder):
-    opened = open_run(folder)
-    with Frames(opened.clip) as frames, contextlib.closing(Fixer(opened, frames.read)) as fixer:
-        yield fixer
-
-
 def put(folder):
-    with fixing(folder) as fixer:
+    with fixing(open_run(folder)) as (fixer, _):
         fixer.put([NOSE])
         return save(fixer)
 
@@ -82,7 +74,7 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
             done.append(self)
         return replace(self, to)
 
-    with fixing(out) as fixer, monkeypatch.context() as patch:
+    with fixing(open_run(out)) as (fixer, _), monkeypatch.context() as patch:
         fixer.put([NOSE])
         keep(fixer)
         patch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
@@ -113,7 +105,7 @@ def test_a_save_that_fails_leaves_the_folder_as_it_was(out, monkeypatch, name):
         if name == f"trajectory.{form}":
             full()
 
-    with fixing(out) as fixer, monkeypatch.context() as patch:
+    with fixing(open_run(out)) as (fixer, _), monkeypatch.context() as patch:
         fixer.put([NOSE])
         broken = {CORRECTED: ("as_yaml", full), "annotated.mp4": ("repaint", full)}
         patch.setattr(saving, *broken.get(name, ("write_rows", write)))
@@ -161,7 +153,7 @@ def test_where_nothing_is_corrected_any_more_the_files_do_not_speak_of_correctio
         (out / name).write_text("x")
     older = f"{out}: older than the track: report.html, trajectory.mot.txt; make them anew with --overwrite"
     assert put(out)[-1] == older
-    with fixing(out) as fixer:
+    with fixing(open_run(out)) as (fixer, _):
         fixer.remove(4, "face")
         save(fixer)
     after = files_of(out, "report.html", "trajectory.mot.txt")

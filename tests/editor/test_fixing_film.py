@@ -10,15 +10,14 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Correction, TargetStart
-from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.history import fixing
 from facetrack_cli.editor.import_annotations import imported_corrections
 from facetrack_cli.editor.save import keep, open_track, save
 from facetrack_cli.runs.people import people_in, recast, rows_in
 from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trajectory import people as changes
 from facetrack_cli.trajectory.reader import UNSAVED
-from facetrack_cli.video.seek import Frames
-from tests.support.film_run import FILM, film_run
+from tests.support.film_run import film_run
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +43,8 @@ def fixer(film):
     track = [one for one in people_in(film).tracks if one.person == "person_1"][1]
     run = open_track(film, "person_1", track.first + 3)
     assert (run.first, run.last + 1) == (track.first, track.stop)
-    with Frames(FILM) as frames:
-        one = Fixer(run, frames.read)
+    with fixing(run) as (one, _):
         yield one
-        one.close()
 
 
 def test_a_track_is_corrected_and_takes_its_place_in_the_film(film, fixer):
@@ -84,12 +81,10 @@ def test_what_was_corrected_is_known_again_and_goes_with_its_person(film, fixer)
         (one.frame, one.confirmed, one.absent) for one in said
     ]
     assert told[1].given == said[1].given and {one.target for one in told} == {"Eileen"}
-    with Frames(FILM) as frames:
-        other = Fixer(again, frames.read)
+    with fixing(again) as (other, _):
         other.remove(first + 12, "Eileen")
         assert not (other.rows.status[other.rows.frame > first + 12] == "absent").any()
         save(other, video=False)
-        other.close()
     assert [one.frame for one in open_track(film, "Eileen", first).start.corrections] == [first + 2, first + 8]
 
 
@@ -114,7 +109,8 @@ def test_who_is_not_there_is_refused(film, capsys):
     with pytest.raises((InputError, UsageError)):
         open_track(film, "nobody", 3)
     assert main(["fix", str(film)]) == 3
-    assert "--person NAME@TIME of facetrack fix" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "--person NAME@TIME of facetrack fix" in said and f"facetrack people {film} --page" in said
     assert main(["fix", str(film), "--person", "person_2"]) == 2
     assert main(["fix", str(film), "--person", "person_2@0:00"]) == 3
     data = json.loads((film / "people.json").read_text())

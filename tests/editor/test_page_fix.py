@@ -15,19 +15,16 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Correction
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor import session as session_module
 from facetrack_cli.editor.fix_session import doubtful, overview
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.server import run_page
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.run_folder.manifest import write_rows
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.trajectory import Collector
 from tests.support import results
-from tests.support.browser import READY
 from tests.support.hands_run import hands_run
-from tests.support.page_client import Client, fixing, wait_for
+from tests.support.page_client import Client, fixing
 from tests.support.samples import FOLDER
 from tests.support.terminal import refusal
 
@@ -373,45 +370,16 @@ def test_interrupted_without_a_page_leaves_the_run_as_it_was(facetrack, out, mon
     assert (out / CORRECTED).is_file()
 
 
-@pytest.mark.nightly
-def test_interrupted_it_keeps_the_corrections_and_goes_on_with_them(command, out):
-    kept = out / UNSAVED
-
-    def interrupted(running, client):
-        client.close()
-        running.process.send_signal(signal.SIGINT)
-        code, _, err = running.ended()
-        return code, err.splitlines()[-1].removeprefix("facetrack: interrupted; ")
-
-    before = {path.name: path.read_bytes() for path in out.iterdir()}
-    running = command("fix", out)
-    client = Client(running.url)
-    client.put_draft(8, face=NOSE)
-    client.ask("POST", "api/track", {"base": 1})
-    client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
-    on = f"the corrections are kept in {kept}, all else is as it was; facetrack fix {out} goes on with them"
-    assert interrupted(running, client) == (130, on)
-    assert {path.name: path.read_bytes() for path in out.iterdir() if path != kept} == before
-    assert [one.frame for one in read_init(kept).corrections] == [8]
-
-    running = command("fix", out)
-    client = Client(running.url)
-    assert running.said == [f"{kept}: one correction was not saved the last time; the page begins with it\n"]
-    state = client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
+def test_what_is_not_saved_is_kept_and_gone_on_with(page, out):
+    one, kept = page(), out / UNSAVED
+    one.track(8, face=NOSE)
+    on = f"all else is as it was; facetrack fix {out} goes on with them"
+    assert one.session.left() == f"the corrections are kept in {kept}, {on}"
+    again = page()
+    state = again.client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
     assert state["message"].startswith("the corrections of the last session, which were not saved, are applied")
-    assert client.get("api/rows?first=8&last=8").json["frames"][0][0][:2] == [150.0, 130.5]
-    client.ask("POST", "api/undo", {})
-    client.until(lambda state: state["rows_revision"] == 2)
-    assert interrupted(running, client) == (130, "nothing was written") and not kept.exists()
-
-
-def test_the_page_ends_with_its_session(page, monkeypatch):
-    monkeypatch.setattr(session_module, "LINGER_S", 0.3)
-    session, said = page().session, []
-    worker = threading.Thread(target=run_page, args=(session, lambda: False, said.append))
-    worker.start()
-    client = Client(wait_for(lambda: next((s for s in said if s.startswith(READY)), None), "the address")[len(READY) :])
-    assert client.ask("POST", "api/done", {}).status == 200
-    worker.join(60)
-    assert not worker.is_alive() and "nothing was corrected" in session.ended["messages"][0]
-    client.close()
+    assert again.rows(8, 8)[0][0][:2] == [150.0, 130.5]
+    again.post("undo")
+    assert again.session.left() == "nothing was written" and not kept.exists()
+    kept.write_text(INIT.replace("frame: 0", "frame: 1"))
+    assert "run the clip again with it; the page begins without it" in page().state()["message"]

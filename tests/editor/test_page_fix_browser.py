@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.face.detectors import PARTS
 from tests.support.browser import DESK, PHONE, SMALL, go_to, idle
@@ -130,47 +129,10 @@ def test_a_lost_head_is_corrected_with_the_mouse(page):
     assert now[CUT][0][STATUS] == "init" and {row[0][STATUS] for row in now[CUT + 1 :]} == {"tracked"}
     messages = window.save()
     assert all(f"{folder / name}: written" in messages for name in ("trajectory.csv", "corrected.init.yaml"))
-    rows = open_run(folder).rows
-    assert rows.frame[rows.by_hand].tolist() == [CUT]
+    assert [one.frame for one in read_init(folder / "corrected.init.yaml").corrections] == [CUT]
 
 
-def test_absent_and_present_again(page):
-    folder, _, _, window = page()
-    go_to(window, 3)
-    window.press("[")  # from nothing to the last part, which is the box of all points
-    window.press("]", "]")
-    assert window.get("selected.part") == "mouth_left"
-    window.press("x")
-    assert window.face() == {"box": None, "points": {}, "absent": ["mouth_left"]}
-    assert "absent" in window.text("part-face-mouth_left") and "absent" not in window.text("part-face-nose")
-    window.press("x")
-    assert window.get("draft.targets") == {} and "absent" not in window.text("part-face-mouth_left")
-    window.press("Shift+X")
-    assert window.face()["absent"] is True
-    window.click_on("absent-face")
-    assert window.get("draft.targets") == {} and window.text("absent-face") == "Set absent"
-    window.click_on("absent-face")
-    track(window, 1)
-    assert {cell[STATUS] for row in table(window)[3:] for cell in row} == {"absent"}
-    window.click_on("tab-corrections")
-    assert "absent" in window.text("correction-3-face")
-
-    go_to(window, 5)
-    window.click_on("tab-parts")
-    for part in PARTS[:2]:
-        assert "absent" in window.text(f"part-face-{part}")
-        window.click_on(f"part-face-{part}")
-        assert window.get("current") == {"target": "face", "part": part}
-        window.click(*truth("expressions", 5)[part])
-    assert set(window.face()["points"]) == set(PARTS[:2])
-    track(window, 2)
-    assert [cell[STATUS] for cell in table(window)[6]] == ["tracked"] * 2 + ["absent"] * 3
-    window.save()
-    corrections = read_init(folder / "corrected.init.yaml").corrections
-    assert [(one.frame, one.absent) for one in corrections] == [(3, True), (5, tuple(PARTS[2:]))]
-
-
-def test_drags_and_corrections_are_undone_and_removed(page):
+def test_what_is_dragged_or_absent_is_tracked_undone_and_removed(page):
     _, session, _, window = page()
     go_to(window, 12)
     was, drafts = table(window), [window.get("draft")]
@@ -185,20 +147,41 @@ def test_drags_and_corrections_are_undone_and_removed(page):
     window.press("Control+Shift+z", "Control+y")
     track(window, 1)
     late = table(window)
-    go_to(window, 5)  # an earlier one reaches to the next correction
-    move(window, "lip_lower", (4, 3))
+
+    go_to(window, 3)  # an earlier one reaches to the next correction
+    window.press("[")  # from nothing to the last part, which is the box of all points
+    window.press("]", "]")
+    assert window.get("selected.part") == "mouth_left"
+    window.press("x")
+    assert window.face() == {"box": None, "points": {}, "absent": ["mouth_left"]}
+    assert "absent" in window.text("part-face-mouth_left") and "absent" not in window.text("part-face-nose")
+    window.press("x", "Shift+X")
+    assert window.face()["absent"] is True
+    window.click_on("absent-face")
+    assert window.get("draft.targets") == {} and window.text("absent-face") == "Set absent"
+    window.click_on("absent-face")
     track(window, 2)
     both = table(window)
-    assert [k for k in range(FRAMES) if both[k] != late[k]] == [*range(5, 12)]
-    assert [k for k, row in enumerate(both) if any(cell[BY_HAND] for cell in row)] == [5, 12]
+    assert {cell[STATUS] for row in both[3:12] for cell in row} == {"absent"}
+    assert [k for k in range(FRAMES) if both[k] != late[k]] == [*range(3, 12)]
+
+    go_to(window, 5)
+    window.click_on("tab-parts")
+    for part in PARTS[:2]:
+        window.click_on(f"part-face-{part}")
+        assert window.get("current") == {"target": "face", "part": part}
+        window.click(*truth("expressions", 5)[part])
+    track(window, 3)
+    assert [cell[STATUS] for cell in table(window)[6]] == ["tracked"] * 2 + ["absent"] * 3
     window.press("Control+z")
-    idle(window, 3)
-    assert table(window) == late and "frame 5 is not corrected any more" in window.text("message")
-    window.click_on("tab-corrections")
-    window.click_on("uncorrect-12-face")
     idle(window, 4)
-    assert table(window) == was and window.get("corrections") == []
-    for revision, rows, frames in ((5, late, [12]), (6, was, [])):
+    assert table(window) == both and "frame 5 is not corrected any more" in window.text("message")
+    window.click_on("tab-corrections")
+    assert "absent" in window.text("correction-3-face")
+    window.click_on("uncorrect-12-face")
+    idle(window, 5)
+    assert [one["frame"] for one in window.get("corrections")] == [3]
+    for revision, rows, frames in ((6, both, [3, 12]), (7, late, [12]), (8, was, [])):
         window.click_on("undo")
         idle(window, revision)
         assert table(window) == rows and [one["frame"] for one in window.get("corrections")] == frames

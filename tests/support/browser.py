@@ -12,7 +12,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from functools import cached_property
 from pathlib import Path
@@ -126,30 +125,6 @@ class Window:
             if self._fingers is not None:
                 self._fingers.detach()
         return [one for one in self.errors if not any(re.search(known, one) for known in self.expected)]
-
-    def hold(self, *paths):
-        """Requests to these paths of the server wait until the function that this returns is called.
-
-        Returns once one to the first path waits.
-        """
-        held, free = [], threading.Event()
-
-        def hold(route):
-            if free.is_set():
-                route.continue_()
-            else:
-                held.append(route)
-
-        def release():
-            free.set()
-            for route in held:
-                route.continue_()
-
-        for path in paths:
-            self.page.route(f"**/{path}", hold)
-        waits = lambda: any(route.request.url.endswith(paths[0]) for route in held)  # noqa: E731
-        until(waits, f"a request to {paths[0]}", self.page.wait_for_timeout)
-        return release
 
     # what there is
 

@@ -16,31 +16,26 @@ from urllib.request import url2pathname
 
 from facetrack_cli.editor import server
 from facetrack_cli.editor.fix_session import FixSession
-from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.pick_session import PickSession
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.finished import open_run
-from facetrack_cli.video.seek import Frames
 
 
 @contextlib.contextmanager
 def picking(clip, out=None, config=None, **more):
     """The session and the address of `facetrack init --pick`."""
     recipe = None if config is None else load_recipe(config)
-    with Frames(clip) as frames:
-        session = PickSession(clip, frames, out=out, recipe=recipe, **more)
-        with server.serving(session) as page:
-            yield session, page.url
+    session = PickSession(clip, out=out, recipe=recipe, **more)
+    with server.serving(session) as page:
+        yield session, page.url
 
 
 @contextlib.contextmanager
 def fixing(folder, **more):
     """The session and the address of `facetrack fix`."""
-    run = open_run(folder)
-    with Frames(run.clip) as frames, contextlib.closing(Fixer(run, frames.read)) as fixer:
-        session = FixSession(fixer, frames, **more)
-        with server.serving(session) as page:
-            yield session, page.url
+    session = FixSession(open_run(folder), **more)
+    with server.serving(session) as page:
+        yield session, page.url
 
 
 class Got(NamedTuple):

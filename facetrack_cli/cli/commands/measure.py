@@ -17,7 +17,6 @@ from facetrack_cli.core.errors import ExitCode, InputError, UsageError, flat
 
 if TYPE_CHECKING:
     from facetrack_cli.evaluation.compare import Comparison
-    from facetrack_cli.evaluation.summary import Evaluation
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -105,7 +104,8 @@ def eval_command(
     for path in files.values():
         check_new(path, overwrite=overwrite)
     if plot is not None:
-        from facetrack_cli.report.figures.style import need_matplotlib  # with it the tracker is loaded
+        from facetrack_cli.report.figures.compare import calibration_figure  # with it the tracker is loaded
+        from facetrack_cli.report.figures.style import need_matplotlib, render
 
         need_matplotlib()
     check_normalise(normalise)
@@ -130,7 +130,11 @@ def eval_command(
     both = ours, theirs
     made = {name: texts[name](evaluation, *both).encode(errors="backslashreplace") for name in files if name in texts}
     if plot is not None:
-        made["--plot"] = _plot(evaluation, ours.path)
+        confidence = evaluation.all.confidence
+        if confidence is None or not confidence.bins:
+            nothing = "has no confidence from 0 to 1 in rows with known ground truth to draw; leave --plot out"
+            raise InputError(f"{ours.path}: {nothing}")
+        made["--plot"] = render(calibration_figure(confidence.bins))
     for name, content in made.items():
         write_new(files[name], content, overwrite=overwrite)
         say(f"{trajectory} -> {files[name]}")
@@ -156,18 +160,6 @@ def _truth_beside(ours: Trajectory) -> Path:
     return beside
 
 
-def _plot(evaluation: Evaluation, path: Path) -> bytes:
-    from facetrack_cli.report.figures.compare import calibration_figure
-    from facetrack_cli.report.figures.style import render
-
-    confidence = evaluation.all.confidence
-    if confidence is None or not confidence.bins:
-        raise InputError(
-            f"{path}: has no confidence from 0 to 1 in rows with known ground truth to draw; leave --plot out"
-        )
-    return render(calibration_figure(confidence.bins))
-
-
 # --- compare ---------------------------------------------------------------------------------------------------------
 
 
@@ -180,7 +172,7 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
 @option("--seeds", type=options.Whole(min=1), default=10, help="Runs of each, seed 0 on.")
 @option("--rank-by", type=options.Text("MEASURE"), help="Rank by this, as points.median_px or boxes.precision_20.")
 @options.set_("Override a key of all; repeatable.")
-@options.gallery("People to recognise, as facetrack gallery fit writes them.")
+@option("--gallery", type=options.GALLERY, help="People to recognise, as facetrack gallery fit writes them.")
 @option(
     "--truth", type=options.FILE,
     help="Ground truth [default: <clip>.truth.csv, else groundtruth.csv, groundtruth_rect.txt or groundtruth.txt in "

@@ -1,18 +1,31 @@
-"""facetrack recipes, models and completion: what there is to choose from, and what a shell reads of it."""
+"""facetrack recipes, prior, gallery, models, completion: what to choose from, what is learned, what a shell reads."""
+
+from __future__ import annotations
 
 import contextlib
 import itertools
 import json
+import os
+import re
 import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 from click.shell_completion import get_completion_class
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.app import cli
-from facetrack_cli.cli.options import RECIPE, say
-from facetrack_cli.core.errors import ExitCode, InputError, RecipeError
+from facetrack_cli.cli.options import FILE, FOLDER, FRAME, RECIPE, Text, Whole, option, refuse, say, words
+from facetrack_cli.core.errors import ExitCode, InputError, RecipeError, flat
 from facetrack_cli.core.models import BROUGHT, MODELS, fetch_model, model_path
+
+if TYPE_CHECKING:
+    from facetrack_cli.trackers.appearance.gallery import Gallery
+
+# before numpy is imported: the matrices of a fit are small, and threads only wait for each other on a busy machine
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+MIN_SIDE, MAX_SIDE = 6, 128  # of a template, as in recipes
 
 
 @click.group(name="recipes", invoke_without_command=True)
@@ -183,3 +196,233 @@ def completion_command(shell: str) -> None:
     assert kind is not None
     script = kind(cli, {}, "facetrack", "_FACETRACK_COMPLETE")
     click.echo(script.source_template % script.source_vars())  # not source(): that calls Bash to ask for its version
+
+
+@click.group()
+def gallery_command() -> None:
+    """Learn who is who from images and videos, and draw it.
+
+    A gallery is a file of faces with names, and of how faces differ. A recipe that recognises names people by it:
+
+    \b
+        facetrack gallery fit people/ -o gallery.npz
+        facetrack gallery show gallery.npz
+    """
+
+
+def _template(value: str) -> tuple[int, int]:
+    """(rows, columns) of COLUMNSxROWS."""
+    match = re.fullmatch(r"(\d{1,4})[xX](\d{1,4})", value.strip())
+    if not match or not all(MIN_SIDE <= int(side) <= MAX_SIDE for side in match.groups()):
+        sides = f"{MIN_SIDE} to {MAX_SIDE}"
+        raise click.BadParameter(f"{value!r}: give columns and rows from {sides}, as in 26x30 (26 wide, 30 high)")
+    return int(match[2]), int(match[1])
+
+
+@gallery_command.command("fit")
+@click.argument("folder", type=FOLDER)
+@option("-o", "--out", type=options.NPZ, default="gallery.npz", help="Where the gallery goes.")
+@option("--frames", type=Whole(1, 10_000), default=15, help="Frames of each video, at most.")
+@option("--start", type=FRAME, default=0, show_default=False, help="First frame of videos that is used.")
+@option("--stop", type=FRAME, help="Frame of videos before which to stop.")
+@option(
+    "--jitter", type=Whole(0, 100), default=4,
+    help="Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
+)  # fmt: skip
+@option(
+    "--template", type=Text("WxH", _template), default="26x30",
+    help="Points across and down a face; the recipe must have the same.",
+)  # fmt: skip
+@options.overwrite
+@options.quiet
+def fit_gallery(
+    folder: Path, out: Path, frames: int, start: int, stop: int | None, jitter: int, template: tuple[int, int],
+    overwrite: bool, quiet: bool,
+) -> None:  # fmt: skip
+    """Learn a gallery from a folder of people's folders.
+
+    A person's folder has the person's name, and holds images, videos, or folders of a video's frames. Of each image
+    the largest face is taken, of a video that of some frames, spread evenly. An init file beside an image or video, as
+    anna1.init.yaml beside anna1.jpg, says where the face is.
+
+    \b
+    Examples:
+      facetrack gallery fit people/ -o gallery.npz
+      facetrack gallery fit clips/ --stop 250      # the rest is to try it on
+    """
+    from facetrack_cli.core.files import check_new
+    from facetrack_cli.runs.progress import progress
+    from facetrack_cli.start.gallery_images import Reading, count, find_people, read_faces
+    from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery as fit
+
+    empty = stop is not None and stop <= start
+    refuse((empty, f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start"))
+    check_new(out, overwrite=overwrite)
+    reading = Reading(template, frames, start, stop, jitter)
+    with progress(quiet) as shown:
+
+        def warn(line: str) -> None:
+            shown.say(f"warning: {line}")
+
+        people = find_people(folder, warn)
+        total = count(people, reading)
+        shown.begin(folder.name, "frames", total)
+        faces = read_faces(people, reading, warn, lambda done: shown.update(done, total))
+    try:
+        gallery = fit(
+            faces.patches,
+            faces.persons,
+            template,
+            images=faces.images,
+            negatives=faces.negatives,
+            proportion=faces.proportion,
+        )
+    except InputError as e:
+        more = "" if jitter else ", or let copies stand for it with --jitter 4"
+        raise InputError(f"{folder}: {e}{more}") from None
+    gallery.save(out)
+    if quiet:
+        return
+    wide = max(map(len, (*gallery.names, "person")))
+    table = [("person", "used", "skipped"), *((name, faces.used[name], faces.skipped[name]) for name in gallery.names)]
+    rows = [f"{name:<{wide}}{used:>8}{skipped:>9}" for name, used, skipped in table]
+    for line in (*rows, *_summary(gallery), f"{out}: {len(gallery.names)} persons, {sum(gallery.counts)} images"):
+        say(line)
+
+
+@gallery_command.command("show")
+@click.argument("file", type=FILE, default="gallery.npz")
+@options.figure_file("beside FILE, as gallery.png")
+@options.overwrite
+def show_gallery(file: Path, out: Path | None, overwrite: bool) -> None:
+    """Summarise and draw a gallery; without FILE, gallery.npz.
+
+    The figure has the mean face, the first eigenfaces of each space, and everyone who is in it.
+
+    \b
+    Examples:
+      facetrack gallery show
+      facetrack gallery show people.npz -o people.pdf
+    """
+    from facetrack_cli.report.figures.models import gallery_figure
+    from facetrack_cli.trackers.appearance.gallery import load_gallery
+
+    gallery = load_gallery(file)
+    out = out or file.with_suffix(".png")
+    options.write_figure(out, lambda: gallery_figure(gallery, title=file.name), overwrite=overwrite, inputs=[file])
+    rows, cols = gallery.shape
+    shape = [] if gallery.proportion is None else [f"boxes: {gallery.proportion:.2f} times as wide as high"]
+    lines = [
+        f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} images",
+        f"template: {cols} points across, {rows} down",
+        *(shape + _summary(gallery)),
+        *(
+            f"{number:>4} {name}: {images} image{'s' if images != 1 else ''}"
+            for number, (name, images) in enumerate(zip(gallery.names, gallery.counts, strict=True), start=1)
+        ),
+        f"figure: {out}",
+    ]
+    click.echo("\n".join(map(flat, lines)))
+
+
+def _summary(gallery: Gallery) -> list[str]:
+    from facetrack_cli.report.figures.models import calibrated, kept, stranger
+
+    spaces = (("frontal faces", gallery.frontal), ("intra-personal", gallery.intra), ("extra-personal", gallery.extra))
+    lines = [f"{name}: {kept(space)}" for name, space in spaces]
+    return [*lines, calibrated(gallery), stranger(gallery), *(f"note: {note}" for note in gallery.notes)]
+
+
+@click.group()
+def prior_command() -> None:
+    """Learn shape priors from annotated frames, and draw them.
+
+    A shape prior knows how the parts of a face move together. A recipe names its file as `prior.file`:
+
+    \b
+        facetrack prior fit anna.truth.csv -o mouths.npz
+        facetrack run clip.mp4 --set prior.file=mouths.npz
+    """
+
+
+def _parts(value: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in value.split(",") if name.strip())
+    if not names:
+        raise click.BadParameter(f"{value!r}: name the parts with commas, such as nose,mouth_left,mouth_right")
+    return names
+
+
+_SCALE = words("A,B", "([^,]*),([^,]*)", "name two parts with a comma, such as mouth_left,mouth_right")
+
+
+@prior_command.command("fit")
+@click.argument("truth", type=Text("TRUTH.csv", Path), nargs=-1, required=True)
+@option("-o", "--out", type=options.NPZ, default="prior.npz", help="Where the prior goes.")
+@option("--parts", type=Text("LIST", _parts), help="Parts to learn, with commas [default: all].")
+@option("--stable", type=Text("PART"), default="nose", help="Part that registers the others.")
+@option(
+    "--scale", type=_SCALE, default="mouth_left,mouth_right",
+    help="Parts whose distance in the first frame is the unit.",
+)  # fmt: skip
+@option("--max-shapes", type=Whole(1, 10_000), default=500, help="Keep so many at most.")
+@options.overwrite
+@options.quiet
+def fit_prior(
+    truth: tuple[Path, ...], out: Path, parts: tuple[str, ...] | None, stable: str, scale: tuple[str, str],
+    max_shapes: int, overwrite: bool, quiet: bool,
+) -> None:  # fmt: skip
+    """Learn a prior from ground truth or checked trajectories.
+
+    Every file's first frame in which all parts are seen is taken as its neutral one; frames in which a part is hidden,
+    absent or lost are left out.
+
+    \b
+    Examples:
+      facetrack prior fit anna.truth.csv ben.truth.csv -o mouths.npz
+      facetrack prior fit clip.truth.csv --parts nose,mouth_left,mouth_right
+    """
+    from facetrack_cli.core.files import check_new
+    from facetrack_cli.trackers.points.shape_prior import fit_prior as fit
+
+    check_new(out, overwrite=overwrite)
+    fitted = fit(truth, parts, stable, scale, max_shapes)
+    fitted.prior.save(out)
+    if quiet:
+        return
+    for path, frames, seen in fitted.files:
+        say(f"{path}: {seen} of {frames} frames used, {frames - seen} skipped")
+    used = sum(seen for _, _, seen in fitted.files)
+    say(f"{out}: {len(fitted.prior.shapes)} shapes kept of {used}: {', '.join(fitted.prior.parts)}")
+    say(f"suggested sigma: {fitted.sigma:.3f} ({' to '.join(scale)} is 1)")
+
+
+@prior_command.command("show")
+@click.argument("file", type=FILE, required=False)
+@options.figure_file("beside FILE; mouth_prior.png for the shipped prior")
+@options.overwrite
+def show_prior(file: Path | None, out: Path | None, overwrite: bool) -> None:
+    """Summarise and draw a prior; without FILE, the shipped one.
+
+    \b
+    Examples:
+      facetrack prior show
+      facetrack prior show mouths.npz -o mouths.svg
+    """
+    from facetrack_cli.evaluation.summary import Sheet
+    from facetrack_cli.report.figures.models import prior_figure
+    from facetrack_cli.trackers.points.shape_prior import default_prior_path, load_prior, suggested_sigma
+
+    path = file or default_prior_path()
+    prior = load_prior(path)
+    out = out or (path.with_suffix(".png") if file else Path(path.with_suffix(".png").name))
+    sigma = suggested_sigma(prior)
+    options.write_figure(out, lambda: prior_figure(prior, sigma, title=path.name), overwrite=overwrite, inputs=[path])
+    figures = zip(prior.parts, prior.shapes.min(0), prior.shapes.max(0), prior.shapes.std(0), strict=True)
+    rows = [(name, *(f"{values[axis]:.3f}" for axis in (0, 1) for values in each)) for name, *each in figures]
+    notes = (
+        f"registered by {prior.stable}; unit: {' to '.join(prior.scale)} in the first frame",
+        f"suggested sigma: {sigma:.3f}",
+        f"figure: {out}",
+    )
+    title = f"{path.name}: {len(prior.shapes)} shapes of {len(prior.parts)} parts"
+    Sheet(title, ("part", "x from", "to", "sd", "y from", "to", "sd"), tuple(rows), notes).show()

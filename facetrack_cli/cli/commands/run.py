@@ -76,9 +76,10 @@ def _formats(value: str) -> tuple[Format, ...]:
 @options.config
 @options.set_("Override a key of the recipe; repeatable.")
 @option("--seed", type=int, metavar="N", help="Seed of the random numbers, instead of the recipe's.")
-@options.gallery(
-    "People to recognise, as facetrack gallery fit writes them; with --faces all as facetrack people --save does."
-)
+@option(
+    "--gallery", type=options.GALLERY,
+    help="People to recognise, as facetrack gallery fit writes them; with --faces all as facetrack people --save does.",
+)  # fmt: skip
 @option(
     "-o", "--out", type=options.FOLDER_OR_DASH,
     help="Folder for results [default: ./<clip>-<recipe>, with --set]; - streams to stdout.",
@@ -156,8 +157,9 @@ def run_command(
     from facetrack_cli.runs.workers import cores
     from facetrack_cli.video.source import brings_rate, is_live
 
+    recipe = _recipe(config, overrides, seed, gallery, extent, faces)
     if live or any(is_live(path) for path in inputs):
-        return _live(inputs, live, out, extent, partial(_recipe, config, overrides, seed), faces, gallery)
+        return _live(inputs, live, out, extent, recipe, faces, gallery)
     remote, csv_alone = cluster is not None, formats == ("csv",)
     replaced = "--overwrite would replace what the other shards did; remove the folder before them"
     whole = "goes over the whole clip, --split cuts it in chunks; give one of them"
@@ -181,7 +183,6 @@ def run_command(
     with progress(quiet) as shown:
         clips, several = expand(inputs, shown.say)
     extent.check(*clips)
-    recipe = _recipe(config, overrides, seed, gallery, extent, faces)
     several = several or (shard is not None and split is None)
     blind = f"{recipe.name} has correlation alone, which cannot tell when it is lost"
     other = "give likelihood.contour or likelihood.histogram too, or leave the option out"
@@ -254,14 +255,9 @@ def _recipe(
 
 
 def _live(
-    inputs: tuple[Path, ...],
-    asked: bool,
-    out: str | None,
-    extent: Extent,
-    recipe_of: Callable[[str | None, Extent, str], Recipe],
-    faces: str,
+    inputs: tuple[Path, ...], asked: bool, out: str | None, extent: Extent, recipe: Recipe, faces: str,
     gallery: str | None,
-) -> int:
+) -> int:  # fmt: skip
     """Track what comes from a camera, a pipe or a clip; the exit code."""
     from facetrack_cli.runs.live import LiveCast, follow, images_of
     from facetrack_cli.runs.plan import follows_everyone
@@ -278,7 +274,6 @@ def _live(
         (out not in (None, "-"), "--live writes to stdout; leave --out out"),
         (unfit, f"--live has no {unfit[0] if unfit else ''}: frames are tracked as they come; leave it out"),
     )
-    recipe = recipe_of(gallery, extent, faces)
     init, cast = extent.box if extent.box is not None else extent.init, None
     if faces == "all":
         if not follows_everyone(recipe) or isinstance(init, Path | tuple):

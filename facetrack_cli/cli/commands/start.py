@@ -13,7 +13,7 @@ from facetrack_cli.cli.options import FILE_OR_DASH, FRAME, Page, flag, option, p
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError, flat
 
 if TYPE_CHECKING:
-    from facetrack_cli.core.types import Box, Frame, Start
+    from facetrack_cli.core.types import Box
     from facetrack_cli.recipe.model import Recipe
 
 
@@ -77,7 +77,7 @@ def status_command(results: Path, as_json: bool) -> None:
     "--faces", type=click.Choice(["one", "all"]), metavar="WHICH", default="one", show_default=False,
     help="`one`, the largest face that stays, or `all` that are there with it [default: one].",
 )  # fmt: skip
-@options.box("The face's box in that frame: place the points in it.")
+@option("--box", type=options.BOX, help="The face's box in that frame: place the points in it.")
 @option(
     "--config", type=options.RECIPE,
     help="Write what this recipe begins with: its points, or a head and hands; without, a face and five points.",
@@ -113,7 +113,10 @@ def init_command(
       facetrack init frames/ -o - > start.yaml
     """
     from facetrack_cli.recipe.load import load_recipe
+    from facetrack_cli.runs.plan import ClipRequest
+    from facetrack_cli.runs.progress import progress
     from facetrack_cli.start.init_file import default_path, write_init
+    from facetrack_cli.trackers.face.detectors import detector
     from facetrack_cli.video.overlay import write_preview
 
     others = faces == "all" and (box is not None or pick)
@@ -121,14 +124,18 @@ def init_command(
     if not pick:
         page.refuse("add --pick")
     path = None if out == "-" else Path(out) if out else default_path(clip)
-    _check_files(clip, path, preview, overwrite, pick)
+    _check_files(clip, path, preview, overwrite)
     recipe = None if config is None else load_recipe(config)
     if pick:
         run = _run_with(path, clip, config, recipe)
         return _pick(clip, path, recipe, init_frame, box, preview, page, run, overwrite=overwrite)
-    start, frame = _find(clip, recipe or load_recipe("factorized"), faces, box, init_frame, quiet=path is None)
+    by = None if box is not None else detector().name
+    request = ClipRequest(clip, init=by, faces=faces, box=box, init_frame=init_frame)
+    with progress(path is None) as shown:
+        shown.begin(f"{clip.name}: looking for a face")
+        start = request.find(recipe or load_recipe("factorized"), looked=shown.update)
     if preview is not None:
-        write_preview(preview, frame, start, overwrite=overwrite)
+        write_preview(preview, request.frame(start.frame), start, overwrite=overwrite)
         say(f"{preview}: the start drawn on frame {start.frame}")
     if path is None:
         write_init(sys.stdout, start, clip=clip.name)
@@ -139,36 +146,17 @@ def init_command(
     return ExitCode.DONE
 
 
-def _check_files(clip: Path, path: Path | None, preview: Path | None, overwrite: bool, pick: bool) -> None:
+def _check_files(clip: Path, path: Path | None, preview: Path | None, overwrite: bool) -> None:
     """Refuse before the search what would be refused after it."""
     from facetrack_cli.core.files import check_new
     from facetrack_cli.start.init_file import SUFFIXES
 
     if path is not None and path.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
-    if pick and not overwrite and path is not None and path.is_file():
-        begin = f"facetrack init {clip} --pick --overwrite begins with it"
-        raise OutputError(f"{path}: exists already; {begin}, and replaces it; or name another file with --out")
     for file in filter(None, (path, preview)):
         check_new(file, overwrite=overwrite)
     if preview is not None and clip.is_dir() and preview.parent.resolve() == clip.resolve():
         raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
-
-
-def _find(
-    clip: Path, recipe: Recipe, faces: Literal["one", "all"], box: Box | None, init_frame: int | None, *, quiet: bool
-) -> tuple[Start, Frame]:
-    """The start that detectors find, and its frame."""
-    from facetrack_cli.runs.plan import ClipRequest
-    from facetrack_cli.runs.progress import progress
-    from facetrack_cli.trackers.face.detectors import detector
-
-    by = None if box is not None else detector().name
-    request = ClipRequest(clip, init=by, faces=faces, box=box, init_frame=init_frame)
-    with progress(quiet) as shown:
-        shown.begin(f"{clip.name}: looking for a face")
-        start = request.find(recipe, looked=shown.update)
-    return start, request.frame(start.frame)
 
 
 def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe | None) -> str:
@@ -188,52 +176,26 @@ def _pick(
     page: Page, run: str, *, overwrite: bool,
 ) -> int:  # fmt: skip
     """Let somebody choose on the page; the exit code."""
-    from facetrack_cli.editor.pick_session import PickSession
+    from facetrack_cli.editor.pick_session import NOTHING, PickSession
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.start.init_file import default_path, read_init, write_init
-    from facetrack_cli.video.seek import Frames
 
-    beside = path or default_path(clip)
+    beside, start = path or default_path(clip), NOTHING
     unsaved = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
-    start, goes_on = None, box is None and unsaved.is_file()
-    source = unsaved if goes_on else path
+    source = unsaved if box is None and unsaved.is_file() else path
     if source is not None and source.is_file():
         try:
             start = read_init(source)
         except InputError as e:  # it will be replaced in any case
             say(f"facetrack: warning: {e}; the page begins without it")
-    with Frames(clip) as frames, Stop().listening() as stop:
+    with Stop().listening() as stop:
         session = PickSession(
-            clip,
-            frames,
-            out=path,
-            overwrite=overwrite,
-            recipe=recipe,
-            frame=frame,
-            box=box,
-            previous=start,
-            next_=run,
-            preview=preview,
-        )
-        saved = page.serve(session, stop)
-    if not saved:
-        say(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), clip, unsaved)}")
-        return stop.code or ExitCode.FAULT
-    if goes_on:
+            clip, out=path, overwrite=overwrite, recipe=recipe, frame=frame, box=box, previous=start,
+            next_=run, preview=preview, unsaved=unsaved,
+        )  # fmt: skip
+        code = page.serve(session, stop)
+    if code == ExitCode.DONE and source == unsaved:
         unsaved.unlink(missing_ok=True)
     if path is None and session.saved is not None:
         write_init(sys.stdout, session.saved, clip=clip.name)
-    return ExitCode.DONE
-
-
-def _keep_unsaved(start: Start | None, clip: Path, unsaved: Path) -> str:
-    """Write what was chosen and not saved, if anything was; what became of it."""
-    from facetrack_cli.start.init_file import write_init
-
-    if start is None:
-        return f"what was chosen the last time is still in {unsaved}" if unsaved.is_file() else "nothing was written"
-    try:
-        write_init(unsaved, start, clip=clip.name, overwrite=True)
-    except OutputError as e:
-        return f"what was chosen is lost: {e}"
-    return f"what was chosen is kept in {unsaved}; the same command goes on with it"
+    return code
