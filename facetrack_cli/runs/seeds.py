@@ -150,7 +150,7 @@ def _work(task: tuple[SeedPlan, tuple[int, ...]], stop: Stop, report: Callable[[
 
     def present() -> Iterator[Frame]:
         while True:  # images derived from a frame are kept in it: each tracker makes its own, and is timed for it
-            yield Frame(frame.index, frame.time_s, frame.yuv or frame.pixels, aspect=frame.aspect)
+            yield frame.own()
 
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
         tracker = tracker_for(plan.recipe, plan.start, source.size, source.fps)

@@ -129,7 +129,7 @@ class MultiFaceTracker:
         track.target = target = track.target or self._target(track.start)
         results = list[TargetResult]()
         for frame in frames:
-            track.state, result = target.advance(track.rng, track.state, _own(frame))
+            track.state, result = target.advance(track.rng, track.state, frame.own())
             before = track.box
             track.see(result)
             at = track.box or before
@@ -211,7 +211,7 @@ class MultiFaceTracker:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, film.count)))
         target = self._target(start)
         try:
-            state, result = target.begin(rng, _own(frame))
+            state, result = target.begin(rng, frame.own())
         except InputError:  # too small, or beyond the border
             return None
         film.count += 1
@@ -241,8 +241,3 @@ def in_view(face: Box, size: tuple[int, int]) -> bool:
 
 def _taken(face: Detection, others: Sequence[Detection]) -> bool:
     return any(overlap(other.box, face.box) >= SAME_FACE for other in others)
-
-
-def _own(frame: Frame) -> Frame:
-    """The frame for one track: what is computed of it is kept apart."""
-    return Frame(frame.index, frame.time_s, frame.yuv or frame.pixels, frame.bgr, aspect=frame.aspect)
