@@ -114,10 +114,6 @@ class Frame:
         self._parts: dict[tuple[str, int], _Part] = {}  # by what they are of and their factor
         self._patches: dict[Hashable, tuple[object, NDArray[np.float32]]] = {}
 
-    def __getnewargs_ex__(self) -> tuple[tuple[int, float, Image], dict[str, float]]:
-        """What a checkpoint keeps of it: nothing that can be computed again."""
-        return (self.index, self.time_s, self.pixels), {"aspect": self.aspect}
-
     def own(self) -> "Frame":
         """The frame for somebody who looks at other parts of it: what is computed for each is kept apart."""
         return Frame(self.index, self.time_s, self.yuv or self.pixels, self._bgr, aspect=self.aspect)
@@ -201,7 +197,7 @@ class Frame:
         (x0, x1), (y0, y1) = self._pairs(asked)
         if 8 * (x1 - x0) * (y1 - y0) > self.size[0] * self.size[1]:
             return _Part(self.bgr, 0, 0, _ALL)
-        planes, left, top, _ = self._by_bt601(asked, 0.0)
+        planes, left, top = self._by_bt601(asked, 0.0)[:3]
         part = planes.part((x0 - left // 2, x1 - left // 2), (y0 - top // 2, y1 - top // 2))
         image = np.asarray(cv2.cvtColor(part.joined(), cv2.COLOR_YUV2BGR_I420), np.uint8)
         return _Part(image, 2 * x0, 2 * y0, asked)
