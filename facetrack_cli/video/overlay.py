@@ -131,7 +131,7 @@ class Overlay:
         pairs = zip(result.targets, places, strict=True)
         shapes = [self._shape(target, place, frame.aspect, alone=alone) for target, place in pairs]
         style = self._bar.height if self._bar else 0, self._line, self._font
-        taken = lay_insets(image, shapes, *style)  # below the lines, where they have to cross
+        lay_insets(image, shapes, self._line, self._font)  # below the lines, where they have to cross
         for shape in shapes:
             trail = self._remember(shape, frame.time_s)
             if shape.parts:
@@ -139,7 +139,7 @@ class Overlay:
                 self._lines(image, shape, trail[-1:] if shape.is_face else trail)
         names = {shape.target for shape in shapes}
         self._past = {name: past for name, past in self._past.items() if name in names}
-        write_names(image, shapes, taken, *style, named=bool(self._order))
+        write_names(image, shapes, *style, named=bool(self._order))
         if self._bar:
             self._bar.draw(image, result)
         self._count += 1
@@ -363,15 +363,11 @@ def draw_start(frame: Frame, start: Start) -> Image:
             corner = at(x - 0.5, y - 0.5)
             cv2.rectangle(image, corner, at(x + w - 0.5, y + h - 0.5), _BOX, unit, cv2.LINE_AA)
             label(f"{name}, frame {start.frame}", corner[0], corner[1] - font.height - 4 * unit, _BOX)
-        middle = np.mean([*target.points.values()] or [(0, 0)], axis=0)
+        middle = np.mean([x for x, _ in target.points.values()] or [0])
         for part, point in target.points.items():
             (column, row), text = at(*point), f"{readable(part)} {point[0]:g}, {point[1]:g}"
             for colour, size, line in (((0, 0, 0), 15, 3), (_PART, 13, 1)):
                 cv2.drawMarker(image, (column, row), colour, cv2.MARKER_CROSS, size * unit, line * unit, cv2.LINE_AA)
-            right, down = point - middle
-            if abs(right) > abs(down):  # away from the other points
-                left = column + 10 * unit if right > 0 else column - 14 * unit - font.width(text)
-                label(text, left, row - font.height // 2, _PART)
-            else:
-                label(text, column - font.width(text) // 2, row + (9 if down > 0 else -22) * unit, _PART)
+            left = column + 10 * unit if point[0] >= middle else column - 14 * unit - font.width(text)
+            label(text, left, row - font.height // 2, _PART)
     return image
