@@ -119,7 +119,8 @@ def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
     start = None if item.init is None else _read_start(item, item.init, reading)
     if item.is_image:
         try:
-            frame = Frame(0, 0.0, images.read(item.path))
+            with images.Pictures([item.path]) as pictures:
+                frame = Frame(0, 0.0, pictures.read(0))
             yield frame, _in_image(item, frame, warn) if start is None else _box_in(start, frame)
         except images.UnreadableError as e:
             warn(f"{item.path}: {e.why}; skipped")

@@ -14,12 +14,12 @@ packets is not noticed.
 import re
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import BinaryIO, Final
 
 from facetrack_cli.core.errors import InputError, UsageError, reason
 from facetrack_cli.core.types import Frame
@@ -29,11 +29,9 @@ from facetrack_cli.video.decode import (
     Decoder,
     LostError,
     fitted,
-    open_container,
     read_index,
-    video_stream,
 )
-from facetrack_cli.video.images import Archive, holds_images, is_archive
+from facetrack_cli.video.images import Archive, Pictures, holds_images, is_archive
 
 AGAIN: Final = "copy or download it again"
 _KINDS: Final = (
@@ -152,7 +150,6 @@ def _unmarked(file: BinaryIO) -> str:
 
 
 FOLDER_FPS = Fraction(25)
-_LEVEL_IMAGES = 16  # by which the range of 16-bit images is measured
 _MAX_NAMED = 6  # damaged frames
 _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by less than this
 
@@ -212,7 +209,11 @@ class VideoSource(Source):
         try:
             self._bytes, self._decoder = path.stat().st_size, Decoder(path, stream)
         except (OSError, ValueError):
-            raise _why_not(path) from None
+            lack = ""
+            with suppress(OSError):
+                lack = missing_part(path)
+            why = "not a video; give a video file or a folder of images"
+            raise InputError(f"{path}: {f'cut short or damaged ({lack}); {AGAIN}' if lack else why}") from None
         super().__init__(path, self._decoder.size, self._decoder.fps, start, stop)
         self.is_video, self.stream = True, stream
         self.aspect, self.begins_s = self._decoder.aspect, self._decoder.begins_s
@@ -301,28 +302,6 @@ class VideoSource(Source):
         self._cut(f"{self.path}: damaged: the decoder reports errors at {frames}, which may look wrong; {AGAIN}")
 
 
-def _why_not(path: Path) -> InputError:
-    """Why a file gave no frame."""
-    video, sound, missing = False, False, ""
-    with suppress(OSError, ValueError):
-        missing = missing_part(path)
-        with path.open("rb") as file:
-            video = file.read(4) == b"\x1a\x45\xdf\xa3"  # Matroska, which may end before it names its streams
-        with open_container(path) as container:
-            video, sound = video_stream(container) is not None, bool(container.streams.audio)
-    if "moov" in missing:
-        why = f"the index of this MP4 (moov) is missing, its recording or download was cut off; {AGAIN}"
-    elif missing:
-        why = f"cut short or damaged before its first frame; {AGAIN}"
-    elif video:
-        why = f"damaged before its first frame, or of an unknown codec; {AGAIN}, or convert it to MP4 (H.264)"
-    elif sound:
-        why = "holds sound but no video; give a video"
-    else:
-        why = "not a video; give a video file or a folder of images"
-    return InputError(f"{path}: {why}")
-
-
 class FolderSource(Source):
     """Images of a folder or an archive in natural order, at a constant rate, scaled to the size of the first.
 
@@ -331,47 +310,33 @@ class FolderSource(Source):
     """
 
     def __init__(
-        self,
-        path: Path,
-        files: Sequence[Path],
-        fps: Fraction,
-        start: int,
-        stop: int | None,
-        data: Callable[[Path], bytes | None] = lambda file: None,
-        shown_s: Sequence[float] = (),
+        self, path: Path, pictures: Pictures, fps: Fraction, start: int, stop: int | None, shown_s: Sequence[float] = ()
     ):
         super().__init__(path, (0, 0), fps, start, stop)
-        self._data, self._held = data, dict[Path, Any]()  # the bytes of a file that is not on disk; an open stack
-        self._pages = [(file, page) for file in files for page in range(images.pages(file, data))]
-        self.files, self._resized, self._shown_s = [file for file, _ in self._pages], False, shown_s
+        self._pictures, self.files, self._resized, self._shown_s = pictures, pictures.files, False, shown_s
         self.variable = len({round(b - a, 3) for a, b in pairwise(shown_s)}) > 1
         if start >= len(self.files):
             raise self._past_end(len(self.files))
-        read = self._pages[start:stop]
-        self.frames_hint = len(read)
-        first = images.numbers(read[0][0], data(read[0][0]), read[0][1])
+        self.frames_hint = len(self.files[start:stop])
+        first = pictures.numbers(start)
         self.size = first.shape[1], first.shape[0]
-        self._levels = images.Levels()
         if first.dtype.itemsize > 1:  # the same whatever is read
-            some = self._pages[:: max(len(self._pages) // _LEVEL_IMAGES, 1)]
             with suppress(images.UnreadableError):
-                self._levels = images.levels(images.numbers(file, data(file), page) for file, page in some)
-            if self._levels != images.Levels():
-                what = f"{path}: 16-bit images that use the numbers {self._levels.black} to {self._levels.white}"
+                pictures.measure_levels()
+            if pictures.levels != images.ALL_LEVELS:
+                what = "{}: 16-bit images that use the numbers {} to {}".format(path, *pictures.levels)
                 self.warnings.append(f"{what}; these are black and white, so that all of it is seen")
 
     def close(self) -> None:
         super().close()
-        images.let_go(self._held)
+        self._pictures.close()
 
     def frame(self, index: int) -> Frame:
         """Any frame of the folder. Raises images.UnreadableError."""
-        file, page = self._pages[index]
-        data = None if file in self._held else self._data(file)
-        image = images.read(file, data, page, self._levels, self._held)
+        image = self._pictures.read(index)
         if (size := image.shape[1::-1]) != self.size:
             if not self._resized:
-                self._scaled(str(file), size)
+                self._scaled(str(self.files[index]), size)
             self._resized, image = True, fitted(image, self.size)
         return Frame(index, self._shown_s[index] if self._shown_s else float(index / self.fps), image)
 
@@ -409,16 +374,16 @@ def open_source(
     if (files := images.listing(path)) is not None:
         if not files:
             raise InputError(f"{path}: no images in this folder; {', '.join(sorted(images.SUFFIXES))} are read")
-        return FolderSource(path, files, rate, start, stop)
+        return FolderSource(path, Pictures(files), rate, start, stop)
     check_file(path)
     if is_archive(path):
         archive = Archive(path)
-        return FolderSource(path, archive.files, rate, start, stop, archive.read)
+        return FolderSource(path, Pictures(archive.files, archive), rate, start, stop)
     if is_image(path):
-        return FolderSource(path, [path], rate, start, stop)
+        return FolderSource(path, Pictures([path]), rate, start, stop)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for images only")
     if each := images.durations(path):
         rate = Fraction(1 / sorted(each)[len(each) // 2]).limit_denominator(1001)
-        return FolderSource(path, [path], rate, start, stop, shown_s=[0.0, *accumulate(each[:-1])])
+        return FolderSource(path, Pictures([path]), rate, start, stop, shown_s=[0.0, *accumulate(each[:-1])])
     return VideoSource(path, start, stop, stream)
