@@ -47,12 +47,6 @@ OF_CORRECTIONS: Final = tuple(key for key in CorrectedTarget.model_fields if key
 MAX_TARGETS: Final = 100
 NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 MAX_BYTES: Final = 10**6  # some thousand corrections, which take seconds to read
-_HOW: Final = {
-    "haar": "found by Haar cascades",
-    "yunet": "found by YuNet",
-    "--box": "placed in the box given",
-    "the page": "picked on the page",
-}
 WHAT_PARTS_ARE: Final = {
     "nose": "the tip of the nose",
     "mouth_left": "the corner of the mouth on the picture's left",
@@ -102,10 +96,9 @@ def as_json(start: Start) -> str:
 
 def as_yaml(start: Start, clip: str = "") -> str:
     """As YAML with comments; `clip` is named at the top."""
-    how = f", {_HOW[start.origin]}" if start.origin in _HOW else ""
     of = f" of {''.join(char if char.isprintable() else '?' for char in clip)}" if clip else ""
     lines = [
-        f"# Where the track{of} begins{how}.",
+        f"# Where the track{of} begins.",
         "# Edit the numbers: pixels of this frame, x to the right, y down; the centre of the first pixel is 0, 0.",
         f"frame: {start.frame}  # counted from 0",
     ]
@@ -142,11 +135,6 @@ def _target_lines(target: TargetStart) -> list[str]:
         lines += [f"{row:<{wide}}  # {what}" if what else row for row, what in rows]
     if target.windows:
         lines += ["  windows:  # width, height of the window that is compared", *_below(target.windows, 4)]
-    elif target.points:
-        lines += [
-            "  # To compare a larger or smaller window than the recipe's, give its width and height:",
-            f"  # windows: {_flow({next(iter(target.points)): (25, 25)})}",
-        ]
     return lines
 
 

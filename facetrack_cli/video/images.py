@@ -234,17 +234,11 @@ def check_pixels(path: Path, width: int, height: int) -> None:
 
 
 def is_animated(path: Path) -> bool:
-    """Whether a PNG (APNG) or WebP holds several frames: its animation is announced before its pixels."""
-    if path.suffix.lower() not in (".png", ".webp"):
-        return False
-    head = b""
-    with suppress(OSError), path.open("rb") as file:  # which is said when it is read
-        head = file.read(1 << 12)
-        if path.suffix.lower() == ".png" and b"IDAT" not in head:  # after a colour profile
-            head += file.read(1 << 16)
-    if path.suffix.lower() == ".webp":
-        return head[12:16] == b"VP8X" and b"ANIM" in head
-    return b"acTL" in head[: head.find(b"IDAT") + 1]
+    """Whether a PNG (APNG) or WebP holds several frames."""
+    if path.suffix.lower() in (".png", ".webp"):
+        with suppress(*_damaged()), _picture(path) as image:  # which is said when it is read
+            return bool(image.is_animated)
+    return False
 
 
 # Images in a .zip archive
