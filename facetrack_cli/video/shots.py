@@ -36,9 +36,9 @@ _MARGIN: Final = 2 * SPANS[-1]  # frames on either side that a decision rests on
 _BLOCK: Final = 1000  # frames that are decided at a time
 
 
-# log odds of a dissolve, by logistic regression on clips joined at random: always, by the texture in its middle over that
-# at its ends, the correlation of the ends, the logarithm of their mean difference in grey levels, the mean distance from
-# the line, and how far the images move outside of it, both in lengths of the line
+# log odds of a dissolve, by logistic regression on clips joined at random: always; by the texture in its middle over
+# that at its ends, the correlation of the ends, the logarithm of their mean difference in grey levels, the mean
+# distance from the line, and how far the images move outside of it, both in lengths of the line
 _AT, _BLENDED, _ALIKE, _STEP, _OFF, _MOVES = 53.2, -49.5, -5.4, 2.38, -44.4, -2.93
 
 
