@@ -116,7 +116,7 @@ def _person(folder: Path, warn: Warn) -> Person:
 
 def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
     """The frames of an item, each with the box of its face."""
-    start = None if item.init is None else _read_start(item, item.init, reading)
+    start, given = (None, []) if item.init is None else _read_start(item, item.init, reading)
     looked, without = 0, list[int]()
     try:
         wanted = [0] if item.is_image else _spread(item.path, reading) if start is None else [start.frame]
@@ -124,7 +124,9 @@ def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
             for frame in source:
                 if frame.index not in wanted:
                     continue
-                faces, looked = find_faces(frame.bgr) if start is None else [_box_in(start, frame)], looked + 1
+                if start is not None:
+                    check_start(start, frame.size, ())
+                faces, looked = given or find_faces(frame.bgr), looked + 1
                 if not faces:
                     without.append(frame.index)
                 if item.is_image and len(faces) > 1:
@@ -153,8 +155,8 @@ def _spread(path: Path, reading: Reading) -> list[int]:
     return [reading.start + (2 * i + 1) * length // (2 * number) for i in range(number)]
 
 
-def _read_start(item: Item, path: Path, reading: Reading) -> Start:
-    """The single face of an init file, with the checks that need no image."""
+def _read_start(item: Item, path: Path, reading: Reading) -> tuple[Start, list[Box]]:
+    """The single face of an init file and its box, with the checks that need no image."""
     start = read_init(path)
     [(name, target), *others] = start.targets.items()
     if others or target.box is None:
@@ -164,14 +166,7 @@ def _read_start(item: Item, path: Path, reading: Reading) -> Start:
     if not (0 if item.is_image else reading.start) <= start.frame < end:
         remedy = "choose one that is used, which is 0 of an image, or change --start and --stop"
         raise InputError(f"{path}: starts at frame {start.frame}, which is not used; {remedy}")
-    return replace(start, origin=str(path))
-
-
-def _box_in(start: Start, frame: Frame) -> Box:
-    check_start(start, frame.size, ())
-    box = next(iter(start.targets.values())).box
-    assert box is not None
-    return box
+    return replace(start, origin=str(path)), [target.box]
 
 
 class Faces(NamedTuple):

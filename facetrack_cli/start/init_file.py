@@ -33,7 +33,7 @@ from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.face_points import DETECTORS, HANDS
 from facetrack_cli.core.files import write_new
 from facetrack_cli.core.geometry import centre, inside
-from facetrack_cli.core.types import BOX, Point, Start, TargetStart
+from facetrack_cli.core.types import BOX, Point, Start
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
@@ -103,7 +103,16 @@ def as_yaml(start: Start, clip: str = "") -> str:
     if by := start.placed_by:
         lines.append(f"placed_by: {by}  # remove this line once you have edited a point or the box")
     for name, target in start.targets.items():
-        lines += [f"{_key(name)}:", *_target_lines(target)]
+        lines.append(f"{_key(name)}:")
+        if target.box is not None:
+            lines.append(f"  box: {_flow(target.box)}  # left, top, width, height")
+        if target.points:
+            rows = list(zip(_below(target.points, 4), map(WHAT_PARTS_ARE.get, target.points), strict=True))
+            wide = max(len(row) for row, _ in rows)
+            lines.append("  points:  # x, y of each part; left and right as seen in the image")
+            lines += [f"{row:<{wide}}  # {what}" if what else row for row, what in rows]
+        if target.windows:
+            lines += ["  windows:  # width, height of the window that is compared", *_below(target.windows, 4)]
     if start.corrections:
         lines += [
             "# What was corrected by hand; from each of these frames on the target begins again.",
@@ -122,18 +131,6 @@ def as_yaml(start: Start, clip: str = "") -> str:
                 split = isinstance(value, dict) and len(line) > _WIDE
                 lines += [f"    {key}:", *_below(value, 6)] if split else [line]
     return "\n".join(lines) + "\n"
-
-
-def _target_lines(target: TargetStart) -> list[str]:
-    lines = [] if target.box is None else [f"  box: {_flow(target.box)}  # left, top, width, height"]
-    if target.points:
-        rows = list(zip(_below(target.points, 4), map(WHAT_PARTS_ARE.get, target.points), strict=True))
-        wide = max(len(row) for row, _ in rows)
-        lines.append("  points:  # x, y of each part; left and right as seen in the image")
-        lines += [f"{row:<{wide}}  # {what}" if what else row for row, what in rows]
-    if target.windows:
-        lines += ["  windows:  # width, height of the window that is compared", *_below(target.windows, 4)]
-    return lines
 
 
 def _below(pairs: Mapping[str, Point], indent: int) -> list[str]:

@@ -174,7 +174,10 @@ class MultiFaceTracker:
             film.crowd = frame.index
         new_tracks = [new_track for face in new[:room] if (new_track := self._new_track(film, face, frame)) is not None]
         passed = frames[-2::-1]
-        each = [self._back(track, passed) for track, _ in new_tracks]
+        each = []
+        for track, _ in new_tracks:
+            rng = np.random.default_rng(track.rng.bit_generator.random_raw())
+            each.append(self._advance(replace(track, rng=rng), passed, back=True))
         for (track, first), back in zip(new_tracks, each, strict=True):
             ordered = [*reversed(back), first]
             for at, result in zip(frames[len(frames) - len(ordered) :], ordered, strict=True):
@@ -216,11 +219,6 @@ class MultiFaceTracker:
             return None
         film.count += 1
         return Track(name, start, rng, state, closer=face if face.closer else None, target=target), result
-
-    def _back(self, track: Track, passed: Sequence[Frame]) -> list[TargetResult]:
-        """The results of a track in the frames before, the last of them first."""
-        rng = np.random.default_rng(track.rng.bit_generator.random_raw())
-        return self._advance(replace(track, rng=rng), passed, back=True)
 
 
 def among_others(target: Target) -> Target:

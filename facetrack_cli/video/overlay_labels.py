@@ -149,11 +149,7 @@ class Font:
             disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * halo + 1, 2 * halo + 1))
             rim = np.maximum(mask, (0.85 * cv2.dilate(mask, disc)).astype(np.uint8))
         ink = np.round(mask[..., None] * (np.array(colour) / 255)).astype(np.uint8)
-        return Sprite(ink, _grey(cv2.bitwise_not(rim)))
-
-
-def _grey(mask: Image | cv2.typing.MatLike) -> Image:
-    return np.asarray(cv2.cvtColor(mask, cv2.COLOR_GRAY2BGR), np.uint8)
+        return Sprite(ink, np.asarray(cv2.cvtColor(cv2.bitwise_not(rim), cv2.COLOR_GRAY2BGR), np.uint8))
 
 
 Rect = tuple[float, float, float, float]  # x0, y0, x1, y1
