@@ -19,7 +19,7 @@ from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Final
 
 from facetrack_cli.core.errors import InputError, UsageError, reason
 from facetrack_cli.core.types import Frame
@@ -104,48 +104,22 @@ def check_file(path: Path) -> None:
 
 
 def missing_part(path: Path) -> str:
-    """What a file lacks by the sizes that its container tells, or by the marks of its packets; "" if it is whole.
+    """What an AVI file lacks by its size, or an MPEG transport stream by the marks of its packets; "" of a whole one.
 
-    MP4, AVI and MPEG transport streams are known.
+    FFmpeg itself says it of an MP4.
     """
     with path.open("rb") as file:
         size, head = path.stat().st_size, file.read(2 * _TS_PACKET + 1)
-        if head[::_TS_PACKET] == b"GGG":
-            return _unmarked(file)
-        end, names = 0, set[bytes]()
-        if head[4:8] in _MP4_BOXES:
-            end, names = _boxes(file, size)
-        elif head[:4] == b"RIFF":
-            length = int.from_bytes(head[4:8], "little")
-            end = 8 + length if length < 0x7FFFFFFF else 0  # a writer may leave the largest number there
-        if names and b"moov" not in names:
-            return "its index (moov) is missing"
-        return f"{end - size} bytes are missing" if end > size else ""
-
-
-def _boxes(file: BinaryIO, size: int) -> tuple[int, set[bytes]]:
-    """Where the last box of an MP4 ends, and the names of its boxes."""
-    at, names = 0, set[bytes]()
-    while at < size:
-        file.seek(at)
-        head = file.read(16)
-        length = int.from_bytes(head[:4], "big")
-        length = int.from_bytes(head[8:], "big") if length == 1 else length or size - at  # 0: up to the end
-        if length < 8 or not head[4:8].isalnum():
-            break
-        names.add(head[4:8])
-        at += length
-    return at, names
-
-
-def _unmarked(file: BinaryIO) -> str:
-    """What is wrong with the packets of a transport stream, which all begin with one mark; "" if nothing is."""
-    file.seek(0)
-    while block := file.read(_TS_PACKET << 12):
-        if len(block) % _TS_PACKET:
-            return "it ends within a packet"
-        if block[::_TS_PACKET].count(b"G") < len(block) // _TS_PACKET:
-            return "a packet lacks its mark"
+        length = 8 + int.from_bytes(head[4:8], "little")
+        if head[:4] == b"RIFF" and size < length < 0x7FFFFFFF:  # a writer may leave the largest number there
+            return f"{length - size} bytes are missing"
+        if head[::_TS_PACKET] == b"GGG":  # the mark with which each packet begins
+            file.seek(0)
+            while block := file.read(_TS_PACKET << 12):
+                if len(block) % _TS_PACKET:
+                    return "it ends within a packet"
+                if block[::_TS_PACKET].count(b"G") < len(block) // _TS_PACKET:
+                    return "a packet lacks its mark"
     return ""
 
 
@@ -208,11 +182,11 @@ class VideoSource(Source):
     def __init__(self, path: Path, start: int, stop: int | None, stream: int | None = None):
         try:
             self._bytes, self._decoder = path.stat().st_size, Decoder(path, stream)
-        except (OSError, ValueError):
-            lack = ""
-            with suppress(OSError):
-                lack = missing_part(path)
-            why = "not a video; give a video file or a folder of images"
+        except (OSError, ValueError) as error:
+            lack, why = "", "not a video; give a video file or a folder of images"
+            with suppress(OSError), path.open("rb") as file:
+                unread = file.read(8)[4:] in _MP4_BOXES and hasattr(error, "log")  # it is FFmpeg's
+                lack = "its index (moov) is missing" if unread else missing_part(path)
             raise InputError(f"{path}: {f'cut short or damaged ({lack}); {AGAIN}' if lack else why}") from None
         super().__init__(path, self._decoder.size, self._decoder.fps, start, stop)
         self.is_video, self.stream = True, stream

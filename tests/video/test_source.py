@@ -337,7 +337,7 @@ def test_a_clip_that_is_cut_within_its_headers_is_refused(tmp_path: Path, suffix
             read(path)
         except InputError as error:
             assert str(path) in str(error)
-            assert suffix not in (".mp4", ".avi") or length != 200 or "cut short or damaged (" in str(error)
+            assert suffix != ".avi" or length != 200 or "cut short or damaged (" in str(error)
 
 
 def test_what_the_system_refuses_and_impossible_arguments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
