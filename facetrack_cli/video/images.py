@@ -14,7 +14,7 @@ from zipfile import BadZipFile, ZipFile, ZipInfo, is_zipfile
 import cv2
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, reason
+from facetrack_cli.core.errors import InputError, reading, reason
 from facetrack_cli.core.npz import check_directory
 from facetrack_cli.core.types import Image
 
@@ -48,14 +48,12 @@ class UnreadableError(InputError):
 
 def listing(path: Path) -> list[Path] | None:
     """The images of a folder or a glob in natural order; None when the path is neither."""
-    try:
+    with reading(path, "check the name and the permissions"):
         is_glob = re.search(r"[*?\[]", path.name) and not path.exists()
         if not (is_glob or path.is_dir()):
             return None
         paths = path.parent.glob(path.name) if is_glob else path.iterdir()
         files = [f for f in paths if f.suffix.lower() in SUFFIXES and not f.name.startswith(".") and f.is_file()]
-    except OSError as error:
-        raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
     return ordered(files, lambda file: file.name)
 
 

@@ -21,7 +21,7 @@ from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Final
 
-from facetrack_cli.core.errors import InputError, UsageError, reason
+from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.types import Frame
 from facetrack_cli.video import images
 from facetrack_cli.video.decode import (
@@ -89,6 +89,9 @@ def check_file(path: Path) -> None:
     """Raise InputError for a path that is no file that can be read, or an empty one."""
     try:
         str(path).encode()
+    except UnicodeEncodeError:
+        raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
+    with reading(path, "check the name and the permissions"):
         if not path.exists():
             hint = "a pipe cannot be read, save the clip to a file" if str(path) == "-" else "check the name"
             raise InputError(f"{path}: no such file or folder; {hint}")
@@ -97,10 +100,6 @@ def check_file(path: Path) -> None:
         with path.open("rb") as file:
             if not file.read(1):
                 raise InputError(f"{path}: the file is empty; {AGAIN}")
-    except UnicodeEncodeError:
-        raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
-    except OSError as error:
-        raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
 
 
 def missing_part(path: Path) -> str:
@@ -124,7 +123,6 @@ def missing_part(path: Path) -> str:
 
 
 FOLDER_FPS = Fraction(25)
-_MAX_NAMED = 6  # damaged frames
 _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by less than this
 
 
@@ -267,13 +265,9 @@ class VideoSource(Source):
 
     def _judge_frames(self, damage: set[int]) -> None:
         """Say so if frames are not what the clip showed."""
-        if not damage:
-            return
-        at = sorted(damage)
-        places = ", ".join(map(str, at[:_MAX_NAMED]))
-        places += f" and {len(at) - _MAX_NAMED} later ones" if at[_MAX_NAMED:] else ""
-        frames = f"about frame{'s' * (len(at) > 1)} {places}"
-        self._cut(f"{self.path}: damaged: the decoder reports errors at {frames}, which may look wrong; {AGAIN}")
+        if damage:
+            frames = f"about frame {min(damage)}{f' and {len(damage) - 1} later ones' if len(damage) > 1 else ''}"
+            self._cut(f"{self.path}: damaged: the decoder reports errors at {frames}, which may look wrong; {AGAIN}")
 
 
 class FolderSource(Source):
