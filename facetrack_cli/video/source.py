@@ -143,6 +143,7 @@ class Source(AbstractContextManager["Source"], ABC):
         self.complete = True  # False once it is known that frames are missing or wrong
         self._start, self._stop = start, stop
         self._iterated = self._closed = False
+        self._lock = threading.Lock()  # what reads must not be closed while it is at work
 
     def __iter__(self) -> Iterator[Frame]:
         """The frames. Raises InputError when the clip ends before the first, RuntimeError when iterated before."""
@@ -154,9 +155,9 @@ class Source(AbstractContextManager["Source"], ABC):
     @abstractmethod
     def _frames(self) -> Iterator[Frame]: ...
 
+    @abstractmethod
     def close(self) -> None:
         """End the iteration, also from another thread, and free the file; once closed, closing again does nothing."""
-        self._closed = True
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -195,11 +196,10 @@ class VideoSource(Source):
             self.warnings.append(f"{path}: {what}, --stream N takes another")
         if (claimed := self._decoder.claimed) is not None:
             self.frames_hint = max(min(claimed, stop or claimed) - start, 0)
-        self._lock = threading.Lock()
 
     def close(self) -> None:
         self._closed = True
-        with self._lock:  # the decoder must not be closed while it is at work
+        with self._lock:
             self._decoder.close()
 
     def _frames(self) -> Iterator[Frame]:
@@ -296,12 +296,14 @@ class FolderSource(Source):
                 self.warnings.append(f"{what}; these are black and white, so that all of it is seen")
 
     def close(self) -> None:
-        super().close()
-        self._pictures.close()
+        self._closed = True
+        with self._lock:
+            self._pictures.close()
 
     def frame(self, index: int) -> Frame:
         """Any frame of the folder. Raises images.UnreadableError."""
-        image = self._pictures.read(index)
+        with self._lock:
+            image = self._pictures.read(index)
         if (size := image.shape[1::-1]) != self.size:
             if not self._resized:
                 self._scaled(str(self.files[index]), size)
@@ -310,16 +312,17 @@ class FolderSource(Source):
 
     def _frames(self) -> Iterator[Frame]:
         total = len(self.files)
-        for index in range(total)[self._start : self._stop]:
-            if self._closed:
-                return
-            try:
-                frame = self.frame(index)
-            except images.UnreadableError as error:
-                file = self.files[index]
-                self._cut(f"{file}: {error.why}; stopped after {index} of {total} frames, {error.remedy}")
-                return
-            yield frame
+        with self._pictures:  # the last file, where somebody has closed the source meanwhile
+            for index in range(total)[self._start : self._stop]:
+                if self._closed:
+                    return
+                try:
+                    frame = self.frame(index)
+                except images.UnreadableError as error:
+                    what = f"{error.why}; stopped after {index} of {total} frames, {error.remedy}"
+                    self._cut(f"{self.files[index]}: {what}")
+                    return
+                yield frame
 
 
 def open_source(
