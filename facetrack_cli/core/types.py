@@ -114,10 +114,6 @@ class Frame:
         self._parts: dict[tuple[str, int], _Part] = {}  # by what they are of and their factor
         self._patches: dict[Hashable, tuple[object, NDArray[np.float32]]] = {}
 
-    def own(self) -> "Frame":
-        """The frame for somebody who looks at other parts of it: what is computed for each is kept apart."""
-        return Frame(self.index, self.time_s, self.yuv or self.pixels, self._bgr, aspect=self.aspect)
-
     @property
     def pixels(self) -> Image:
         """All of them in one array."""
@@ -241,6 +237,11 @@ class Frame:
         if len(self._patches) >= MAX_REMEMBERED:
             del self._patches[next(iter(self._patches))]
         self._patches[key] = of, values
+
+
+def own_frame(frame: Frame) -> Frame:
+    """The frame for somebody who looks at other parts of it: what is computed for each is kept apart."""
+    return Frame(frame.index, frame.time_s, frame.yuv or frame.pixels, frame._bgr, aspect=frame.aspect)
 
 
 def factor_for(longest: float, most: float | None) -> int:

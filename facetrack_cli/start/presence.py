@@ -20,7 +20,7 @@ from numpy.random import Generator
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside, overlap, share_inside
 from facetrack_cli.core.npz import STORED
-from facetrack_cli.core.types import BOX, Box, Frame, Start, TargetStart
+from facetrack_cli.core.types import BOX, Box, Frame, Start, TargetStart, own_frame
 from facetrack_cli.engine.corrected import CorrectedTarget
 from facetrack_cli.engine.loop import Target, TrackState
 from facetrack_cli.recipe.model import Recipe
@@ -129,7 +129,7 @@ class MultiFaceTracker:
         track.target = target = track.target or self._target(track.start)
         results = list[TargetResult]()
         for frame in frames:
-            track.state, result = target.advance(track.rng, track.state, frame.own())
+            track.state, result = target.advance(track.rng, track.state, own_frame(frame))
             before = track.box
             track.see(result)
             at = track.box or before
@@ -214,7 +214,7 @@ class MultiFaceTracker:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, film.count)))
         target = self._target(start)
         try:
-            state, result = target.begin(rng, frame.own())
+            state, result = target.begin(rng, own_frame(frame))
         except InputError:  # too small, or beyond the border
             return None
         film.count += 1
