@@ -105,24 +105,20 @@ class MultiFaceTracker:
         """The results of successive frames of one shot, of which the detector looks at the last."""
         if frames:
             at.states = []  # what is between two blocks can be resumed
-            by_frame, left = self._tracked(film, frames)
+            by_frame: _Results = {frame.index: {} for frame in frames}
+            tracks, left = film.tracks, list[Track]()
+            for track, results in [(track, self._advance(track, frames)) for track in tracks]:
+                for frame, result in zip(frames, results, strict=False):
+                    by_frame[frame.index][track.name] = result
+                if len(results) < len(frames):  # it leaves the picture
+                    left.append(track)
+            film.tracks = [track for track in tracks if track not in left]
             self._look(film, frames, by_frame, left, shot)
-            results = [FrameResult(frame, tuple(by_frame[frame.index].values())) for frame in frames]
+            *earlier, last = [FrameResult(frame, tuple(by_frame[frame.index].values())) for frame in frames]
             frames.clear()
-            yield from results[:-1]
+            yield from earlier
             at.states = [film]
-            yield results[-1]
-
-    def _tracked(self, film: FilmState, frames: list[Frame]) -> tuple[_Results, list[Track]]:
-        """The results of the tracks that go on, and the tracks that leave the picture."""
-        each = [self._advance(track, frames) for track in film.tracks]
-        by_frame: _Results = {frame.index: {} for frame in frames}
-        for track, results in zip(film.tracks, each, strict=True):
-            for frame, result in zip(frames, results, strict=False):
-                by_frame[frame.index][track.name] = result
-        left = [track for track, results in zip(film.tracks, each, strict=True) if len(results) < len(frames)]
-        film.tracks = [track for track in film.tracks if track not in left]
-        return by_frame, left
+            yield last
 
     def _advance(self, track: Track, frames: Iterable[Frame], *, back: bool = False) -> list[TargetResult]:
         """The results of one track in further frames, while it is in the picture; going `back`, while it is seen."""

@@ -160,14 +160,13 @@ class Overlay:
         if rows.corners is not None:
             turned = np.isfinite(rows.corners).all(axis=(1, 2), keepdims=True)
             corners = np.where(turned, np.clip(rows.corners, -self._reach, self._reach), corners)
-        bounds = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
         shown = np.flatnonzero(fine)
         cloud = target.cloud[:, shown[shown < target.cloud.shape[1]]] if target.cloud.ndim == 3 else target.cloud
         parts = tuple(every.names[i][1] for i in rows.which.tolist())
         lost: Mask = rows.status == "lost"
         centres = table[:, :2]
         colours = tuple(PALETTE[(k if alone else place) % len(PALETTE)] for k in shown.tolist()) or (PALETTE[0],)
-        return Shape(every.target, rows, parts, cloud, target.insets, centres, sizes, corners, bounds, lost, colours)
+        return Shape(every.target, rows, parts, cloud, target.insets, centres, sizes, corners, lost, colours)
 
     def _remember(self, shape: Shape, now: float) -> list[_Past]:
         """The places of the target along its trail, oldest first, the present place last."""

@@ -184,7 +184,7 @@ def lay_insets(image: Image, shapes: Sequence["Shape"], line: int, font: Font) -
 
 
 class Shape(NamedTuple):
-    """The K drawable parts of a target: centres, sizes (K, 2), corners (K, 4, 2), bounds (K, 4) as x0, y0, x1, y1."""
+    """The K drawable parts of a target: centres, sizes (K, 2), corners (K, 4, 2)."""
 
     target: str
     rows: Trajectory
@@ -194,7 +194,6 @@ class Shape(NamedTuple):
     centres: Array
     sizes: Array
     corners: Array
-    bounds: Array
     lost: Mask
     colours: tuple[Colour, ...]
 
@@ -223,7 +222,7 @@ def write_names(image: Image, shapes: Sequence[Shape], top: int, line: int, font
     (bottom, right), tags = image.shape[:2], list[Rect]()
     for shape in shapes:
         text, colour = _name(shape, named or len(shapes) > 1) if shape.parts else ("", shape.colour)
-        low, high = shape.bounds[:, :2].min(axis=0, initial=np.inf), shape.bounds[:, 2:].max(axis=0, initial=-np.inf)
+        low, high = shape.corners.min(axis=(0, 1), initial=np.inf), shape.corners.max(axis=(0, 1), initial=-np.inf)
         if not text or (high < 0).any() or (low > (right, bottom)).any():
             continue
         sprite = font.sprite(text, colour, line)
