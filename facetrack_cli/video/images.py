@@ -118,15 +118,17 @@ class Pictures(AbstractContextManager["Pictures"]):
         UnreadableError.
         """
         pixels = self.numbers(index)
-        if pixels.dtype.itemsize > 1:
-            black, white = self.levels
+        black, white = self.levels
+        if pixels.dtype.itemsize > 1 and self.levels == ALL_LEVELS:
+            pixels = (pixels >> 8).astype(np.uint8)
+        elif pixels.dtype.itemsize > 1:
             scaled = (pixels.astype(np.float32) - black) * (255 / max(white - black, 1))
-            scaled = pixels >> 8 if self.levels == ALL_LEVELS else np.clip(np.rint(scaled), 0, 255)
-            pixels = scaled.astype(np.uint8)
+            pixels = np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
         if pixels.shape[2] == 4:
             alpha = pixels[..., 3:].astype(np.uint16)
-            over_black = ((pixels[..., :3] * alpha + 127) // 255).astype(np.uint8)
-            pixels = pixels[..., :3] if alpha.min() == 255 else over_black
+            pixels = (
+                pixels[..., :3] if alpha.min() == 255 else ((pixels[..., :3] * alpha + 127) // 255).astype(np.uint8)
+            )
         return np.ascontiguousarray(pixels[..., ::-1])
 
     def numbers(self, index: int) -> Any:
@@ -142,6 +144,7 @@ class Pictures(AbstractContextManager["Pictures"]):
             check_pixels(path, width, height)
             pixels: Any = np.asarray(file.read(index=page, rotate=True, mode=_READ_AS.get(mode)))
         except _damaged() as error:
+            self.close()
             if "can not handle the given uri" in str(error):
                 raise UnreadableError(path, "is not an image, or of an unknown kind") from error
             raise UnreadableError(path, f"cannot be read as an image ({reason(error)})") from error
