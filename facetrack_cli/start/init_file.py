@@ -223,7 +223,7 @@ def _of_entry(entry: Node, targets: Sequence[str]) -> Iterator[Node]:
             remedy = suggest(name, (*targets, *CorrectedTarget.model_fields), "there are the start's targets, and keys")
             _refuse(node, f'unknown key "{name}"; {remedy}', at_key=True)
         fields = _mapping(node, f"the correction of {name}", "points: or absent: below the name")
-        for key in fields.keys() - CorrectedTarget.model_fields.keys():
+        for key in (key for key in fields if key not in CorrectedTarget.model_fields):
             remedy = suggest(key, [*CorrectedTarget.model_fields], "the keys there are")
             _refuse(fields[key], f'unknown key "{key}"; {remedy}', at_key=True)
         of = Node(node.span, name, node.key)
