@@ -80,13 +80,8 @@ class Planes(NamedTuple):
         return np.concatenate([plane.ravel() for plane in self[:3]]).reshape(-1, self.y.shape[1])
 
 
-class _Part(NamedTuple):
-    """A part of an image, which begins at the point (left, top) of the whole, and serves all that lies in `extent`."""
-
-    image: Image
-    left: int
-    top: int
-    extent: Extent
+# a part of an image, the point (left, top) of the whole at which it begins, and the extent that it serves
+_Part: TypeAlias = tuple[Image, int, int, Extent]
 
 
 class Frame:
@@ -147,9 +142,10 @@ class Frame:
         """
         if self.yuv is None:  # whether colours were computed meanwhile must not matter
             return None
-        y, half = self._part("y", factor, extent), _scaled(extent, 0.5)
-        u, v = (self._part(tint, factor, half) for tint in "uv")
-        return [(*y[:3], factor), *((tint.image, 2 * tint.left, 2 * tint.top, 2 * factor) for tint in (u, v))]
+        lit, x, y, _ = self._part("y", factor, extent)
+        half = _scaled(extent, 0.5)
+        tints = (self._part(name, factor, half) for name in "uv")
+        return [(lit, x, y, factor), *((tint, 2 * left, 2 * top, 2 * factor) for tint, left, top, _ in tints)]
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
@@ -158,7 +154,7 @@ class Frame:
     def _part(self, what: str, factor: int, extent: Extent) -> _Part:
         """As `reduced`, of the colours ("bgr"), of grey, or of a plane ("y", "u" or "v") in pixels of its own."""
         kept = self._parts.get((what, factor))
-        if kept is None or not _within(extent, kept.extent):
+        if kept is None or not _within(extent, kept[3]):
             make = self._in_grey if what == "grey" else self._of_whole if factor == 1 else self._smaller
             kept = self._parts[what, factor] = make(what, factor, extent)
         return kept
@@ -171,45 +167,49 @@ class Frame:
         left, right = _blocks(asked[0], asked[2], factor, width)
         top, bottom = _blocks(asked[1], asked[3], factor, height)
         first = 1 if what in ("u", "v") else factor // 2
-        zoom = factor // first
-        larger = self._part(what, first, (left * factor, top * factor, right * factor - 1, bottom * factor - 1))
-        x, y = larger.left // first, larger.top // first
-        image = larger.image[zoom * top - y : zoom * bottom - y, zoom * left - x : zoom * right - x]
-        while zoom > 1:  # by halves, which OpenCV computes four times as fast as other factors
-            zoom //= 2
-            half = zoom * (right - left), zoom * (bottom - top)
-            image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), np.uint8)
-        return _Part(image, left * factor, top * factor, asked)
+        wanted = left * factor, top * factor, right * factor - 1, bottom * factor - 1
+        for name in ("u", "v") if what == "u" else (what,):  # who reads one of them reads both
+            larger, x, y, _ = self._part(name, first, wanted)
+            zoom, x, y = factor // first, x // first, y // first
+            image = larger[zoom * top - y : zoom * bottom - y, zoom * left - x : zoom * right - x]
+            while zoom > 1:  # by halves, which OpenCV computes four times as fast as other factors
+                zoom //= 2
+                half = zoom * (right - left), zoom * (bottom - top)
+                image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), np.uint8)
+            self._parts[name, factor] = image, left * factor, top * factor, asked
+        return self._parts[what, factor]
 
     def _of_whole(self, what: str, _: int, extent: Extent) -> _Part:
         """The image itself; a part of it where less than half would have to be converted."""
         if self.yuv is None or (what == "bgr" and self._bgr is not None):
-            return _Part(self.bgr, 0, 0, _ALL)
+            return self.bgr, 0, 0, _ALL
+        if what != "bgr" and self.yuv.ours is None:
+            return getattr(self.yuv, what), 0, 0, _ALL
         if what != "bgr":
             scale = 1 if what == "y" else 2
             planes, left, top, served = self._by_bt601(_scaled(extent, scale), 32.0)
-            return _Part(getattr(planes, what), left // scale, top // scale, _scaled(served, 1 / scale))
+            return getattr(planes, what), left // scale, top // scale, _scaled(served, 1 / scale)
         asked = _widened(extent, 6.0)
         (x0, x1), (y0, y1) = self._pairs(asked)
         if 8 * (x1 - x0) * (y1 - y0) > self.size[0] * self.size[1]:
-            return _Part(self.bgr, 0, 0, _ALL)
+            return self.bgr, 0, 0, _ALL
         planes, left, top = self._by_bt601(asked, 0.0)[:3]
         part = planes.part((x0 - left // 2, x1 - left // 2), (y0 - top // 2, y1 - top // 2))
         image = np.asarray(cv2.cvtColor(part.joined(), cv2.COLOR_YUV2BGR_I420), np.uint8)
-        return _Part(image, 2 * x0, 2 * y0, asked)
+        return image, 2 * x0, 2 * y0, asked
 
     def _in_grey(self, _: str, factor: int, extent: Extent) -> _Part:
         planes = self.yuv is not None
         asked = _widened(extent, 6.0) if factor == 1 else extent
-        lit = self._part("y" if planes else "bgr", factor, asked)
+        lit, left, top, served = self._part("y" if planes else "bgr", factor, asked)
         if factor > 1:  # which is widened already
-            asked = lit.extent
-        height, width = lit.image.shape[:2]
-        x0, x1 = _blocks((asked[0] - lit.left) / factor, (asked[2] - lit.left) / factor, 1, width)
-        y0, y1 = _blocks((asked[1] - lit.top) / factor, (asked[3] - lit.top) / factor, 1, height)
-        part = lit.image[y0:y1, x0:x1]
+            asked = served
+        height, width = lit.shape[:2]
+        x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
+        y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
+        part = lit[y0:y1, x0:x1]
         grey = cv2.LUT(part, _FULL_RANGE) if planes else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
-        return _Part(np.asarray(grey, np.uint8), lit.left + x0 * factor, lit.top + y0 * factor, asked)
+        return np.asarray(grey, np.uint8), left + x0 * factor, top + y0 * factor, asked
 
     def _pairs(self, extent: Extent) -> tuple[tuple[int, int], tuple[int, int]]:
         """The pairs of columns and of rows that cover an extent."""
