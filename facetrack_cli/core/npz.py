@@ -8,11 +8,10 @@ import errno
 import io
 import json
 import shutil
-import sys
 import zipfile
 import zlib
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -33,6 +32,7 @@ from facetrack_cli.core.files import (
     temporary_path,
     write_new,
 )
+from facetrack_cli.core.types import Frame
 
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 T = TypeVar("T")
@@ -163,7 +163,7 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], blocks: Sequenc
 # A value is made of numbers, texts, arrays, tuples, lists, dicts, sets, random generators, and facetrack's own named
 # tuples, dataclasses and frames. It comes back bit for bit, with the memory layout of its arrays, on which sums depend.
 _PACKAGE: Final = __name__.partition(".")[0]
-_KINDS: Final[Mapping[str, type]] = {"tuple": tuple, "list": list, "set": set, "frozenset": frozenset, "deque": deque}
+_KINDS: Final[Mapping[str, type]] = {kind.__name__: kind for kind in (tuple, list, set, frozenset)}
 STORED: Final = "stored"  # metadata of a dataclass's field: False leaves it out, and it comes back as None
 
 
@@ -182,109 +182,96 @@ def restore(text: str, arrays: Mapping[str, NDArray[Any]]) -> Any:
 
 
 def _flat(value: Any, arrays: Arrays) -> Any:
-    if value is None or type(value) in (bool, int, float, str):
-        return value
+    def each(items: Iterable[Any]) -> list[Any]:
+        return [_flat(item, arrays) for item in items]
+
     kind = type(value)
-    if kind is np.ndarray and value.dtype.hasobject is False and value.dtype.names is None:
-        return {"array": _keep(value, arrays), "axes": _axes(value)}
+    if value is None or kind in (bool, int, float, str):
+        return value
     if isinstance(value, np.generic):
-        return {"scalar": _keep(np.asarray(value), arrays)}
+        return {"scalar": _keep(np.asarray(value), [], arrays)}
+    if kind is np.ndarray and value.dtype.hasobject is False and value.dtype.names is None:
+        axes = sorted(range(value.ndim), key=lambda i: (-value.strides[i], i))  # as it lies in memory
+        return {"array": _keep(value, axes, arrays), "axes": axes}
     if isinstance(value, Path):
         return {"path": str(value)}
     if kind is np.random.SeedSequence:
         return {"seeds": [value.entropy, list(value.spawn_key)]}
     if kind is np.random.Generator:
-        state = value.bit_generator.state
-        return {"random": state, "seeds": _flat(value.bit_generator.seed_seq, arrays)}
-    if dataclasses.is_dataclass(value) and _ours(kind):
-        fields = [item for item in dataclasses.fields(value) if item.metadata.get(STORED, True)]
-        return {"of": _name(kind), "fields": {item.name: _flat(getattr(value, item.name), arrays) for item in fields}}
-    if isinstance(value, tuple) and hasattr(value, "_fields") and _ours(kind):
-        return {"of": _name(kind), "fields": {name: _flat(getattr(value, name), arrays) for name in value._fields}}
-    if _ours(kind) and hasattr(kind, "__getnewargs_ex__"):
-        return {"of": _name(kind), "args": _flat(value.__getnewargs_ex__(), arrays)}
+        return {"random": value.bit_generator.state, "seeds": _flat(value.bit_generator.seed_seq, arrays)}
+    if kind is Frame:
+        return {"frame": each((value.index, value.time_s, value.pixels, value.aspect))}
+    if kind.__module__.partition(".")[0] == _PACKAGE and (names := _fields(kind)):
+        fields = {name: _flat(getattr(value, name), arrays) for name, is_stored in names.items() if is_stored}
+        return {"of": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
     if kind is deque:
-        return {"deque": [_flat(item, arrays) for item in value], "most": value.maxlen}
-    if kind.__name__ in _KINDS and kind is _KINDS[kind.__name__]:
-        items = sorted(value) if isinstance(value, set | frozenset) else value
-        return {kind.__name__: [_flat(item, arrays) for item in items]}
+        return {"deque": each(value), "most": value.maxlen}
+    if kind in _KINDS.values():
+        return {kind.__name__: each(sorted(value) if isinstance(value, set | frozenset) else value)}
     if isinstance(value, Mapping):
-        return {"dict": [[_flat(key, arrays), _flat(item, arrays)] for key, item in value.items()]}
+        return {"dict": [each(pair) for pair in value.items()]}
     raise TypeError(f"{kind.__module__}.{kind.__qualname__} cannot be stored")
 
 
 def _value(flat: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    def each(items: Iterable[Any]) -> Iterator[Any]:
+        return (_value(item, arrays) for item in items)
+
     if not isinstance(flat, dict):
         return flat
-    if "array" in flat:
-        return _laid_out(arrays[flat["array"]], flat["axes"])
-    if "scalar" in flat:
-        return arrays[flat["scalar"]][()]
-    if "path" in flat:
-        return Path(flat["path"])
-    if "random" in flat:
+    pair: Any = next(iter(flat.items()), ("", None))
+    kind, held = pair
+    if kind == "scalar":
+        return arrays[held][()]
+    if kind == "array":
+        return arrays[held].transpose(np.argsort(flat["axes"])) if flat["axes"] else arrays[held]
+    if kind == "path":
+        return Path(held)
+    if kind == "seeds":
+        return np.random.SeedSequence(held[0], spawn_key=held[1])
+    if kind == "random":
         rng = np.random.default_rng(_value(flat["seeds"], arrays))
-        rng.bit_generator.state = flat["random"]
+        rng.bit_generator.state = held
         return rng
-    if "seeds" in flat:
-        return np.random.SeedSequence(flat["seeds"][0], spawn_key=flat["seeds"][1])
-    if "args" in flat:
-        return _made(flat["of"], _value(flat["args"], arrays))
-    if "of" in flat:
-        return _made(flat["of"], {name: _value(item, arrays) for name, item in flat["fields"].items()})
-    if "dict" in flat:
-        return {_value(key, arrays): _value(item, arrays) for key, item in flat["dict"]}
-    if "deque" in flat:
-        return deque((_value(item, arrays) for item in flat["deque"]), flat["most"])
-    [(kind, items)] = flat.items()
-    return _KINDS[kind](_value(item, arrays) for item in items)
+    if kind == "frame":
+        index, time_s, pixels, aspect = each(held)
+        return Frame(index, time_s, pixels, aspect=aspect)
+    if kind == "of":
+        return _made(held, {name: _value(item, arrays) for name, item in flat["fields"].items()})
+    if kind == "deque":
+        return deque(each(held), flat["most"])
+    return {_value(a, arrays): _value(b, arrays) for a, b in held} if kind == "dict" else _KINDS[kind](each(held))
 
 
-def _made(name: str, fields: dict[str, Any] | tuple[tuple[Any, ...], dict[str, Any]]) -> Any:
+def _fields(kind: type) -> dict[str, bool]:
+    """The fields of a named tuple or a dataclass, and whether they are stored; none of other kinds."""
+    if dataclasses.is_dataclass(kind):
+        return {item.name: item.metadata.get(STORED, True) for item in dataclasses.fields(kind)}
+    return dict.fromkeys(getattr(kind, "_fields", ()), True) if issubclass(kind, tuple) else {}
+
+
+def _made(name: str, fields: dict[str, Any]) -> Any:
     module, _, path = name.partition(":")
     if module.partition(".")[0] != _PACKAGE:
         raise ValueError(f"{name} is none of {_PACKAGE}'s")
     kind: Any = import_module(module)
     for level in path.split("."):
         kind = getattr(kind, level)
-    if not isinstance(fields, dict):
-        if not isinstance(kind, type) or not hasattr(kind, "__getnewargs_ex__"):
-            raise ValueError(f"{name} is no value")
-        return kind(*fields[0], **fields[1])
-    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
-        made = object.__new__(kind)  # as it was: nothing is computed or checked again
-        for field in dataclasses.fields(kind):
-            object.__setattr__(made, field.name, fields[field.name] if field.metadata.get(STORED, True) else None)
-        return made
-    if isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields"):
+    names = _fields(kind)
+    if kind.__module__ != module or not names:
+        raise ValueError(f"{name} is no value")
+    if issubclass(kind, tuple):
         return kind(**fields)
-    raise ValueError(f"{name} is no value")
+    made = object.__new__(kind)  # as it was: nothing is computed or checked again
+    for field, is_stored in names.items():
+        object.__setattr__(made, field, fields[field] if is_stored else None)
+    return made
 
 
-def _name(kind: type) -> str:
-    return f"{kind.__module__}:{kind.__qualname__}"
-
-
-def _ours(kind: type) -> bool:
-    named: Any = sys.modules.get(kind.__module__)
-    for level in kind.__qualname__.split("."):
-        named = getattr(named, level, None)
-    return kind.__module__.partition(".")[0] == _PACKAGE and named is kind
-
-
-def _keep(array: NDArray[Any], arrays: Arrays) -> str:
+def _keep(array: NDArray[Any], axes: Sequence[int], arrays: Arrays) -> str:
     key = str(len(arrays))
-    arrays[key] = np.ascontiguousarray(array.transpose(_axes(array))).reshape([array.shape[i] for i in _axes(array)])
+    arrays[key] = np.ascontiguousarray(array.transpose(axes)).reshape([array.shape[i] for i in axes])
     return key
-
-
-def _axes(array: NDArray[Any]) -> list[int]:
-    """The axes of an array by falling strides: how it lies in memory."""
-    return sorted(range(array.ndim), key=lambda i: (-array.strides[i], i))
-
-
-def _laid_out(packed: NDArray[Any], axes: list[int]) -> NDArray[Any]:
-    return packed.transpose(np.argsort(axes)) if axes else packed
 
 
 def flat_value(name: str, value: Any) -> Arrays:

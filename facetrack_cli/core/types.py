@@ -5,7 +5,7 @@ Images are (H, W, 3) uint8 in OpenCV's order, blue first.
 """
 
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -80,6 +80,10 @@ class Planes(NamedTuple):
         return np.concatenate([plane.ravel() for plane in self[:3]]).reshape(-1, self.y.shape[1])
 
 
+# a part of an image, the point (left, top) of the whole at which it begins, and the extent that it serves
+_Part: TypeAlias = tuple[Image, int, int, Extent]
+
+
 class Frame:
     """One frame of the source: its 0-based index, its time in s, its pixels, and values that were computed from them.
 
@@ -89,10 +93,7 @@ class Frame:
     height, as it is shown.
     """
 
-    __slots__ = (
-        "_bgr", "_grey", "_luma", "_ours", "_part", "_patches", "_pixels", "_reduced", "_tints", "aspect", "index",
-        "size", "time_s", "yuv",
-    )  # fmt: skip
+    __slots__ = ("_bgr", "_ours", "_parts", "_patches", "_pixels", "aspect", "index", "size", "time_s", "yuv")
 
     def __init__(
         self, index: int, time_s: float, pixels: Image | Planes, _bgr: Image | None = None, *, aspect: float = 1.0
@@ -104,17 +105,9 @@ class Frame:
         assert lit is not None
         self.size: tuple[int, int] = (lit.shape[1], lit.shape[0])
         self._bgr = _bgr
-        self._ours: tuple[Planes, int, int, Extent] | None = None
-        self._part: tuple[Image, int, int, Extent] | None = None
-        self._tints: dict[int, tuple[Image, Image, int, int, Extent]] = {}
-        self._reduced: dict[int, tuple[Image, int, int, Extent]] = {}
-        self._luma: dict[int, tuple[Image, int, int, Extent]] = {}
-        self._grey: dict[int, tuple[Image, int, int, Extent]] = {}
+        self._ours: tuple[Planes, int, int, Extent] | None = None  # by BT.601, of a part
+        self._parts: dict[tuple[str, int], _Part] = {}  # by what they are of and their factor
         self._patches: dict[Hashable, tuple[object, NDArray[np.float32]]] = {}
-
-    def __getnewargs_ex__(self) -> tuple[tuple[int, float, Image], dict[str, float]]:
-        """What a checkpoint keeps of it: nothing that can be computed again."""
-        return (self.index, self.time_s, self.pixels), {"aspect": self.aspect}
 
     @property
     def pixels(self) -> Image:
@@ -140,39 +133,7 @@ class Frame:
         Returns it with the point (left, top) of the whole image at which it begins. Blocks are counted from the corner
         of the image, so that a block has the same mean whatever is asked for; an incomplete last block is left out.
         """
-        if factor == 1:
-            return self._colours(extent)
-        return self._smaller(self.reduced, self._reduced, factor, extent)
-
-    def _colours(self, extent: Extent) -> tuple[Image, int, int]:
-        """As `reduced` by 1. Of planes a part of the image is converted, where it is less than half of the whole."""
-        if self.yuv is None or self._bgr is not None:
-            return self.bgr, 0, 0
-        if self._part is not None and _within(extent, self._part[3]):
-            return self._part[:3]
-        asked = _widened(extent, 6.0)
-        columns, rows = self._pairs(asked)
-        if 8 * (columns[1] - columns[0]) * (rows[1] - rows[0]) > self.size[0] * self.size[1]:
-            return self.bgr, 0, 0
-        image = np.asarray(cv2.cvtColor(self.yuv.part(columns, rows).joined(), cv2.COLOR_YUV2BGR_I420), np.uint8)
-        self._part = image, 2 * columns[0], 2 * rows[0], asked
-        return self._part[:3]
-
-    def _pairs(self, extent: Extent) -> tuple[tuple[int, int], tuple[int, int]]:
-        """The pairs of columns and of rows that cover an extent."""
-        width, height = self.size
-        return _blocks(extent[0], extent[2], 2, width // 2), _blocks(extent[1], extent[3], 2, height // 2)
-
-    def _own_planes(self, extent: Extent) -> tuple[Planes, int, int]:
-        """The planes by BT.601, at least within `extent`, and the point (left, top) at which they begin."""
-        assert self.yuv is not None
-        if self.yuv.ours is None:
-            return self.yuv, 0, 0
-        if self._ours is None or not _within(extent, self._ours[3]):
-            asked = _widened(extent, 32.0)
-            columns, rows = self._pairs(asked)
-            self._ours = self.yuv.part(columns, rows), 2 * columns[0], 2 * rows[0], asked
-        return self._ours[:3]
+        return self._part("bgr", factor, extent)[:3]
 
     def planes(self, factor: int, extent: Extent) -> list[tuple[Image, int, int, int]] | None:
         """Y, U and V, each reduced for itself and with (left, top) and its own factor; None of what has no planes.
@@ -181,71 +142,90 @@ class Frame:
         """
         if self.yuv is None:  # whether colours were computed meanwhile must not matter
             return None
-        own, lit = 2 * factor, (*self._brightness(factor, extent), factor)
-        kept = self._tints.get(own)
-        if kept is None or not _within(extent, kept[4]):
-            asked = _widened(extent, 6.0 * own)
-            width, height = (max(side // own, 1) for side in self.size)
-            x0, x1 = _blocks(asked[0], asked[2], own, width)
-            y0, y1 = _blocks(asked[1], asked[3], own, height)
-            planes, left, top = self._own_planes((x0 * own, y0 * own, x1 * own - 1, y1 * own - 1))
-            u, v = (
-                plane[(y0 * own - top) // 2 : (y1 * own - top) // 2, (x0 * own - left) // 2 : (x1 * own - left) // 2]
-                for plane in planes[1:3]
-            )
-            for _ in range(factor.bit_length() - 1):  # by halves, as below
-                half = max(u.shape[1] // 2, 1), max(u.shape[0] // 2, 1)
-                u, v = (np.asarray(cv2.resize(plane, half, interpolation=cv2.INTER_AREA), np.uint8) for plane in (u, v))
-            kept = self._tints[own] = u, v, x0 * own, y0 * own, asked
-        u, v, x, y, _ = kept
-        return [lit, (u, x, y, own), (v, x, y, own)]
+        lit, x, y, _ = self._part("y", factor, extent)
+        half = _scaled(extent, 0.5)
+        tints = (self._part(name, factor, half) for name in "uv")
+        return [(lit, x, y, factor), *((tint, 2 * left, 2 * top, 2 * factor) for tint, left, top, _ in tints)]
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
-        kept = self._grey.get(factor)
+        return self._part("grey", factor, extent)[:3]
+
+    def _part(self, what: str, factor: int, extent: Extent) -> _Part:
+        """As `reduced`, of the colours ("bgr"), of grey, or of a plane ("y", "u" or "v") in pixels of its own."""
+        kept = self._parts.get((what, factor))
         if kept is None or not _within(extent, kept[3]):
-            planes = self.yuv is not None
-            asked = _widened(extent, 6.0) if factor == 1 else extent
-            image, left, top = (self._brightness if planes else self.reduced)(factor, asked)
-            if factor > 1:  # which is widened already
-                asked = (self._luma if planes else self._reduced)[factor][3]
-            height, width = image.shape[:2]
-            x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
-            y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
-            part = image[y0:y1, x0:x1]
-            grey = cv2.LUT(part, _FULL_RANGE) if planes else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
-            kept = self._grey[factor] = np.asarray(grey, np.uint8), left + x0 * factor, top + y0 * factor, asked
-        return kept[:3]
+            make = self._in_grey if what == "grey" else self._of_whole if factor == 1 else self._smaller
+            kept = self._parts[what, factor] = make(what, factor, extent)
+        return kept
 
-    def _brightness(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
-        """The plane Y, as `reduced`."""
-        if factor == 1:
-            planes, left, top = self._own_planes(extent)
-            return planes.y, left, top
-        return self._smaller(self._brightness, self._luma, factor, extent)
+    def _smaller(self, what: str, factor: int, extent: Extent) -> _Part:
+        """A part of the image at half the factor, reduced."""
+        # with a margin, since the next call of this frame asks for nearly the same place
+        asked, own = _widened(extent, 6.0 * factor), factor * (2 if what in ("u", "v") else 1)
+        width, height = (max(side // own, 1) for side in self.size)
+        left, right = _blocks(asked[0], asked[2], factor, width)
+        top, bottom = _blocks(asked[1], asked[3], factor, height)
+        first = 1 if what in ("u", "v") else factor // 2
+        wanted = left * factor, top * factor, right * factor - 1, bottom * factor - 1
+        for name in ("u", "v") if what == "u" else (what,):  # who reads one of them reads both
+            larger, x, y, _ = self._part(name, first, wanted)
+            zoom, x, y = factor // first, x // first, y // first
+            image = larger[zoom * top - y : zoom * bottom - y, zoom * left - x : zoom * right - x]
+            while zoom > 1:  # by halves, which OpenCV computes four times as fast as other factors
+                zoom //= 2
+                half = zoom * (right - left), zoom * (bottom - top)
+                image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), np.uint8)
+            self._parts[name, factor] = image, left * factor, top * factor, asked
+        return self._parts[what, factor]
 
-    def _smaller(
-        self,
-        larger: Callable[[int, Extent], tuple[Image, int, int]],
-        kept: dict[int, tuple[Image, int, int, Extent]],
-        factor: int,
-        extent: Extent,
-    ) -> tuple[Image, int, int]:
-        """What `reduced` returns; `larger` gives the image at half the factor, `kept` holds what was reduced before."""
-        reduced = kept.get(factor)
-        if reduced is None or not _within(extent, reduced[3]):
-            # with a margin, since the next call of this frame asks for nearly the same place
-            asked = _widened(extent, 6.0 * factor)
-            width, height = (max(side // factor, 1) for side in self.size)
-            left, right = _blocks(asked[0], asked[2], factor, width)
-            top, bottom = _blocks(asked[1], asked[3], factor, height)
-            # by halves, which OpenCV computes four times as fast as other factors
-            image, x, y = larger(factor // 2, (left * factor, top * factor, right * factor, bottom * factor))
-            dx, dy = 2 * x // factor, 2 * y // factor
-            region = image[2 * top - dy : 2 * bottom - dy, 2 * left - dx : 2 * right - dx]
-            small = cv2.resize(region, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
-            reduced = kept[factor] = small.astype(np.uint8, copy=False), left * factor, top * factor, asked
-        return reduced[:3]
+    def _of_whole(self, what: str, _: int, extent: Extent) -> _Part:
+        """The image itself; a part of it where less than half would have to be converted."""
+        if self.yuv is None or (what == "bgr" and self._bgr is not None):
+            return self.bgr, 0, 0, _ALL
+        if what != "bgr" and self.yuv.ours is None:
+            return getattr(self.yuv, what), 0, 0, _ALL
+        if what != "bgr":
+            scale = 1 if what == "y" else 2
+            planes, left, top, served = self._by_bt601(_scaled(extent, scale), 32.0)
+            return getattr(planes, what), left // scale, top // scale, _scaled(served, 1 / scale)
+        asked = _widened(extent, 6.0)
+        (x0, x1), (y0, y1) = self._pairs(asked)
+        if 8 * (x1 - x0) * (y1 - y0) > self.size[0] * self.size[1]:
+            return self.bgr, 0, 0, _ALL
+        planes, left, top = self._by_bt601(asked, 0.0)[:3]
+        part = planes.part((x0 - left // 2, x1 - left // 2), (y0 - top // 2, y1 - top // 2))
+        image = np.asarray(cv2.cvtColor(part.joined(), cv2.COLOR_YUV2BGR_I420), np.uint8)
+        return image, 2 * x0, 2 * y0, asked
+
+    def _in_grey(self, _: str, factor: int, extent: Extent) -> _Part:
+        planes = self.yuv is not None
+        asked = _widened(extent, 6.0) if factor == 1 else extent
+        lit, left, top, served = self._part("y" if planes else "bgr", factor, asked)
+        if factor > 1:  # which is widened already
+            asked = served
+        height, width = lit.shape[:2]
+        x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
+        y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
+        part = lit[y0:y1, x0:x1]
+        grey = cv2.LUT(part, _FULL_RANGE) if planes else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
+        return np.asarray(grey, np.uint8), left + x0 * factor, top + y0 * factor, asked
+
+    def _pairs(self, extent: Extent) -> tuple[tuple[int, int], tuple[int, int]]:
+        """The pairs of columns and of rows that cover an extent."""
+        width, height = self.size
+        return _blocks(extent[0], extent[2], 2, width // 2), _blocks(extent[1], extent[3], 2, height // 2)
+
+    def _by_bt601(self, extent: Extent, more: float) -> tuple[Planes, int, int, Extent]:
+        """The planes by BT.601, at least within `extent`, widened by `more`; where they begin, and what they serve."""
+        assert self.yuv is not None
+        if self.yuv.ours is None:
+            return self.yuv, 0, 0, _ALL
+        if self._ours is None or not _within(extent, self._ours[3]):
+            asked = _widened(extent, more)
+            columns, rows = self._pairs(asked)
+            self._ours = self.yuv.part(columns, rows), 2 * columns[0], 2 * rows[0], asked
+        return self._ours
 
     def remembered(self, key: Hashable) -> NDArray[np.float32] | None:
         """What was remembered with this key."""
@@ -259,9 +239,17 @@ class Frame:
         self._patches[key] = of, values
 
 
+def own_frame(frame: Frame) -> Frame:
+    """The frame for somebody who looks at other parts of it: what is computed for each is kept apart."""
+    return Frame(frame.index, frame.time_s, frame.yuv or frame.pixels, frame._bgr, aspect=frame.aspect)
+
+
 def factor_for(longest: float, most: float | None) -> int:
     """The least power of two that reduces a length to `most` pixels or less; 1 without a bound."""
     return 1 if most is None else 2 ** math.ceil(math.log2(max(longest / most, 1.0)))
+
+
+_ALL: Extent = (-math.inf, -math.inf, math.inf, math.inf)
 
 
 def _within(inner: Extent, outer: Extent) -> bool:
@@ -270,6 +258,10 @@ def _within(inner: Extent, outer: Extent) -> bool:
 
 def _widened(extent: Extent, more: float) -> Extent:
     return extent[0] - more, extent[1] - more, extent[2] + more, extent[3] + more
+
+
+def _scaled(extent: Extent, by: float) -> Extent:
+    return extent[0] * by, extent[1] * by, extent[2] * by, extent[3] * by
 
 
 def _blocks(low: float, high: float, factor: int, count: int) -> tuple[int, int]:

@@ -11,15 +11,13 @@ import codecs
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from ruamel.yaml import YAML
-from ruamel.yaml.composer import Composer
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
+from ruamel.yaml import YAML, events
+from ruamel.yaml.error import MarkedYAMLError, StringMark, YAMLError
 
 MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe has a page
 MAX_DEPTH = 20
@@ -136,19 +134,16 @@ def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
 
 def parse(source: Source, *, start: int = 0) -> Node | None:
     """The tree of the one document from the character `start` on, None without any. YamlProblems: all refused."""
-    reader, yaml = _Reader(source, start), YAML(typ="safe", pure=True)
-    yaml.Composer = _Composer
+    reader = _Reader(source, start)
     try:
-        root = yaml.compose(source.text[start:])
-        reader.refused = yaml.composer.refused
-        tree = None if root is None else reader.node(root)
+        tree = reader.document(YAML(typ="safe", pure=True).parse(source.text[start:]))
     except (YAMLError, ValueError, OverflowError) as error:
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-        line, column = (0, 0) if mark is None else (mark.line, mark.column)
+        mark = mark or StringMark("", 0, 0, 0, "", 0)
         about = [getattr(error, "context", None), getattr(error, "problem", None)]
         why = " ".join(" ".join(filter(None, about) if any(about) else [str(error)]).split())
         message = f"not valid YAML: {why}; correct the text at or before this place"
-        raise YamlProblems([Problem(reader.span(line, column, column + 1), message)]) from None
+        raise YamlProblems([Problem(reader.span(mark, mark), message)]) from None
     if reader.problems:
         raise YamlProblems(reader.problems)
     return tree
@@ -183,60 +178,45 @@ def assign(root: Node, option: str, assignment: str) -> None:
             node = child
 
 
-class _Composer(Composer):  # type: ignore[misc, unused-ignore]
-    """Refuses what is nested too deep before it is read; `refused` says why others of its nodes are, by their id."""
-
-    level = 0
-
-    def __init__(self, loader: Any = None) -> None:
-        super().__init__(loader=loader)
-        self.refused: dict[int, str] = {}
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        event = self.parser.peek_event()
-        if self.level > MAX_DEPTH:
-            raise MarkedYAMLError(problem=f"nested more than {MAX_DEPTH} deep", problem_mark=event.start_mark)
-        self.level += 1
-        node = super().compose_node(parent, index)
-        self.level -= 1
-        if getattr(event, "tag", None) is not None:
-            tag = str(event.tag).replace("tag:yaml.org,2002:", "!!")
-            self.refused[id(node)] = f'the tag "{tag}" is not allowed; remove it'
-        elif any("\ud800" <= char <= "\udfff" for char in getattr(event, "value", "")):
-            self.refused[id(node)] = "half of a surrogate pair is no character; write the character itself"
-        return node
-
-
-@dataclass
 class _Reader:
-    source: Source
-    start: int
-    problems: list[Problem] = field(default_factory=list)
-    refused: dict[int, str] = field(default_factory=dict)
-    seen: set[int] = field(default_factory=set)  # the nodes: an alias repeats one
+    """Makes the tree of a parser's events; `problems` are all that is refused of it."""
 
-    def node(self, given: Any) -> Node:
-        begin, end = given.start_mark, given.end_mark
-        span = self.span(begin.line, begin.column, end.column if end.line == begin.line else begin.column + 1)
-        if id(given) in self.seen:
-            return Node(span, None)
-        self.seen.add(id(given))
-        if given.anchor is not None:
-            why = f'"&{given.anchor}" is an anchor; remove it, and write out what refers to it'
-            self.problems.append(Problem(span, why))
-        if why := self.refused.get(id(given), ""):
-            self.problems.append(Problem(span, why))
-        if isinstance(given, MappingNode):
-            return Node(span, self.mapping(given))
-        if isinstance(given, SequenceNode):
-            return Node(span, [self.node(item) for item in given.value])
-        return Node(span, given.value if given.style else self.plain(given.value, span))
+    def __init__(self, source: Source, start: int) -> None:
+        self.source, self.start, self.problems = source, start, list[Problem]()
 
-    def mapping(self, given: Any) -> dict[str, Node]:
+    def document(self, parsed: Iterator[Any]) -> Node | None:
+        """The tree of the one document, None without any."""
+        self.events = (one for one in parsed if not isinstance(one, events.StreamStartEvent | events.DocumentEndEvent))
+        if isinstance(next(self.events), events.StreamEndEvent):
+            return None
+        tree = self.node(next(self.events))
+        if not isinstance(after := next(self.events), events.StreamEndEvent):
+            raise MarkedYAMLError(problem="expected a single document", problem_mark=after.start_mark)
+        return tree
+
+    def node(self, event: Any, depth: int = 0) -> Node:
+        begin = event.start_mark
+        if depth > MAX_DEPTH:
+            raise MarkedYAMLError(problem=f"nested more than {MAX_DEPTH} deep", problem_mark=begin)
+        for why in _refused(event):
+            self.problems.append(Problem(self.span(begin, event.end_mark), why))
+        value: Any = None
+        if isinstance(event, events.MappingStartEvent):
+            value, event = self.mapping(depth + 1)
+        elif isinstance(event, events.SequenceStartEvent):
+            value = []
+            while not isinstance(event := next(self.events), events.SequenceEndEvent):
+                value.append(self.node(event, depth + 1))
+        elif isinstance(event, events.ScalarEvent):
+            value = event.value if event.style else self.plain(event.value, self.span(begin, event.end_mark))
+        return Node(self.span(begin, event.end_mark), value)
+
+    def mapping(self, depth: int) -> tuple[dict[str, Node], Any]:
+        """The values by their keys, and the event that ends them."""
         children: dict[str, Node] = {}
-        for name, item in given.value:
-            key, value = self.node(name), self.node(item)
-            if not isinstance(name, ScalarNode):
+        while not isinstance(name := next(self.events), events.MappingEndEvent):
+            key, value = self.node(name, depth), self.node(next(self.events), depth)
+            if not isinstance(name, events.ScalarEvent):
                 self.problems.append(Problem(key.span, "a key must be a name"))
             elif (first := children.get(name.value)) is not None and first.key is not None:
                 also = f" (first on line {first.key.line + 1})" if self.source.is_file else ""
@@ -244,7 +224,7 @@ class _Reader:
                 self.problems.append(Problem(key.span, why))
             else:
                 children[name.value] = Node(value.span, value.value, key.span)
-        return children
+        return children, name
 
     def plain(self, text: str, span: Span) -> Scalar:
         """The value of a text without quotes."""
@@ -257,10 +237,22 @@ class _Reader:
             return None
         return float(text) if _FLOAT.fullmatch(text) else text
 
-    def span(self, line: int, column: int, end: int) -> Span:
+    def span(self, begin: Any, end: Any) -> Span:
         head = _lines(self.source.text[: self.start])
-        shift = len(head[-1]) if line == 0 else 0
-        return Span(self.source, line + len(head) - 1, column + shift, end + shift)
+        shift = len(head[-1]) if begin.line == 0 else 0
+        last = end.column if end.line == begin.line else begin.column + 1
+        return Span(self.source, begin.line + len(head) - 1, begin.column + shift, last + shift)
+
+
+def _refused(event: Any) -> Iterator[str]:
+    if isinstance(event, events.AliasEvent):
+        yield f'"*{event.anchor}" is an alias; write out what it refers to'
+    elif event.anchor is not None:
+        yield f'"&{event.anchor}" is an anchor; remove it, and write out what refers to it'
+    if getattr(event, "tag", None) is not None:
+        yield f'the tag "{str(event.tag).replace("tag:yaml.org,2002:", "!!")}" is not allowed; remove it'
+    elif any("\ud800" <= char <= "\udfff" for char in getattr(event, "value", "")):
+        yield "half of a surrogate pair is no character; write the character itself"
 
 
 @lru_cache(4)  # every problem of a recipe asks for them

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
-from facetrack_cli.core.types import Frame, Start, Whole
+from facetrack_cli.core.types import Frame, Start, Whole, own_frame
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import OVERRIDES, load_recipe, with_gallery
 from facetrack_cli.recipe.model import Recipe
@@ -150,7 +150,7 @@ def _work(task: tuple[SeedPlan, tuple[int, ...]], stop: Stop, report: Callable[[
 
     def present() -> Iterator[Frame]:
         while True:  # images derived from a frame are kept in it: each tracker makes its own, and is timed for it
-            yield Frame(frame.index, frame.time_s, frame.yuv or frame.pixels, aspect=frame.aspect)
+            yield own_frame(frame)
 
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
         tracker = tracker_for(plan.recipe, plan.start, source.size)

@@ -3,8 +3,8 @@
 One folder for each person, with the person's name; in it images, videos, and folders of a video's frames. An init file
 beside one says where the face is; of another image the largest face is taken, of another clip that of some frames.
 
-A face is read as the tracker reads one that begins in the same box. Copies and counter-examples follow a fixed sequence
-that fills the range evenly: equal input gives an equal gallery.
+A face is read as the tracker reads one that begins in the same box. Copies and counter-examples are drawn with fixed
+seeds: equal input gives an equal gallery.
 """
 
 import math
@@ -116,54 +116,35 @@ def _person(folder: Path, warn: Warn) -> Person:
 
 def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
     """The frames of an item, each with the box of its face."""
-    start = None if item.init is None else _read_start(item, item.init, reading)
-    if item.is_image:
-        try:
-            frame = Frame(0, 0.0, images.read(item.path))
-            yield frame, _in_image(item, frame, warn) if start is None else _box_in(start, frame)
-        except images.UnreadableError as e:
-            warn(f"{item.path}: {e.why}; skipped")
-            yield None, None
-    elif start is None:
-        yield from _in_clip(item, reading, warn)
-    else:
-        with open_source(item.path, start=start.frame, stop=start.frame + 1) as source:
-            for frame in source:
-                yield frame, _box_in(start, frame)
-
-
-def _in_image(item: Item, frame: Frame, warn: Warn) -> Box | None:
-    faces = find_faces(frame.bgr)
-    if not faces:
-        warn(f"{item.path}: no face found; skipped, or give its box in {default_path(item.path)}")
-        return None
-    if len(faces) > 1:
-        box = ", ".join(f"{value:g}" for value in faces[0])
-        other = f"for another give its box in {default_path(item.path)}"
-        warn(f"{item.path}: {len(faces)} faces; the largest is taken, at [{box}], {other}")
-    return faces[0]
-
-
-def _in_clip(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
-    looked, without = 0, []
+    start, given = (None, []) if item.init is None else _read_start(item, item.init, reading)
+    looked, without = 0, list[int]()
     try:
-        wanted = _spread(item.path, reading)
+        wanted = [0] if item.is_image else _spread(item.path, reading) if start is None else [start.frame]
         with open_source(item.path, start=wanted[0], stop=wanted[-1] + 1) as source:
             for frame in source:
                 if frame.index not in wanted:
                     continue
-                faces, looked = find_faces(frame.bgr), looked + 1
+                if start is not None:
+                    check_start(start, frame.size, ())
+                faces, looked = given or find_faces(frame.bgr), looked + 1
                 if not faces:
                     without.append(frame.index)
+                if item.is_image and len(faces) > 1:
+                    box = ", ".join(f"{value:g}" for value in faces[0])
+                    other = f"for another give its box in {default_path(item.path)}"
+                    warn(f"{item.path}: {len(faces)} faces; the largest is taken, at [{box}], {other}")
                 yield frame, faces[0] if faces else None
             for line in source.warnings:
                 warn(line)
     except InputError as e:
+        if start is not None:
+            raise
         warn(f"{e}; skipped")
         yield None, None
     if without:
         frames = f"frame{'s' * (len(without) > 1)} {', '.join(map(str, without))}"
-        warn(f"{item.path}: no face found in {len(without)} of {looked} frames looked at; skipped {frames}")
+        what = f"no face found in {len(without)} of {looked} frames looked at; skipped {frames}"
+        warn(f"{item.path}: {what}, or give its box in {default_path(item.path)}")
 
 
 def _spread(path: Path, reading: Reading) -> list[int]:
@@ -174,8 +155,8 @@ def _spread(path: Path, reading: Reading) -> list[int]:
     return [reading.start + (2 * i + 1) * length // (2 * number) for i in range(number)]
 
 
-def _read_start(item: Item, path: Path, reading: Reading) -> Start:
-    """The single face of an init file, with the checks that need no image."""
+def _read_start(item: Item, path: Path, reading: Reading) -> tuple[Start, list[Box]]:
+    """The single face of an init file and its box, with the checks that need no image."""
     start = read_init(path)
     [(name, target), *others] = start.targets.items()
     if others or target.box is None:
@@ -185,14 +166,7 @@ def _read_start(item: Item, path: Path, reading: Reading) -> Start:
     if not (0 if item.is_image else reading.start) <= start.frame < end:
         remedy = "choose one that is used, which is 0 of an image, or change --start and --stop"
         raise InputError(f"{path}: starts at frame {start.frame}, which is not used; {remedy}")
-    return replace(start, origin=str(path))
-
-
-def _box_in(start: Start, frame: Frame) -> Box:
-    check_start(start, frame.size, ())
-    box = next(iter(start.targets.values())).box
-    assert box is not None
-    return box
+    return replace(start, origin=str(path)), [target.box]
 
 
 class Faces(NamedTuple):
@@ -268,13 +242,13 @@ def _cut(frame: Frame, box: Box, reading: Reading, number: int, around: int) -> 
 
 def near(first: int, number: int) -> Array:
     """(number, 4) ways to draw a face's box a little off: right, down (box sides), log of size, turn (radians)."""
-    u = 2.0 * _even(first, number) - 1.0
+    u = np.random.default_rng(first).uniform(-1.0, 1.0, (number, 4))
     return u * [SHIFT, SHIFT, math.log1p(STRETCH), math.radians(TURN)]
 
 
 def off(first: int, number: int) -> Array:
     """(number, 4) as `near`, in which no face is in its place: half beside it, or too large, small, turned."""
-    u = _even(first, number)
+    u = np.random.default_rng(first).random((number, 4))
     kind = (first + np.arange(number)) % NEGATIVES
     side, far = 2.0 * np.pi * u[:, 0], 0.2 + 0.5 * u[:, 1]
     ways = np.stack([far * np.cos(side), far * np.sin(side), 0.4 * (u[:, 2] - 0.5), 0.5 * (u[:, 3] - 0.5)], axis=1)
@@ -292,16 +266,3 @@ def moved(x: Array, box: Box, ways: Array) -> Array:
     size, turn = np.exp(ways[:, 2]), ways[:, 3]
     cos, sin = size * np.cos(turn), size * np.sin(turn)
     return np.stack([x[0] + ways[:, 0] * box[2], x[1] + ways[:, 1] * box[3], cos, -sin, sin, cos], axis=1)
-
-
-def _even(first: int, number: int) -> Array:
-    """(number, 4) points in [0, 1) of a sequence that fills it evenly, however many are taken (Halton)."""
-    points = np.zeros((number, 4))
-    for column, base in enumerate((2, 3, 5, 7)):
-        # the digits in the base, read backwards behind the point
-        n, digit = first + 1 + np.arange(number), 1.0
-        while n.any():
-            digit /= base
-            points[:, column] += digit * (n % base)
-            n = n // base
-    return points

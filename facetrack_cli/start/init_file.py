@@ -20,24 +20,24 @@ called `face`, and beside the `frame` of a correction.
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Final, NoReturn, TextIO, TypeAlias, TypeVar
+from typing import Any, Final, NoReturn, TextIO
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.face_points import DETECTORS, HANDS
 from facetrack_cli.core.files import write_new
 from facetrack_cli.core.geometry import centre, inside
-from facetrack_cli.core.types import BOX, Correction, Point, Start, TargetStart
+from facetrack_cli.core.types import BOX, Point, Start
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
-from facetrack_cli.trajectory.reader import MAX_FRAME, CorrectedTarget, TargetRecord, corrected, to_record, whole
+from facetrack_cli.trajectory.reader import CorrectedTarget, StartRecord, TargetRecord, corrected, to_record, whole
 
 SUFFIXES: Final = (".yaml", ".yml", ".json")
 TARGET: Final = "face"
@@ -47,12 +47,6 @@ OF_CORRECTIONS: Final = tuple(key for key in CorrectedTarget.model_fields if key
 MAX_TARGETS: Final = 100
 NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 MAX_BYTES: Final = 10**6  # some thousand corrections, which take seconds to read
-_HOW: Final = {
-    "haar": "found by Haar cascades",
-    "yunet": "found by YuNet",
-    "--box": "placed in the box given",
-    "the page": "picked on the page",
-}
 WHAT_PARTS_ARE: Final = {
     "nose": "the tip of the nose",
     "mouth_left": "the corner of the mouth on the picture's left",
@@ -61,8 +55,6 @@ WHAT_PARTS_ARE: Final = {
     "lip_lower": "the middle of the lower lip, at its lower edge",
 }
 _WIDE: Final = 88  # characters of a line; longer ones are split, a point on each
-_KEYS: TypeAlias = "dict[str, Node]"
-_Record = TypeVar("_Record", bound=BaseModel)
 
 
 def find_init(clip: Path) -> Path | None:
@@ -102,17 +94,25 @@ def as_json(start: Start) -> str:
 
 def as_yaml(start: Start, clip: str = "") -> str:
     """As YAML with comments; `clip` is named at the top."""
-    how = f", {_HOW[start.origin]}" if start.origin in _HOW else ""
     of = f" of {''.join(char if char.isprintable() else '?' for char in clip)}" if clip else ""
     lines = [
-        f"# Where the track{of} begins{how}.",
+        f"# Where the track{of} begins.",
         "# Edit the numbers: pixels of this frame, x to the right, y down; the centre of the first pixel is 0, 0.",
         f"frame: {start.frame}  # counted from 0",
     ]
     if by := start.placed_by:
         lines.append(f"placed_by: {by}  # remove this line once you have edited a point or the box")
     for name, target in start.targets.items():
-        lines += [f"{_key(name)}:", *_target_lines(target)]
+        lines.append(f"{_key(name)}:")
+        if target.box is not None:
+            lines.append(f"  box: {_flow(target.box)}  # left, top, width, height")
+        if target.points:
+            rows = list(zip(_below(target.points, 4), map(WHAT_PARTS_ARE.get, target.points), strict=True))
+            wide = max(len(row) for row, _ in rows)
+            lines.append("  points:  # x, y of each part; left and right as seen in the image")
+            lines += [f"{row:<{wide}}  # {what}" if what else row for row, what in rows]
+        if target.windows:
+            lines += ["  windows:  # width, height of the window that is compared", *_below(target.windows, 4)]
     if start.corrections:
         lines += [
             "# What was corrected by hand; from each of these frames on the target begins again.",
@@ -131,23 +131,6 @@ def as_yaml(start: Start, clip: str = "") -> str:
                 split = isinstance(value, dict) and len(line) > _WIDE
                 lines += [f"    {key}:", *_below(value, 6)] if split else [line]
     return "\n".join(lines) + "\n"
-
-
-def _target_lines(target: TargetStart) -> list[str]:
-    lines = [] if target.box is None else [f"  box: {_flow(target.box)}  # left, top, width, height"]
-    if target.points:
-        rows = list(zip(_below(target.points, 4), map(WHAT_PARTS_ARE.get, target.points), strict=True))
-        wide = max(len(row) for row, _ in rows)
-        lines.append("  points:  # x, y of each part; left and right as seen in the image")
-        lines += [f"{row:<{wide}}  # {what}" if what else row for row, what in rows]
-    if target.windows:
-        lines += ["  windows:  # width, height of the window that is compared", *_below(target.windows, 4)]
-    elif target.points:
-        lines += [
-            "  # To compare a larger or smaller window than the recipe's, give its width and height:",
-            f"  # windows: {_flow({next(iter(target.points)): (25, 25)})}",
-        ]
-    return lines
 
 
 def _below(pairs: Mapping[str, Point], indent: int) -> list[str]:
@@ -181,20 +164,24 @@ def read_init(path: Path) -> Start:
         root = parse(source)
         if root is None:
             raise InputError(f"{name}:1: the init file is empty; make one with facetrack init")
-        keys = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
-        frame, by, corrections = _frame(keys, root), keys.pop("placed_by", None), keys.pop("corrections", None)
-        if by is not None and by.value not in DETECTORS:
-            _refuse(by, f"placed_by names a detector, {' or '.join(DETECTORS)}; remove the line if none did")
-        targets = _targets(keys, root)
-        corrected = _corrections(corrections, frame, targets) if corrections else ()
-        detector = "" if by is None else str(by.value)
-        return Start(frame, targets, name, corrected, detector=detector, placed=by is not None)
-    except YamlProblems as refused:
-        more = f" (and {len(refused.problems) - 1} more)" if len(refused.problems) > 1 else ""
-        raise InputError(f"{refused.problems[0]}{more}") from None
+        tree = _as_record(root)
+        record = StartRecord.model_validate(tree.plain())
+        _check(record, tree)
+        start = record.start_from(name)
+        return replace(start, corrections=tuple(sorted(start.corrections, key=lambda fix: fix.frame)))
+    except ValidationError as error:
+        refused = problems(error, StartRecord, tree)
+    except YamlProblems as error:
+        refused = [*error.problems]
+    raise InputError(f"{refused[0]}{f' (and {len(refused) - 1} more)' if len(refused) > 1 else ''}")
 
 
-def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
+def _as_record(root: Node) -> Node:
+    """The tree of a file as `StartRecord` has it: the keys of targets and corrections may stand in shorter forms."""
+    keys = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
+    frame, by, corrections = (keys.pop(key, None) for key in OF_FILES)
+    if frame is None:
+        _refuse(root, 'the key "frame" is missing; add frame: N, counted from 0')
     alone = any(key in KEYS for key in keys)
     for key, node in keys.items():
         near = get_close_matches(key, (*OF_FILES, *KEYS), n=1, cutoff=0.7)
@@ -204,64 +191,83 @@ def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
             _refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
     if len(keys) > MAX_TARGETS:
         _refuse(root, f"{len(keys)} targets, and at most {MAX_TARGETS} are followed at a time; split the file")
-    targets = {}
-    for name, node in ({TARGET: Node(root.span, keys)} if alone or not keys else keys).items():
-        target = _read(TargetRecord, node, name)
+    targets = {TARGET: Node(root.span, keys)} if alone or not keys else keys
+    members = {"frame": frame, "targets": Node(root.span, {**targets})}
+    if by is not None:
+        if by.value not in DETECTORS:
+            _refuse(by, f"placed_by names a detector, {' or '.join(DETECTORS)}; remove the line if none did")
+        members |= {"detector": by, "placed": Node(by.span, True)}
+    if corrections is not None:
+        if not isinstance(corrections.value, list):
+            form = "write - frame: 31 and, below it, what is corrected, or remove the key"
+            _refuse(corrections, f"corrections is a list; {form}")
+        each = [fix for entry in corrections.value for fix in _of_entry(entry, [*targets])]
+        members["corrections"] = Node(corrections.span, each, corrections.key)
+    return Node(root.span, members)
+
+
+def _of_entry(entry: Node, targets: Sequence[str]) -> Iterator[Node]:
+    """The corrections of one frame, as `CorrectionRecord` has them."""
+    keys = _mapping(entry, "a correction", "- frame: 31 and, below it, what is corrected")
+    frame = keys.pop("frame", None)
+    if frame is None:
+        _refuse(entry, 'the key "frame" is missing; add frame: N, counted from 0')
+    if any(key in (*KEYS, *OF_CORRECTIONS) for key in keys):
+        if len(targets) > 1:
+            _refuse(entry, f"which target is corrected? Indent the keys below its name: {', '.join(targets)}")
+        keys = {name: Node(entry.span, keys) for name in targets}
+    if not keys:
+        _refuse(entry, "nothing is corrected here; add points: or box: by hand, or absent: true")
+    for name, node in keys.items():
+        if name not in (*targets, *HANDS):  # these may appear after the start
+            remedy = suggest(name, (*targets, *CorrectedTarget.model_fields), "there are the start's targets, and keys")
+            _refuse(node, f'unknown key "{name}"; {remedy}', at_key=True)
+        fields = _mapping(node, f"the correction of {name}", "points: or absent: below the name")
+        for key in (key for key in fields if key not in CorrectedTarget.model_fields):
+            remedy = suggest(key, [*CorrectedTarget.model_fields], "the keys there are")
+            _refuse(fields[key], f'unknown key "{key}"; {remedy}', at_key=True)
+        of = Node(node.span, name, node.key)
+        yield Node(node.span, {"target": of, "frame": frame, **fields}, node.key)
+
+
+def _check(record: StartRecord, tree: Node) -> None:
+    """YamlProblems for what is right by itself, and not beside the rest."""
+    for path, node in tree.walk():
+        if len(path) == 4 and isinstance(path[3], str) and not NAME.fullmatch(path[3]):
+            _refuse(node, f'"{path[3]}" cannot name a part; use letters, digits, _ and -', at_key=True)
+    for name, target in record.targets.items():
+        at = locate(tree, ("targets", name))[0]
         if target.box is None and not target.points:
-            _refuse(node, f"no box or points of {name}; add box: [left, top, width, height] or points:")
+            _refuse(at, f"no box or points of {name}; add box: [left, top, width, height] or points:")
         for part in target.windows:
-            _check_part(locate(node, ("windows", part))[0], "windows", part, tuple(target.points))
-        targets[name] = target.target()
-    return targets
-
-
-def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> tuple[Correction, ...]:
-    if not isinstance(node.value, list):
-        _refuse(node, "corrections is a list; write - frame: 31 and, below it, what is corrected, or remove the key")
-    corrections: dict[tuple[int, str], Correction] = {}
-    for entry in node.value:
-        keys = _mapping(entry, "a correction", "- frame: 31 and, below it, what is corrected")
-        at, frame = keys.get("frame", entry), _frame(keys, entry)
-        if frame <= first:
-            _refuse(at, f"corrects frame {frame}, but the track begins in frame {first}; corrections come after it")
-        if any(key in (*KEYS, *OF_CORRECTIONS) for key in keys):
-            if len(targets) > 1:
-                _refuse(entry, f"which target is corrected? Indent the keys below its name: {', '.join(targets)}")
-            keys = {name: Node(entry.span, keys) for name in targets}
-        if not keys:
-            _refuse(entry, "nothing is corrected here; add points: or box: by hand, or absent: true")
-        for name, below in keys.items():
-            if name not in (*targets, *HANDS):  # these may appear after the start
-                known = (*targets, *CorrectedTarget.model_fields)
-                remedy = suggest(name, known, "there are the start's targets, and keys")
-                _refuse(below, f'unknown key "{name}"; {remedy}', at_key=True)
-            if (frame, name) in corrections:
-                _refuse(below, f"{name} is corrected in frame {frame} already; join them", at_key=True)
-            corrections[frame, name] = _correction(frame, name, below, targets.get(name, TargetStart()))
-    return tuple(sorted(corrections.values(), key=lambda correction: correction.frame))
-
-
-def _correction(frame: int, name: str, node: Node, start: TargetStart) -> Correction:
-    keys = _mapping(node, f"the correction of {name}", "points: or absent: below the name")
-    record = _read(CorrectedTarget, node, f"{name} in frame {frame}")
-    if not keys.keys() & {"box", "points", "absent", "confirmed"}:
-        _refuse(node, f"nothing of {name} is corrected; add points: or box: by hand, or absent: true, or remove it")
-    whole = record.absent is True or bool(record.confirmed)
-    if (whole and len(keys) > 1) or (record.box is not None and record.kept):
-        alone = "absent: true and confirmed stand alone, and nothing is kept beside a box"
-        _refuse(node, f"{alone}; remove the other keys of {name}", at_key=True)
-    # a start of a box alone leaves the parts to the recipe
-    parts = (*start.points, *((BOX,) if start.box is not None else ())) if start.points else ()
-    placed = {BOX: "box"} if record.box is not None else {}
-    lists = {"absent": record.absent, "confirmed": record.confirmed}
-    for key, names in {"points": record.points, "kept": record.kept, **lists}.items():
-        for at, part in enumerate(() if names is True else names):
-            child, _ = locate(node, (key, at if key in lists else part))
-            if part in placed:
-                _refuse(child, f"{part} is in {placed[part]} already; leave it in one place", at_key=True)
-            _check_part(child, key, part, parts)
-            placed[part] = key
-    return record.correction(frame, name)
+            _check_part(locate(at, ("windows", part))[0], "windows", part, tuple(target.points))
+    seen: set[tuple[int, str]] = set()
+    for number, fix in enumerate(record.corrections):
+        at, name = locate(tree, ("corrections", number))[0], fix.target
+        if fix.frame <= record.frame:
+            begins = f"the track begins in frame {record.frame}; corrections come after it"
+            _refuse(locate(at, ("frame",))[0], f"corrects frame {fix.frame}, but {begins}")
+        if (fix.frame, name) in seen:
+            _refuse(at, f"{name} is corrected in frame {fix.frame} already; join them", at_key=True)
+        seen.add((fix.frame, name))
+        if not (fix.box or fix.points or fix.absent or fix.confirmed):
+            _refuse(at, f"nothing of {name} is corrected; add points: or box: by hand, or absent: true, or remove it")
+        whole = fix.absent is True or bool(fix.confirmed)
+        if (whole and len(fix.model_fields_set) > 3) or (fix.box is not None and fix.kept):
+            alone = "absent: true and confirmed stand alone, and nothing is kept beside a box"
+            _refuse(at, f"{alone}; remove the other keys of {name}", at_key=True)
+        # a start of a box alone leaves the parts to the recipe
+        start = record.targets.get(name, TargetRecord())
+        parts = (*start.points, *((BOX,) if start.box is not None else ())) if start.points else ()
+        placed = {BOX: "box"} if fix.box is not None else {}
+        lists = {"absent": fix.absent, "confirmed": fix.confirmed}
+        for key, names in {"points": fix.points, "kept": fix.kept, **lists}.items():
+            for place, part in enumerate(() if names is True else names):
+                child = locate(at, (key, place if key in lists else part))[0]
+                if part in placed:
+                    _refuse(child, f"{part} is in {placed[part]} already; leave it in one place", at_key=True)
+                _check_part(child, key, part, parts)
+                placed[part] = key
 
 
 def _check_part(node: Node, key: str, part: str, parts: Sequence[str]) -> None:
@@ -270,34 +276,11 @@ def _check_part(node: Node, key: str, part: str, parts: Sequence[str]) -> None:
         _refuse(node, f'{key} names "{part}", which the start does not have; {meant}', at_key=True)
 
 
-def _read(model: type[_Record], node: Node, whose: str) -> _Record:
-    for path, child in node.walk():
-        if len(path) == 2 and isinstance(path[1], str) and not NAME.fullmatch(path[1]):
-            _refuse(child, f'"{path[1]}" cannot name a part; use letters, digits, _ and -', at_key=True)
-        if path and child.value in (None, [], {}):
-            _refuse(child, "nothing is given here; write a value, or remove the key", at_key=True)
-    try:
-        return model.model_validate(node.plain())
-    except ValidationError as error:
-        refused = problems(error, model, node)
-        raise YamlProblems([Problem(one.span, f"{whose}: {one.message}") for one in refused]) from None
-
-
-def _mapping(node: Node, what: str, example: str) -> _KEYS:
+def _mapping(node: Node, what: str, example: str) -> dict[str, Node]:
     """A copy of the mapping that a node is."""
     if not isinstance(node.value, dict):
         _refuse(node, f"{what} is a mapping of keys; write {example}")
     return dict(node.value)
-
-
-def _frame(keys: _KEYS, node: Node) -> int:
-    """The frame number; its key is removed."""
-    if "frame" not in keys:
-        _refuse(node, 'the key "frame" is missing; add frame: N, counted from 0')
-    at = keys.pop("frame")
-    if isinstance(at.value, bool) or not isinstance(at.value, int) or not 0 <= at.value <= MAX_FRAME:
-        _refuse(at, f"frame must be a whole number, from 0 to {MAX_FRAME}")
-    return at.value
 
 
 def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:

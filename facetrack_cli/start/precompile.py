@@ -123,12 +123,6 @@ def signature(name: str) -> tuple[Any, ...]:
     return tuple(map(of, KERNELS[name][0].split()))
 
 
-def of_recipe(settings: Mapping[str, Any]) -> list[str]:
-    """The names of the kernels that a recipe calls, given as `to_dict` does; the dearest first."""
-    types = set(_settings("", settings))
-    return [name for name, (_, by) in KERNELS.items() if not types.isdisjoint(by.split())]
-
-
 def _settings(key: str, settings: Any) -> Iterator[str]:
     if isinstance(settings, Mapping):
         yield f"{key}={settings['type']}" if "type" in settings else key
@@ -140,12 +134,14 @@ def _settings(key: str, settings: Any) -> Iterator[str]:
 
 @contextlib.contextmanager
 def precompiling(settings: Mapping[str, Any], processes: int) -> Iterator[Callable[..., None]]:
-    """Compile the kernels of a recipe that the cache lacks, while the `with` block lasts.
+    """Compile the kernels of a recipe, given as `to_dict` does, that the cache lacks, while the `with` block lasts.
 
     `processes`: how many there may be, this one included. The second process begins at once. This one compiles or loads
     all kernels when what the block is given is called, with the last two arguments of `compile_kernels`.
     """
-    missing = [name for name in of_recipe(settings) if not _is_cached(name)]
+    types = set(_settings("", settings))
+    called = [name for name, (_, by) in KERNELS.items() if not types.isdisjoint(by.split())]  # the dearest first
+    missing = [name for name in called if not _is_cached(name)]
     # each process begins with the dear half of its own, then helps the other one from the cheap end: they meet in
     # the middle, and find in the cache what the other one has compiled
     mine, others = missing[::2], missing[1::2]

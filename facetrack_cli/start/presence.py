@@ -20,7 +20,7 @@ from numpy.random import Generator
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside, overlap, share_inside
 from facetrack_cli.core.npz import STORED
-from facetrack_cli.core.types import BOX, Box, Frame, Start, TargetStart
+from facetrack_cli.core.types import BOX, Box, Frame, Start, TargetStart, own_frame
 from facetrack_cli.engine.corrected import CorrectedTarget
 from facetrack_cli.engine.loop import Target, TrackState
 from facetrack_cli.recipe.model import Recipe
@@ -104,31 +104,27 @@ class MultiFaceTracker:
         """The results of successive frames of one shot, of which the detector looks at the last."""
         if frames:
             at.states = []  # what is between two blocks can be resumed
-            by_frame, left = self._tracked(film, frames)
+            by_frame: _Results = {frame.index: {} for frame in frames}
+            tracks, left = film.tracks, list[Track]()
+            for track, results in [(track, self._advance(track, frames)) for track in tracks]:
+                for frame, result in zip(frames, results, strict=False):
+                    by_frame[frame.index][track.name] = result
+                if len(results) < len(frames):  # it leaves the picture
+                    left.append(track)
+            film.tracks = [track for track in tracks if track not in left]
             self._look(film, frames, by_frame, left, shot)
-            results = [FrameResult(frame, tuple(by_frame[frame.index].values())) for frame in frames]
+            *earlier, last = [FrameResult(frame, tuple(by_frame[frame.index].values())) for frame in frames]
             frames.clear()
-            yield from results[:-1]
+            yield from earlier
             at.states = [film]
-            yield results[-1]
-
-    def _tracked(self, film: FilmState, frames: list[Frame]) -> tuple[_Results, list[Track]]:
-        """The results of the tracks that go on, and the tracks that leave the picture."""
-        each = [self._advance(track, frames) for track in film.tracks]
-        by_frame: _Results = {frame.index: {} for frame in frames}
-        for track, results in zip(film.tracks, each, strict=True):
-            for frame, result in zip(frames, results, strict=False):
-                by_frame[frame.index][track.name] = result
-        left = [track for track, results in zip(film.tracks, each, strict=True) if len(results) < len(frames)]
-        film.tracks = [track for track in film.tracks if track not in left]
-        return by_frame, left
+            yield last
 
     def _advance(self, track: Track, frames: Iterable[Frame], *, back: bool = False) -> list[TargetResult]:
         """The results of one track in further frames, while it is in the picture; going `back`, while it is seen."""
         track.target = target = track.target or self._target(track.start)
         results = list[TargetResult]()
         for frame in frames:
-            track.state, result = target.advance(track.rng, track.state, _own(frame))
+            track.state, result = target.advance(track.rng, track.state, own_frame(frame))
             before = track.box
             track.see(result)
             at = track.box or before
@@ -173,7 +169,10 @@ class MultiFaceTracker:
             film.crowd = frame.index
         new_tracks = [new_track for face in new[:room] if (new_track := self._new_track(film, face, frame)) is not None]
         passed = frames[-2::-1]
-        each = [self._back(track, passed) for track, _ in new_tracks]
+        each = []
+        for track, _ in new_tracks:
+            rng = np.random.default_rng(track.rng.bit_generator.random_raw())
+            each.append(self._advance(replace(track, rng=rng), passed, back=True))
         for (track, first), back in zip(new_tracks, each, strict=True):
             ordered = [*reversed(back), first]
             for at, result in zip(frames[len(frames) - len(ordered) :], ordered, strict=True):
@@ -210,16 +209,11 @@ class MultiFaceTracker:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, film.count)))
         target = self._target(start)
         try:
-            state, result = target.begin(rng, _own(frame))
+            state, result = target.begin(rng, own_frame(frame))
         except InputError:  # too small, or beyond the border
             return None
         film.count += 1
         return Track(name, start, rng, state, closer=face if face.closer else None, target=target), result
-
-    def _back(self, track: Track, passed: Sequence[Frame]) -> list[TargetResult]:
-        """The results of a track in the frames before, the last of them first."""
-        rng = np.random.default_rng(track.rng.bit_generator.random_raw())
-        return self._advance(replace(track, rng=rng), passed, back=True)
 
 
 def among_others(target: Target) -> Target:
@@ -240,8 +234,3 @@ def in_view(face: Box, size: tuple[int, int]) -> bool:
 
 def _taken(face: Detection, others: Sequence[Detection]) -> bool:
     return any(overlap(other.box, face.box) >= SAME_FACE for other in others)
-
-
-def _own(frame: Frame) -> Frame:
-    """The frame for one track: what is computed of it is kept apart."""
-    return Frame(frame.index, frame.time_s, frame.yuv or frame.pixels, frame.bgr, aspect=frame.aspect)

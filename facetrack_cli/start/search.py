@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from math import degrees, isfinite
-from typing import Final, Literal, TypeAlias
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -61,21 +61,27 @@ _ALL_OF_IT: Final = "draw it from the brows to the chin"
 Faces: TypeAlias = Literal["one", "all"]
 
 
+class _Look(NamedTuple):
+    """A frame that shows a candidate; `clear`: whether the regression has seen nose and mouth."""
+
+    frame: int
+    box: Box
+    points: dict[str, Point]
+    contrast: float
+    clear: bool
+
+
 @dataclass(eq=False)
 class _Candidate:
-    """A candidate for a face: boxes, points and contrast of the frames that show it, and where a track can begin.
+    """A candidate for a face: looks at it, and where a track can begin.
 
     `change`: the largest change of the image in its first box since then, in grey levels; `deformed`: that of the first
-    `compared` of its `views`, each laid on the first one. `clear`: whether the regression has seen nose and mouth, in
-    each frame. `face`: as it was found first.
+    `compared` of its `views`, each laid on the first one. `face`: as it was found first.
     """
 
     face: Detection
-    boxes: list[tuple[int, Box]] = field(default_factory=list)
-    points: list[dict[str, Point]] = field(default_factory=list)
-    contrast: list[float] = field(default_factory=list)
+    looks: list[_Look] = field(default_factory=list)
     begins: dict[int, Start] = field(default_factory=dict)
-    clear: list[bool] = field(default_factory=list)
     features: bool = False
     patch: Image | None = None
     change: float = 0.0
@@ -84,24 +90,21 @@ class _Candidate:
     deformed: float = 0.0
 
     @property
-    def first(self) -> int:
-        return self.boxes[0][0]
-
-    @property
-    def last(self) -> int:
-        return self.boxes[-1][0]
+    def box(self) -> Box:
+        """Where it was found last."""
+        return self.looks[-1].box
 
     @property
     def certain(self) -> bool:
-        return any(self.clear)
+        return any(look.clear for look in self.looks)
 
     @property
-    def size(self) -> float:
-        return float(np.mean([box[2] for _, box in self.boxes]))
+    def lit(self) -> bool:
+        return max(look.contrast for look in self.looks) >= MIN_CONTRAST
 
     @property
     def worth(self) -> float:
-        return float(sum(box[2] * box[3] for _, box in self.boxes))
+        return float(sum(look.box[2] * look.box[3] for look in self.looks))
 
     @property
     def lives(self) -> bool:
@@ -114,7 +117,7 @@ class _Candidate:
 
     def see(self, frame: Frame, *, alone: bool) -> None:
         """Add a frame that shows it, `alone` or with others, of which it may be the one that lives."""
-        x, y, w, h = (round(side) for side in self.boxes[0][1])
+        x, y, w, h = (round(side) for side in self.looks[0].box)
         seen = cv2.cvtColor(frame.bgr[max(y, 0) : y + h, max(x, 0) : x + w], cv2.COLOR_BGR2GRAY)
         patch = np.asarray(cv2.resize(seen, (PATCH_PX, PATCH_PX), interpolation=cv2.INTER_AREA), np.uint8)
         if self.patch is None:
@@ -122,12 +125,13 @@ class _Candidate:
         self.change = max(self.change, _change(patch, self.patch))
         if alone:
             return
-        face = Similarity(np.array(centre(self.boxes[-1][1])), self.boxes[-1][1][2] / VIEW_PX)
+        face = Similarity(np.array(centre(self.box)), self.box[2] / VIEW_PX)
         view = cv2.cvtColor(face.read(frame, VIEW_PX + 2 * MARGIN_PX).bgr, cv2.COLOR_BGR2GRAY)
         self.views.append(np.asarray(cv2.GaussianBlur(view, (0, 0), 1.0), np.uint8))
 
     def said(self) -> str:
-        return f"{self.size:.0f} pixels wide, found in {len(self.boxes)} frame{'s' * (len(self.boxes) > 1)}"
+        wide, count = np.mean([look.box[2] for look in self.looks]), len(self.looks)
+        return f"{wide:.0f} pixels wide, found in {count} frame{'s' * (count > 1)}"
 
 
 def _change(now: Image, before: Image) -> float:
@@ -224,14 +228,13 @@ class _Search:
 
     def _open(self) -> list[_Candidate]:
         first = self.frames[-MAX_GAP:][0] if self.frames else 0
-        return [candidate for candidate in self.candidates if candidate.last >= first]
+        return [candidate for candidate in self.candidates if candidate.looks[-1].frame >= first]
 
     def _dark(self) -> bool:
         """Whether there are only faces to wait for until light falls on them."""
         open_ = self._open()
         return bool(open_) and all(
-            candidate.certain and len(candidate.boxes) >= MIN_LOOKS and max(candidate.contrast) < MIN_CONTRAST
-            for candidate in open_
+            candidate.certain and len(candidate.looks) >= MIN_LOOKS and not candidate.lit for candidate in open_
         )
 
     def look(self, frame: Frame) -> None:
@@ -240,17 +243,16 @@ class _Search:
         open_, faces = self._open(), self.detector.find(frame)
         for candidate in open_:
             if candidate.face.closer:
-                box = candidate.boxes[-1][1]
-                faces = [face for face in faces if overlap(face.box, box) < BESIDE]
-                again = near(self.detector, frame, box, candidate.face.turn)
+                faces = [face for face in faces if overlap(face.box, candidate.box) < BESIDE]
+                again = near(self.detector, frame, candidate.box, candidate.face.turn)
                 faces += [] if again is None else [again]
         for face in faces:
-            mine = max(open_, key=lambda candidate: overlap(candidate.boxes[-1][1], face.box), default=None)
-            if mine is None or overlap(mine.boxes[-1][1], face.box) < MIN_OVERLAP:
+            mine = max(open_, key=lambda candidate: overlap(candidate.box, face.box), default=None)
+            if mine is None or overlap(mine.box, face.box) < MIN_OVERLAP:
                 mine = None
             else:
                 open_.remove(mine)
-            if mine is None or not (mine.certain or mine.face.closer or len(mine.boxes) >= TURNED_LOOKS):
+            if mine is None or not (mine.certain or mine.face.closer or len(mine.looks) >= TURNED_LOOKS):
                 face = righted(self.detector, frame, face)
                 if mine is not None and face.turn:
                     self.candidates.remove(mine)
@@ -260,7 +262,7 @@ class _Search:
             self.closer_from = frame.time_s + max(CLOSER_S, CLOSER_STEP * frame.time_s)
             for face in everywhere(self.detector, frame):
                 for candidate in self._open():
-                    if not candidate.certain and overlap(candidate.boxes[-1][1], face.box) > BESIDE:
+                    if not candidate.certain and overlap(candidate.box, face.box) > BESIDE:
                         self.candidates.remove(candidate)
                 self._add(_Candidate(face), frame, face)
 
@@ -269,15 +271,12 @@ class _Search:
         points = named(placed)
         if not all(inside(points[part], frame.size) for part in self.parts):
             return
-        if not candidate.boxes:
+        if not candidate.looks:
             self.candidates.append(candidate)
         x, y, w, h = (round(side) for side in face.box)
         grey = cv2.cvtColor(frame.bgr[max(y, 0) : y + h, max(x, 0) : x + w], cv2.COLOR_BGR2GRAY)
-        candidate.boxes.append((frame.index, face.box))
-        candidate.points.append(points)
-        candidate.contrast.append(float(grey.std()))
+        candidate.looks.append(_Look(frame.index, face.box, points, float(grey.std()), placed.log_odds > 0))
         candidate.see(frame, alone=len(self.candidates) < 2)
-        candidate.clear.append(placed.log_odds > 0)
         candidate.features = candidate.features or face.sure or candidate.certain or shows_eye(frame.bgr, face.box)
         start = Start(frame.index, {"face": TargetStart(face.box, points)}, self.detector.name)
         try:
@@ -288,10 +287,9 @@ class _Search:
     def faces(self, *, ended: bool = False) -> list[_Candidate]:
         """The candidates that are faces, the best first; none while it is too early to decide."""
         enough = min(MIN_LOOKS, 1 + len(self.frames) // 4) if ended else MIN_LOOKS
-        able = [rival for rival in self.candidates if rival.begins and rival.features and len(rival.boxes) >= enough]
-        lit = [candidate for candidate in able if max(candidate.contrast) >= MIN_CONTRAST]
-        able = lit or (able if ended else [])
-        seen = [self.times[self.frames.index(candidate.first)] for candidate in able]
+        able = [rival for rival in self.candidates if rival.begins and rival.features and len(rival.looks) >= enough]
+        able = [candidate for candidate in able if candidate.lit] or (able if ended else [])
+        seen = [self.times[self.frames.index(candidate.looks[0].frame)] for candidate in able]
         waited = self.times[-1] - min(seen, default=self.times[-1])
         if not able or (waited < WAIT_S and not ended):
             return []
@@ -301,7 +299,9 @@ class _Search:
         moving = [candidate.lives for candidate in able]
         if not any(moving):  # one that changes ten times as much as another is the living one
             moving = [candidate.change >= max(other.change for other in able) / 10 for candidate in able]
-        order = sorted(zip(moving, able, strict=True), key=lambda pair: (not pair[0], -pair[1].worth, pair[1].boxes[0]))
+        order = sorted(
+            zip(moving, able, strict=True), key=lambda pair: (not pair[0], -pair[1].worth, pair[1].looks[0][:2])
+        )
         return [candidate for _, candidate in order]
 
     def _wait(self, able: Sequence[_Candidate]) -> float:
@@ -317,8 +317,7 @@ class _Search:
         a box around a face that something covers may be off.
         """
         best = chosen[0]
-        each = zip(best.boxes, best.contrast, best.clear, strict=True)
-        lack = {frame: (value < MIN_CONTRAST, not clear, frame) for (frame, _), value, clear in each}
+        lack = {look.frame: (look.contrast < MIN_CONTRAST, not look.clear, look.frame) for look in best.looks}
         at = min(best.begins, key=lack.__getitem__)
         start, others = best.begins[at], [candidate for candidate in chosen[1:] if at in candidate.begins]
         targets = {}
@@ -341,18 +340,17 @@ class _Search:
     def _settled(self, candidate: _Candidate, at: int) -> TargetStart:
         """The target in the frame `at`; its points are the means, in its box, of all frames that look alike."""
         until = max(at, at if self.ready is None else self.ready)
-        boxes = np.array([box for frame, box in candidate.boxes if frame <= until])
-        now = [frame for frame, _ in candidate.boxes].index(at)
+        looks = [look for look in candidate.looks if look.frame <= until]
+        now, boxes = [look.frame for look in looks].index(at), np.array([look.box for look in looks])
         # (T, K, 2); a recipe of boxes has no parts
-        at_parts = np.array([[p[part] for part in self.parts] for p in candidate.points[: len(boxes)]])
-        at_parts = at_parts.reshape(len(boxes), -1, 2)
+        at_parts = np.array([[look.points[part] for part in self.parts] for look in looks]).reshape(len(looks), -1, 2)
         each = (at_parts - boxes[:, None, :2]) / boxes[:, None, 2:]
         weight = np.exp(-0.5 * np.sum((each - each[now]) ** 2, axis=2) / SAME_PLACE**2)
         mean = np.sum(weight[..., None] * each, axis=0) / weight.sum(axis=0)[:, None]
         # to 0.01 px, as in an init file: a run from that file begins in the same place
         placed = (boxes[now, :2] + mean * boxes[now, 2:]).round(2).tolist()
         points = {part: (x, y) for part, (x, y) in zip(self.parts, placed, strict=True)}
-        return TargetStart(candidate.boxes[now][1], points)
+        return TargetStart(looks[now].box, points)
 
     def nobody(self, clip: str, last: int) -> InputError:
         if not self.frames:
@@ -362,7 +360,7 @@ class _Search:
             return InputError(f"{self.lacking}{'' if last == first else f'; no frame to {last} shows more'}")
         searched = f"frame {first}" if first == last else f"frames {first} to {last}"
         remedy = "give its box with --box X,Y,W,H, an init file with --init FILE, or a later frame with --init-frame N"
-        doubtful = max(self.candidates, key=lambda candidate: len(candidate.boxes), default=None)
+        doubtful = max(self.candidates, key=lambda candidate: len(candidate.looks), default=None)
         but = "" if doubtful is None else f" (something {doubtful.said()}, which is no face)"
         return InputError(f"{clip}: no face found in {searched}{but}; {remedy}")
 

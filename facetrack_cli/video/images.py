@@ -1,20 +1,20 @@
 """Image files: which files of a folder are frames, in what order, and how one becomes (H, W, 3) uint8 BGR."""
 
-import contextlib
 import io
 import re
 import warnings
 import zlib
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, TypeVar, cast
 from zipfile import BadZipFile, ZipFile, ZipInfo, is_zipfile
 
 import cv2
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, reason
+from facetrack_cli.core.errors import InputError, reading, reason
 from facetrack_cli.core.npz import check_directory
 from facetrack_cli.core.types import Image
 
@@ -32,22 +32,10 @@ _READ_AS |= dict.fromkeys(("CMYK", "YCbCr", "LAB", "HSV"), "RGB")
 _STACKS: Final = frozenset((".tif", ".tiff", ".webp"))  # which may hold several pictures
 _DEEP: Final = frozenset((".png", ".tif", ".tiff"))  # whose colours may have 16 bits
 _NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
+ALL_LEVELS: Final = 0, 0xFFFF
+_SAMPLES: Final = 16  # images by which the range of 16 bits is measured
 _CLOCK: Final = re.compile(r".*?[0-9]+[-_:h][0-5]?[0-9][-_:m][0-5]?[0-9](\.[0-9]+)?")
 _Name = TypeVar("_Name")
-
-
-class Levels(NamedTuple):
-    """Which numbers of a 16-bit picture are black and white."""
-
-    black: int = 0
-    white: int = 0xFFFF
-
-    def grey(self, pixels: Any) -> Image:
-        """As 8 bits, of the whole range by shifting."""
-        if self == Levels():
-            return np.asarray(pixels >> 8, np.uint8)
-        scaled = (pixels.astype(np.float32) - self.black) * (255 / max(self.white - self.black, 1))
-        return np.asarray(np.clip(np.rint(scaled), 0, 255), np.uint8)
 
 
 class UnreadableError(InputError):
@@ -60,14 +48,12 @@ class UnreadableError(InputError):
 
 def listing(path: Path) -> list[Path] | None:
     """The images of a folder or a glob in natural order; None when the path is neither."""
-    try:
+    with reading(path, "check the name and the permissions"):
         is_glob = re.search(r"[*?\[]", path.name) and not path.exists()
         if not (is_glob or path.is_dir()):
             return None
         paths = path.parent.glob(path.name) if is_glob else path.iterdir()
         files = [f for f in paths if f.suffix.lower() in SUFFIXES and not f.name.startswith(".") and f.is_file()]
-    except OSError as error:
-        raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
     return ordered(files, lambda file: file.name)
 
 
@@ -101,58 +87,92 @@ def natural_key(name: str) -> tuple[list[tuple[int, int | str]], str]:
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part], name
 
 
-def read(
-    path: Path,
-    data: bytes | None = None,
-    page: int = 0,
-    levels: Levels = Levels(),  # noqa: B008
-    held: dict[Path, Any] | None = None,
-) -> Image:
-    """Read one image, whose bytes may be given as `data`, or a `page` of it, as (H, W, 3) uint8 BGR, contiguous.
+class Pictures(AbstractContextManager["Pictures"]):
+    """The pictures of image files, which may be in an archive, in their order: of a stack each page.
 
-    The EXIF orientation is applied, 16 bits are scaled to 8 by `levels`, transparency is composited over black. Raises
-    UnreadableError.
+    `files` has the file of each picture, `levels` what is black and white in pictures of 16 bits.
     """
-    pixels = numbers(path, data, page, held)
-    if pixels.dtype.itemsize > 1:
-        pixels = levels.grey(pixels)
-    if pixels.shape[2] == 4:
-        alpha = pixels[..., 3:].astype(np.uint16)
-        pixels = pixels[..., :3] if alpha.min() == 255 else ((pixels[..., :3] * alpha + 127) // 255).astype(np.uint8)
-    return np.ascontiguousarray(pixels[..., ::-1])
 
+    def __init__(self, files: Iterable[Path], archive: "Archive | None" = None) -> None:
+        self._archive, self._held, self._file = archive, Path(), cast(Any, None)
+        self._pages = [(file, page) for file in files for page in range(pages(file, self._data))]
+        self.files, self.levels = [file for file, _ in self._pages], ALL_LEVELS
 
-def numbers(path: Path, data: bytes | None = None, page: int = 0, held: dict[Path, Any] | None = None) -> Any:
-    """The numbers in an image file, (H, W, 3) or (H, W, 4), red first, uint8 or of 16 bits. Raises UnreadableError.
+    def measure_levels(self) -> None:
+        """Set `levels` to the range that 16-bit pictures use, by some of them.
 
-    A stack stays open in `held`, whose pages are found one after the other.
-    """
-    import imageio.v3 as iio  # and Pillow, where images are read: a short run takes as long as its imports
+        It has as many bits as they, or where none is near 0, it is what lies between: a camera of 12 bits writes 0 to
+        4095, a thermal one 27000 to 31000.
+        """
+        samples = (self.numbers(index) for index in range(0, len(self.files), max(len(self.files) // _SAMPLES, 1)))
+        ends = [(int(image.min()), int(image.max())) for image in samples if image.dtype.itemsize > 1]
+        if ends:
+            low, high = min(ends)[0], max(high for _, high in ends)
+            white = 2 ** max(high.bit_length(), 8) - 1
+            self.levels = (low, high) if high > 0xFF and low > white // 4 else (0, white)
 
-    try:
-        with contextlib.ExitStack() as opened:
-            if (file := (held or {}).get(path)) is None:
-                file = iio.imopen(path if data is None else data, "r", plugin="pillow")
-                if page and held is not None:
-                    let_go(held)
-                    held[path] = file
-                else:
-                    opened.enter_context(file)
+    def read(self, index: int) -> Image:
+        """A picture as (H, W, 3) uint8 BGR, contiguous.
+
+        The EXIF orientation is applied, 16 bits are scaled to 8, transparency is composited over black. Raises
+        UnreadableError.
+        """
+        pixels = self.numbers(index)
+        black, white = self.levels
+        if pixels.dtype.itemsize > 1 and self.levels == ALL_LEVELS:
+            pixels = (pixels >> 8).astype(np.uint8)
+        elif pixels.dtype.itemsize > 1:
+            scaled = (pixels.astype(np.float32) - black) * (255 / max(white - black, 1))
+            pixels = np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+        if pixels.shape[2] == 4:
+            alpha = pixels[..., 3:].astype(np.uint16)
+            pixels = (
+                pixels[..., :3] if alpha.min() == 255 else ((pixels[..., :3] * alpha + 127) // 255).astype(np.uint8)
+            )
+        return np.ascontiguousarray(pixels[..., ::-1])
+
+    def numbers(self, index: int) -> Any:
+        """What is in the file: (H, W, 3) or (H, W, 4), red first, uint8 or of 16 bits. Raises UnreadableError."""
+        path, page = self._pages[index]
+        try:
+            file = self._opened(path)
             about = file.metadata(index=page, exclude_applied=False)
             mode, (width, height) = str(about["mode"]), about["shape"]
             if mode in ("I", "F") and path.suffix.lower() != ".png":
                 why, remedy = "is a 32-bit image, which has no agreed range", "convert it to 8 or 16 bits"
                 raise UnreadableError(path, why, remedy)
             check_pixels(path, width, height)
-            options: dict[str, Any] = {"index": page, "rotate": True, "mode": _READ_AS.get(mode)}
-            pixels: Any = np.asarray(file.read(**options))
-    except _damaged() as error:
-        if "can not handle the given uri" in str(error):
-            raise UnreadableError(path, "is not an image, or of an unknown kind") from error
-        raise UnreadableError(path, f"cannot be read as an image ({reason(error)})") from error
-    deep = _sixteen(path, data) if mode == "RGB" and not page and path.suffix.lower() in _DEEP else None
-    pixels = deep if deep is not None and deep.shape == pixels.shape else pixels
-    return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
+            pixels: Any = np.asarray(file.read(index=page, rotate=True, mode=_READ_AS.get(mode)))
+        except _damaged() as error:
+            self.close()
+            if "can not handle the given uri" in str(error):
+                raise UnreadableError(path, "is not an image, or of an unknown kind") from error
+            raise UnreadableError(path, f"cannot be read as an image ({reason(error)})") from error
+        deep = _sixteen(path, self._data(path)) if mode == "RGB" and not page and path.suffix.lower() in _DEEP else None
+        pixels = deep if deep is not None and deep.shape == pixels.shape else pixels
+        return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
+
+    def _opened(self, path: Path) -> Any:
+        """A file, which stays open until another is: the pages of a stack are found one after the other."""
+        import imageio.v3 as iio  # and Pillow, where images are read: a short run takes as long as its imports
+
+        if self._held != path or self._file is None:
+            self.close()
+            self._held, data = path, self._data(path)
+            self._file = iio.imopen(path if data is None else data, "r", plugin="pillow")
+        return self._file
+
+    def _data(self, path: Path) -> bytes | None:
+        return None if self._archive is None else self._archive.read(path)
+
+    def close(self) -> None:
+        """Close the file that is open."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 def _damaged() -> tuple[type[Exception], ...]:
@@ -163,22 +183,16 @@ def _damaged() -> tuple[type[Exception], ...]:
     return *known, DecompressionBombError
 
 
-def _opened(path: Path, data: bytes | None = None) -> Any:
+def _picture(path: Path, data: bytes | None = None) -> Any:
     """A picture as Pillow opens it, whose bytes may be given as `data`."""
-    from PIL import Image as Pictures
+    from PIL import Image as Pillow
 
-    return Pictures.open(path if data is None else io.BytesIO(data))
-
-
-def let_go(held: dict[Path, Any]) -> None:
-    """Close what `numbers` held open."""
-    while held:
-        held.popitem()[1].close()
+    return Pillow.open(path if data is None else io.BytesIO(data))
 
 
 def _sixteen(path: Path, data: bytes | None) -> Any:
     """A colour image of 16 bits, of which Pillow reads 8; None of any other."""
-    with _opened(path, data) as image:
+    with _picture(path, data) as image:
         if ";16" not in str(image.tile):  # how its pixels are stored
             return None
     encoded = np.fromfile(path, np.uint8) if data is None else np.frombuffer(data, np.uint8)
@@ -186,25 +200,12 @@ def _sixteen(path: Path, data: bytes | None) -> Any:
     return None if pixels is None else pixels[..., ::-1]
 
 
-def levels(samples: Iterable[Any]) -> Levels:
-    """The range that 16-bit pictures use, by some of them: as many bits, or where none is near 0, what lies between.
-
-    A camera of 12 bits writes 0 to 4095, a thermal one 27000 to 31000.
-    """
-    ends = [(int(image.min()), int(image.max())) for image in samples if image.dtype.itemsize > 1]
-    if not ends:
-        return Levels()
-    low, high = min(ends)[0], max(high for _, high in ends)
-    white = 2 ** max(high.bit_length(), 8) - 1
-    return Levels(low, high) if high > 0xFF and low > white // 4 else Levels(0, white)
-
-
 def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) -> int:
     """How many pictures a TIFF or WebP file holds; 1 of any other, and of a small one beside a large."""
     if path.suffix.lower() not in _STACKS:
         return 1
     try:
-        with _opened(path, data(path)) as image:
+        with _picture(path, data(path)) as image:
             count, size = int(getattr(image, "n_frames", 1)), image.size
             if count > 1:
                 image.seek(1)
@@ -217,7 +218,7 @@ def durations(path: Path) -> list[float]:
     """How long each picture of an animated WebP is shown, in s; empty of what says nothing."""
     shown_s: list[float] = []
     if path.suffix.lower() == ".webp":
-        with contextlib.suppress(*_damaged()), _opened(path) as image:
+        with suppress(*_damaged()), _picture(path) as image:
             check_pixels(path, *image.size)
             for page in range(int(getattr(image, "n_frames", 1))):
                 image.seek(page)
@@ -234,17 +235,11 @@ def check_pixels(path: Path, width: int, height: int) -> None:
 
 
 def is_animated(path: Path) -> bool:
-    """Whether a PNG (APNG) or WebP holds several frames: its animation is announced before its pixels."""
-    if path.suffix.lower() not in (".png", ".webp"):
-        return False
-    head = b""
-    with contextlib.suppress(OSError), path.open("rb") as file:  # which is said when it is read
-        head = file.read(1 << 12)
-        if path.suffix.lower() == ".png" and b"IDAT" not in head:  # after a colour profile
-            head += file.read(1 << 16)
-    if path.suffix.lower() == ".webp":
-        return head[12:16] == b"VP8X" and b"ANIM" in head
-    return b"acTL" in head[: head.find(b"IDAT") + 1]
+    """Whether a PNG (APNG) or WebP holds several frames."""
+    if path.suffix.lower() in (".png", ".webp"):
+        with suppress(*_damaged()), _picture(path) as image:  # which is said when it is read
+            return bool(image.is_animated)
+    return False
 
 
 # Images in a .zip archive

@@ -19,9 +19,9 @@ import numpy as np
 
 from facetrack_cli.core.face_points import LINES
 from facetrack_cli.core.files import write_new
-from facetrack_cli.core.geometry import shown_angle
-from facetrack_cli.core.types import BOX, Array, Frame, Image, Mask, Point, Start
-from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
+from facetrack_cli.core.geometry import centre, shown_angle
+from facetrack_cli.core.types import BOX, Array, Frame, Image, Mask, Start
+from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult, of_frame, recorded
 from facetrack_cli.video.overlay_labels import (
     GREY,
     LOST,
@@ -37,8 +37,6 @@ from facetrack_cli.video.overlay_labels import (
     lay_insets,
     mark,
     polylines,
-    readable,
-    stamp,
     write_names,
 )
 
@@ -131,7 +129,7 @@ class Overlay:
         pairs = zip(result.targets, places, strict=True)
         shapes = [self._shape(target, place, frame.aspect, alone=alone) for target, place in pairs]
         style = self._bar.height if self._bar else 0, self._line, self._font
-        taken = lay_insets(image, shapes, *style)  # below the lines, where they have to cross
+        lay_insets(image, shapes, self._line, self._font)  # below the lines, where they have to cross
         for shape in shapes:
             trail = self._remember(shape, frame.time_s)
             if shape.parts:
@@ -139,7 +137,7 @@ class Overlay:
                 self._lines(image, shape, trail[-1:] if shape.is_face else trail)
         names = {shape.target for shape in shapes}
         self._past = {name: past for name, past in self._past.items() if name in names}
-        write_names(image, shapes, taken, *style, named=bool(self._order))
+        write_names(image, shapes, *style, named=bool(self._order))
         if self._bar:
             self._bar.draw(image, result)
         self._count += 1
@@ -162,14 +160,13 @@ class Overlay:
         if rows.corners is not None:
             turned = np.isfinite(rows.corners).all(axis=(1, 2), keepdims=True)
             corners = np.where(turned, np.clip(rows.corners, -self._reach, self._reach), corners)
-        bounds = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
         shown = np.flatnonzero(fine)
         cloud = target.cloud[:, shown[shown < target.cloud.shape[1]]] if target.cloud.ndim == 3 else target.cloud
         parts = tuple(every.names[i][1] for i in rows.which.tolist())
         lost: Mask = rows.status == "lost"
         centres = table[:, :2]
         colours = tuple(PALETTE[(k if alone else place) % len(PALETTE)] for k in shown.tolist()) or (PALETTE[0],)
-        return Shape(every.target, rows, parts, cloud, target.insets, centres, sizes, corners, bounds, lost, colours)
+        return Shape(every.target, rows, parts, cloud, target.insets, centres, sizes, corners, lost, colours)
 
     def _remember(self, shape: Shape, now: float) -> list[_Past]:
         """The places of the target along its trail, oldest first, the present place last."""
@@ -322,7 +319,6 @@ class Overlay:
 
 
 _PREVIEW_PX: Final = 900  # pixels, about: what is shown is enlarged by a whole factor to come near it
-_BOX, _PART = (255, 200, 0), (0, 255, 255)
 
 
 def write_preview(path: Path, frame: Frame, start: Start, *, overwrite: bool = False) -> None:
@@ -331,47 +327,22 @@ def write_preview(path: Path, frame: Frame, start: Start, *, overwrite: bool = F
 
 
 def draw_start(frame: Frame, start: Start) -> Image:
-    """The start, with the places of its parts, on what is around its targets, enlarged by a whole factor; BGR."""
-    places: list[Point] = []
-    for target in start.targets.values():
-        places += target.points.values()
+    """The start, drawn as in a run, on what is around its targets, enlarged by a whole factor; BGR."""
+    rows: list[tuple[str, str, float, float, float, float]] = []
+    for name, target in start.targets.items():
+        rows += [(name, part, x, y, 0.0, 0.0) for part, (x, y) in target.points.items()]
         if target.box is not None:
-            x, y, w, h = target.box
-            places += [(x, y), (x + w, y + h)]
-    low, high = np.min(places, axis=0), np.max(places, axis=0)
+            rows.append((name, BOX, *centre(target.box), *target.box[2:]))
+    at, size = np.split(np.array([row[2:] for row in rows]), 2, axis=1)
+    low, high = (at - size / 2).min(axis=0), (at + size / 2).max(axis=0)
     around = max(20.0, 0.7 * float((high - low).max()))
     x0, y0 = np.clip((low - around).astype(int), 0, np.array(frame.size) - 1).tolist()
     x1, y1 = np.clip((high + around).astype(int) + 1, (x0 + 1, y0 + 1), frame.size).tolist()
-    shown = frame.bgr[y0:y1, x0:x1]
-    zoom = max(1, round(_PREVIEW_PX / max(shown.shape[:2])))
+    part = frame.bgr[y0:y1, x0:x1]
+    zoom = max(1, round(_PREVIEW_PX / max(part.shape[:2])))
     # a pixel covers zoom x zoom pixels
-    image: Image = np.repeat(np.repeat(shown, zoom, axis=0), zoom, axis=1)
-    unit = max(1, round(max(image.shape[:2]) / _PREVIEW_PX))
-    font = Font(9 * unit)
-
-    def at(x: float, y: float) -> tuple[int, int]:
-        return round((x - x0 + 0.5) * zoom - 0.5), round((y - y0 + 0.5) * zoom - 0.5)
-
-    def label(text: str, left: int, top: int, colour: Colour) -> None:
-        sprite = font.sprite(text, colour, 2 * unit)
-        most = [max(whole - side, 0) for whole, side in zip(image.shape[1::-1], sprite.size, strict=True)]
-        stamp(image, sprite, min(max(left, 0), most[0]), min(max(top, 0), most[1]))
-
-    for name, target in start.targets.items():
-        if target.box is not None:
-            x, y, w, h = target.box
-            corner = at(x - 0.5, y - 0.5)
-            cv2.rectangle(image, corner, at(x + w - 0.5, y + h - 0.5), _BOX, unit, cv2.LINE_AA)
-            label(f"{name}, frame {start.frame}", corner[0], corner[1] - font.height - 4 * unit, _BOX)
-        middle = np.mean([*target.points.values()] or [(0, 0)], axis=0)
-        for part, point in target.points.items():
-            (column, row), text = at(*point), f"{readable(part)} {point[0]:g}, {point[1]:g}"
-            for colour, size, line in (((0, 0, 0), 15, 3), (_PART, 13, 1)):
-                cv2.drawMarker(image, (column, row), colour, cv2.MARKER_CROSS, size * unit, line * unit, cv2.LINE_AA)
-            right, down = point - middle
-            if abs(right) > abs(down):  # away from the other points
-                left = column + 10 * unit if right > 0 else column - 14 * unit - font.width(text)
-                label(text, left, row - font.height // 2, _PART)
-            else:
-                label(text, column - font.width(text) // 2, row + (9 if down > 0 else -22) * unit, _PART)
-    return image
+    shown = Frame(start.frame, frame.time_s, np.repeat(np.repeat(part, zoom, axis=0), zoom, axis=1))
+    x, y, w, h = np.hstack([(at - (x0, y0) + 0.5) * zoom - 0.5, zoom * size]).T
+    names = tuple((name, part) for name, part, *_ in rows)
+    table = of_frame(names, shown, {}, x=x, y=y, w=w, h=h, status=["init"] * len(rows))
+    return Overlay(shown.size, order=[*start.targets]).draw(FrameResult(shown, recorded(start.frame, table)))

@@ -149,56 +149,42 @@ class Font:
             disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * halo + 1, 2 * halo + 1))
             rim = np.maximum(mask, (0.85 * cv2.dilate(mask, disc)).astype(np.uint8))
         ink = np.round(mask[..., None] * (np.array(colour) / 255)).astype(np.uint8)
-        return Sprite(ink, _grey(cv2.bitwise_not(rim)))
-
-
-def _grey(mask: Image | cv2.typing.MatLike) -> Image:
-    return np.asarray(cv2.cvtColor(mask, cv2.COLOR_GRAY2BGR), np.uint8)
+        return Sprite(ink, np.asarray(cv2.cvtColor(cv2.bitwise_not(rim), cv2.COLOR_GRAY2BGR), np.uint8))
 
 
 Rect = tuple[float, float, float, float]  # x0, y0, x1, y1
 _MIN_HEIGHT = 12  # pixels of an image; in a smaller image nothing can be seen
-_MAX_TARGETS = 4  # targets with images: one in each corner
 _DECIDED = 0.5  # an identity less probable than that is doubtful
 _QUIET: Colour = (190, 190, 190)  # of names in doubt, and what is written beside the status
 _PLATE = 0.65  # opacity of the dark ground below the name of a target
 LOST_TEXT: Colour = (110, 165, 255)  # vermilion itself is too dark to read on the strip
 
 
-def lay_insets(image: Image, shapes: Sequence["Shape"], top: int, line: int, font: Font) -> list[Rect]:
-    """Draw the images of targets into corners of `image` (H, W, 3), in place, below `top` rows; the places taken."""
-    (height, width), taken, gap = image.shape[:2], list[Rect](), 2 * line
-    for shape in [shape for shape in shapes if shape.insets][:_MAX_TARGETS]:
-        wide = sum(picture.shape[1] / picture.shape[0] for _, picture in shape.insets)
-        high = min(round(0.2 * min(height, 0.75 * width)), int(0.4 * width / wide))
-        if high < _MIN_HEIGHT:
-            continue
-        scaled = []
-        for name, picture in shape.insets:
-            size = max(1, round(high * picture.shape[1] / picture.shape[0])), high
-            how = cv2.INTER_CUBIC if high > picture.shape[0] else cv2.INTER_AREA
-            scaled.append((name, np.asarray(cv2.resize(picture, size, interpolation=how), np.uint8)))
-        whole = sum(picture.shape[1] + line for _, picture in scaled) + line, high + 2 * line
-        # from the lower left, right, then the upper right, left
-        x = gap if len(taken) in (0, 3) else width - whole[0] - gap
-        y = height - whole[1] - gap if len(taken) < 2 else top + gap
-        taken.append((x, y, x + whole[0], y + whole[1]))
-        cv2.rectangle(
-            image, (x, y), (x + whole[0] - 1, y + whole[1] - 1), WHITE if len(shapes) < 2 else shape.colour, -1
-        )
-        for name, picture in scaled:
-            x += line
-            under = image[max(y + line, 0) : y + line + high, max(x, 0) : x + picture.shape[1]]
-            under[:] = cv2.cvtColor(picture[: under.shape[0], : under.shape[1]], cv2.COLOR_GRAY2BGR)
-            sprite = font.sprite(name[:12], WHITE, line)
-            x += picture.shape[1]
-            if name and sprite.size[0] <= picture.shape[1] and sprite.size[1] <= 0.5 * high:
-                stamp(image, sprite, x - sprite.size[0], y + line)
-    return taken
+def lay_insets(image: Image, shapes: Sequence["Shape"], line: int, font: Font) -> None:
+    """Draw the images of the first target that has some into the lower left corner of `image` (H, W, 3), in place."""
+    shape = next((shape for shape in shapes if shape.insets), None)
+    if shape is None:
+        return
+    (height, width), gap = image.shape[:2], 2 * line
+    wide = sum(picture.shape[1] / picture.shape[0] for _, picture in shape.insets)
+    high = min(round(0.2 * min(height, 0.75 * width)), int(0.4 * width / wide))
+    if high < _MIN_HEIGHT:
+        return
+    left, top = gap + line, height - high - line - gap
+    for name, picture in shape.insets:
+        across = max(1, round(high * picture.shape[1] / picture.shape[0]))
+        how = cv2.INTER_CUBIC if high > picture.shape[0] else cv2.INTER_AREA
+        small = cv2.cvtColor(cv2.resize(picture, (across, high), interpolation=how), cv2.COLOR_GRAY2BGR)
+        framed = cv2.copyMakeBorder(small, line, line, line, line, cv2.BORDER_CONSTANT, None, WHITE)
+        stamp(image, Sprite(np.asarray(framed, np.uint8), np.zeros_like(framed)), left - line, top - line)
+        sprite = font.sprite(name[:12], WHITE, line)
+        if name and sprite.size[0] <= across and sprite.size[1] <= 0.5 * high:
+            stamp(image, sprite, left + across - sprite.size[0], top)
+        left += across + line
 
 
 class Shape(NamedTuple):
-    """The K drawable parts of a target: centres, sizes (K, 2), corners (K, 4, 2), bounds (K, 4) as x0, y0, x1, y1."""
+    """The K drawable parts of a target: centres, sizes (K, 2), corners (K, 4, 2)."""
 
     target: str
     rows: Trajectory
@@ -208,7 +194,6 @@ class Shape(NamedTuple):
     centres: Array
     sizes: Array
     corners: Array
-    bounds: Array
     lost: Mask
     colours: tuple[Colour, ...]
 
@@ -229,17 +214,15 @@ class Shape(NamedTuple):
         return len(self.parts) > 1 and BOX in self.parts
 
 
-def write_names(
-    image: Image, shapes: Sequence[Shape], taken: Sequence[Rect], top: int, line: int, font: Font, *, named: bool
-) -> None:
-    """Name targets above them, below `top` rows, or below them where names, what is `taken` or the border are there.
+def write_names(image: Image, shapes: Sequence[Shape], top: int, line: int, font: Font, *, named: bool) -> None:
+    """Name targets above them, below `top` rows, or below them where names or the border are there.
 
     A single target has a name only if it is `named`.
     """
-    (bottom, right), tags = image.shape[:2], list(taken)
+    (bottom, right), tags = image.shape[:2], list[Rect]()
     for shape in shapes:
         text, colour = _name(shape, named or len(shapes) > 1) if shape.parts else ("", shape.colour)
-        low, high = shape.bounds[:, :2].min(axis=0, initial=np.inf), shape.bounds[:, 2:].max(axis=0, initial=-np.inf)
+        low, high = shape.corners.min(axis=(0, 1), initial=np.inf), shape.corners.max(axis=(0, 1), initial=-np.inf)
         if not text or (high < 0).any() or (low > (right, bottom)).any():
             continue
         sprite = font.sprite(text, colour, line)
@@ -285,68 +268,42 @@ class StatusBar:
         font, cap, rows = self._font, self._font.cap, result.rows
         strip = image[: self.height]
         cv2.convertScaleAbs(strip, strip, 0.28)
-        status, sayings = summary(rows)
+        status, saying = summary(rows)
         gap, icon, row = round(0.8 * cap), round(1.5 * cap), (self.height - cap) // 2 - font.top
         left, right = gap, self._width - gap
-        where, saying = self._fit(
-            [f"frame {result.frame.index}", clock(result.frame.time_s)], sayings, right - left - icon
-        )
-        for text in where:
-            stamp(strip, font.sprite(text, WHITE), left, row)
-            left += font.width(text) + gap
+        sure = rows.confidence[np.isfinite(rows.confidence)]  # 0 % would be a lie of a tracker that does not say
+        frame, time = f"frame {result.frame.index}", clock(result.frame.time_s)
+        percent, room, shown = f"{sure.mean():.0%}" if len(sure) else "", right - icon, set[str]()
+        for text in (saying, frame, time, percent, self._title):
+            if text and font.width(text) + gap <= room:
+                room -= font.width(text) + gap
+                shown.add(text)
+        for text in (frame, time):
+            if text in shown:
+                stamp(strip, font.sprite(text, WHITE), left, row)
+                left += font.width(text) + gap
         sign = LOST_TEXT if status == "lost" else _QUIET if status == "absent" else PALETTE[0]
         middle = (self.height - cap) // 2 + (cap - 1) / 2
         mark(strip, (left + 0.4 * cap, middle), status, sign, 0.37 * cap, self._line, bool(rows.by_hand.any()))
-        stamp(strip, font.sprite(saying, LOST_TEXT if status == "lost" else WHITE), left + icon, row)
-        left += icon + font.width(saying) + gap
-        sure = rows.confidence[np.isfinite(rows.confidence)]  # 0 % would be a lie of a tracker that does not say
-        for text, colour in ((f"{sure.mean():.0%}" if len(sure) else "", WHITE), (self._title, _QUIET)):
-            if text and right - font.width(text) >= left:
+        if saying in shown:
+            stamp(strip, font.sprite(saying, LOST_TEXT if status == "lost" else WHITE), left + icon, row)
+        for text, colour in ((percent, WHITE), (self._title, _QUIET)):
+            if text in shown:
                 stamp(strip, font.sprite(text, colour), right - font.width(text), row)
                 right -= font.width(text) + gap
 
-    def _fit(self, where: list[str], sayings: Sequence[str], width: int) -> tuple[list[str], str]:
-        """The place and the wording of the status that fit: rather fewer words than no place."""
-        gap = round(0.8 * self._font.cap)
-        for n in (2, 1, 0):
-            room = width - sum(self._font.width(text) + gap for text in where[:n])
-            for saying in sayings:
-                if self._font.width(saying) <= room:
-                    return where[:n], saying
-        return [], ""
 
-
-def summary(rows: Trajectory) -> tuple[Status, list[str]]:
-    """The status of all that is not absent, and ways to say it, from the longest to the shortest."""
+def summary(rows: Trajectory) -> tuple[Status, str]:
+    """The status of all that is not absent, and what the bar says: what is not tracked, of how many."""
     if not len(rows):
-        return "lost", ["no target", "none"]
+        return "lost", "no target"
     absent, by_hand = rows.status == "absent", rows.by_hand & (rows.status == "init")
     if absent.all():
-        return "absent", ["absent"]
+        return "absent", "absent"
     begins = by_hand.any() or (absent | (rows.status == "init")).all()
     shown: Status = "init" if begins else "tracked"
     unseen: Status
     for unseen in ("hidden", "lost"):
         shown = unseen if (rows.status == unseen).any() else shown
-    for what, chosen in (("lost", rows.status == "lost"), ("hidden", rows.status == "hidden"), ("by hand", by_hand),
-                         ("absent", absent)):  # fmt: skip
-        if chosen.any():
-            first = "" if what == shown else f"{shown}, "
-            share = f"{what} {int(chosen.sum())}/{len(rows)}"
-            return shown, [f"{first}{what}: {', '.join(_named(rows, chosen))}", share, what]
-    return shown, [shown]
-
-
-def _named(rows: Trajectory, chosen: Mask) -> list[str]:
-    """The names of the `chosen` rows (R,): the name of the target alone where all of its parts are among them."""
-    pairs, names = [rows.names[i] for i in rows.which.tolist()], []
-    for target in rows.targets:
-        own = [
-            (part, is_chosen) for (name, part), is_chosen in zip(pairs, chosen.tolist(), strict=True) if name == target
-        ]
-        parts = [part for part, is_chosen in own if is_chosen]
-        if parts and len(parts) == len(own):
-            names.append(readable(target))
-        else:
-            names += [readable(f"{target}/{part}" if len(rows.targets) > 1 else part) for part in parts]
-    return names
+    of = {"lost": rows.status == "lost", "hidden": rows.status == "hidden", "by hand": by_hand, "absent": absent}
+    return shown, next((f"{what} {chosen.sum()}/{len(rows)}" for what, chosen in of.items() if chosen.any()), shown)

@@ -36,8 +36,8 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         self._recent = OrderedDict[int, tuple[float, Image]]()  # times and pixels, the least recently used first
         self._lock = threading.Lock()
         self._closed = threading.Event()
-        self._index: Index | None = None  # once the thread has read it
-        self._thread = threading.Thread(target=self._read_index, name="index", daemon=True)
+        self._index: Index | None = None  # read for the first jump
+        self._jumped = False
         with open_source(path, fps=fps, stream=stream) as source:
             self.size, self.fps, self.aspect = source.size, source.fps, float(source.aspect)
         self._most = max(CACHE_BYTES // math.prod((*self.size, 3)), 1)
@@ -48,14 +48,13 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
             self._decoder = Decoder(path, stream)
             self._claimed = self._decoder.claimed or 0
             self._approach(0)
-            self._thread.start()
 
     @property
     def count(self) -> int:
         """How many frames can be read, as far as is known."""
         if self._end is not None:
             return self._end
-        index = self._index  # once: the thread may set it
+        index = self._index  # once: another thread may set it
         return max(self._claimed if index is None else len(index.pts), self._reached)
 
     @property
@@ -85,19 +84,11 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         """End what is being read, also in other threads, and free the file; closing again does nothing."""
         self._closed.set()
         with self._lock:
-            if self._folder is not None:
-                self._folder.close()
-            else:
-                self._thread.join()
-                self._decoder.close()
+            (self._folder or self._decoder).close()
             self._recent.clear()
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _read_index(self) -> None:
-        with contextlib.suppress(OSError, ValueError):
-            self._index = read_index(self.path, self._closed.is_set, self._stream)
 
     # what follows is called with the lock
 
@@ -127,7 +118,10 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
 
     def _jump(self, index: int) -> None:
         """Go to the keyframe before a frame, if decoding onward does not lead there sooner."""
-        self._thread.join()
+        if not self._jumped:
+            self._jumped = True
+            with contextlib.suppress(OSError, ValueError):
+                self._index = read_index(self.path, self._closed.is_set, self._stream)
         packets, onward = self._index, self._decoder.next <= index
         if packets is not None:
             key = packets.keys[max(int(np.searchsorted(packets.keys, index, side="right")) - 1, 0)]

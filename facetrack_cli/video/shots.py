@@ -36,23 +36,10 @@ _MARGIN: Final = 2 * SPANS[-1]  # frames on either side that a decision rests on
 _BLOCK: Final = 1000  # frames that are decided at a time
 
 
-class _Odds(NamedTuple):
-    """Log odds of a dissolve, by logistic regression on clips joined at random.
-
-    `blended`: the texture in its middle over that at its ends; `alike`: correlation of the ends; `step`: the logarithm
-    of their mean difference in grey levels; `off`: the mean distance from the line, `moves`: how far the images move
-    outside of it, both in lengths of the line.
-    """
-
-    at: float
-    blended: float
-    alike: float
-    step: float
-    off: float
-    moves: float
-
-
-_ODDS: Final = _Odds(53.2, -49.5, -5.4, 2.38, -44.4, -2.93)
+# log odds of a dissolve, by logistic regression on clips joined at random: always; by the texture in its middle over
+# that at its ends, the correlation of the ends, the logarithm of their mean difference in grey levels, the mean
+# distance from the line, and how far the images move outside of it, both in lengths of the line
+_AT, _BLENDED, _ALIKE, _STEP, _OFF, _MOVES = 53.2, -49.5, -5.4, 2.38, -44.4, -2.93
 
 
 class Cut(NamedTuple):
@@ -211,7 +198,7 @@ def _dissolves(images: NDArray[np.float32]) -> list[tuple[int, int, int]]:
         line = b - a
         step, alike = np.abs(line).mean(axis=1), np.maximum(_alike(a, b), 0)
         blended = 2 * texture[span // 2 :][: len(a)] / (texture[:-span] + texture[span:])
-        odds = _ODDS.at + _ODDS.blended * blended + _ODDS.alike * alike + _ODDS.step * np.log(np.maximum(step, 1))
+        odds = _AT + _BLENDED * blended + _ALIKE * alike + _STEP * np.log(np.maximum(step, 1))
         for at in np.flatnonzero((step >= MIN_STEP) & (odds > SURE)).tolist():
             length = float(np.linalg.norm(line[at]))
             between = images[at + 1 : at + span] - images[at]
@@ -221,7 +208,7 @@ def _dissolves(images: NDArray[np.float32]) -> list[tuple[int, int, int]]:
             off = float(np.linalg.norm(between - share[:, None] * line[at], axis=1).mean()) / length
             ends = images[max(at - span // 2 - 1, 0)], images[min(at + span + span // 2 + 1, len(images) - 1)]
             moves = min(float(np.linalg.norm(x - y)) for x, y in zip(ends, (a[at], b[at]), strict=True)) / length
-            if (whole_odds := odds[at] + _ODDS.off * off + _ODDS.moves * moves) > SURE:
+            if (whole_odds := odds[at] + _OFF * off + _MOVES * moves) > SURE:
                 candidates.append((-float(whole_odds), at + 1, at + span - 1))
     best: list[tuple[int, int]] = []
     for _, first, last in sorted(candidates):

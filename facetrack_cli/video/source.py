@@ -14,14 +14,14 @@ packets is not noticed.
 import re
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Final
 
-from facetrack_cli.core.errors import InputError, UsageError, reason
+from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.types import Frame
 from facetrack_cli.video import images
 from facetrack_cli.video.decode import (
@@ -29,11 +29,9 @@ from facetrack_cli.video.decode import (
     Decoder,
     LostError,
     fitted,
-    open_container,
     read_index,
-    video_stream,
 )
-from facetrack_cli.video.images import Archive, holds_images, is_archive
+from facetrack_cli.video.images import Archive, Pictures, holds_images, is_archive
 
 AGAIN: Final = "copy or download it again"
 _KINDS: Final = (
@@ -91,6 +89,9 @@ def check_file(path: Path) -> None:
     """Raise InputError for a path that is no file that can be read, or an empty one."""
     try:
         str(path).encode()
+    except UnicodeEncodeError:
+        raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
+    with reading(path, "check the name and the permissions"):
         if not path.exists():
             hint = "a pipe cannot be read, save the clip to a file" if str(path) == "-" else "check the name"
             raise InputError(f"{path}: no such file or folder; {hint}")
@@ -99,61 +100,29 @@ def check_file(path: Path) -> None:
         with path.open("rb") as file:
             if not file.read(1):
                 raise InputError(f"{path}: the file is empty; {AGAIN}")
-    except UnicodeEncodeError:
-        raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
-    except OSError as error:
-        raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
 
 
 def missing_part(path: Path) -> str:
-    """What a file lacks by the sizes that its container tells, or by the marks of its packets; "" if it is whole.
+    """What an AVI file lacks by its size, or an MPEG transport stream by the marks of its packets; "" of a whole one.
 
-    MP4, AVI and MPEG transport streams are known.
+    FFmpeg itself says it of an MP4.
     """
     with path.open("rb") as file:
         size, head = path.stat().st_size, file.read(2 * _TS_PACKET + 1)
-        if head[::_TS_PACKET] == b"GGG":
-            return _unmarked(file)
-        end, names = 0, set[bytes]()
-        if head[4:8] in _MP4_BOXES:
-            end, names = _boxes(file, size)
-        elif head[:4] == b"RIFF":
-            length = int.from_bytes(head[4:8], "little")
-            end = 8 + length if length < 0x7FFFFFFF else 0  # a writer may leave the largest number there
-        if names and b"moov" not in names:
-            return "its index (moov) is missing"
-        return f"{end - size} bytes are missing" if end > size else ""
-
-
-def _boxes(file: BinaryIO, size: int) -> tuple[int, set[bytes]]:
-    """Where the last box of an MP4 ends, and the names of its boxes."""
-    at, names = 0, set[bytes]()
-    while at < size:
-        file.seek(at)
-        head = file.read(16)
-        length = int.from_bytes(head[:4], "big")
-        length = int.from_bytes(head[8:], "big") if length == 1 else length or size - at  # 0: up to the end
-        if length < 8 or not head[4:8].isalnum():
-            break
-        names.add(head[4:8])
-        at += length
-    return at, names
-
-
-def _unmarked(file: BinaryIO) -> str:
-    """What is wrong with the packets of a transport stream, which all begin with one mark; "" if nothing is."""
-    file.seek(0)
-    while block := file.read(_TS_PACKET << 12):
-        if len(block) % _TS_PACKET:
-            return "it ends within a packet"
-        if block[::_TS_PACKET].count(b"G") < len(block) // _TS_PACKET:
-            return "a packet lacks its mark"
+        length = 8 + int.from_bytes(head[4:8], "little")
+        if head[:4] == b"RIFF" and size < length < 0x7FFFFFFF:  # a writer may leave the largest number there
+            return f"{length - size} bytes are missing"
+        if head[::_TS_PACKET] == b"GGG":  # the mark with which each packet begins
+            file.seek(0)
+            while block := file.read(_TS_PACKET << 12):
+                if len(block) % _TS_PACKET:
+                    return "it ends within a packet"
+                if block[::_TS_PACKET].count(b"G") < len(block) // _TS_PACKET:
+                    return "a packet lacks its mark"
     return ""
 
 
 FOLDER_FPS = Fraction(25)
-_LEVEL_IMAGES = 16  # by which the range of 16-bit images is measured
-_MAX_NAMED = 6  # damaged frames
 _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by less than this
 
 
@@ -174,6 +143,7 @@ class Source(AbstractContextManager["Source"], ABC):
         self.complete = True  # False once it is known that frames are missing or wrong
         self._start, self._stop = start, stop
         self._iterated = self._closed = False
+        self._lock = threading.Lock()  # what reads must not be closed while it is at work
 
     def __iter__(self) -> Iterator[Frame]:
         """The frames. Raises InputError when the clip ends before the first, RuntimeError when iterated before."""
@@ -185,9 +155,9 @@ class Source(AbstractContextManager["Source"], ABC):
     @abstractmethod
     def _frames(self) -> Iterator[Frame]: ...
 
+    @abstractmethod
     def close(self) -> None:
         """End the iteration, also from another thread, and free the file; once closed, closing again does nothing."""
-        self._closed = True
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -211,8 +181,12 @@ class VideoSource(Source):
     def __init__(self, path: Path, start: int, stop: int | None, stream: int | None = None):
         try:
             self._bytes, self._decoder = path.stat().st_size, Decoder(path, stream)
-        except (OSError, ValueError):
-            raise _why_not(path) from None
+        except (OSError, ValueError) as error:
+            lack, why = "", "not a video; give a video file or a folder of images"
+            with suppress(OSError), path.open("rb") as file:
+                unread = file.read(8)[4:] in _MP4_BOXES and hasattr(error, "log")  # it is FFmpeg's
+                lack = "its index (moov) is missing" if unread else missing_part(path)
+            raise InputError(f"{path}: {f'cut short or damaged ({lack}); {AGAIN}' if lack else why}") from None
         super().__init__(path, self._decoder.size, self._decoder.fps, start, stop)
         self.is_video, self.stream = True, stream
         self.aspect, self.begins_s = self._decoder.aspect, self._decoder.begins_s
@@ -222,11 +196,10 @@ class VideoSource(Source):
             self.warnings.append(f"{path}: {what}, --stream N takes another")
         if (claimed := self._decoder.claimed) is not None:
             self.frames_hint = max(min(claimed, stop or claimed) - start, 0)
-        self._lock = threading.Lock()
 
     def close(self) -> None:
         self._closed = True
-        with self._lock:  # the decoder must not be closed while it is at work
+        with self._lock:
             self._decoder.close()
 
     def _frames(self) -> Iterator[Frame]:
@@ -292,35 +265,9 @@ class VideoSource(Source):
 
     def _judge_frames(self, damage: set[int]) -> None:
         """Say so if frames are not what the clip showed."""
-        if not damage:
-            return
-        at = sorted(damage)
-        places = ", ".join(map(str, at[:_MAX_NAMED]))
-        places += f" and {len(at) - _MAX_NAMED} later ones" if at[_MAX_NAMED:] else ""
-        frames = f"about frame{'s' * (len(at) > 1)} {places}"
-        self._cut(f"{self.path}: damaged: the decoder reports errors at {frames}, which may look wrong; {AGAIN}")
-
-
-def _why_not(path: Path) -> InputError:
-    """Why a file gave no frame."""
-    video, sound, missing = False, False, ""
-    with suppress(OSError, ValueError):
-        missing = missing_part(path)
-        with path.open("rb") as file:
-            video = file.read(4) == b"\x1a\x45\xdf\xa3"  # Matroska, which may end before it names its streams
-        with open_container(path) as container:
-            video, sound = video_stream(container) is not None, bool(container.streams.audio)
-    if "moov" in missing:
-        why = f"the index of this MP4 (moov) is missing, its recording or download was cut off; {AGAIN}"
-    elif missing:
-        why = f"cut short or damaged before its first frame; {AGAIN}"
-    elif video:
-        why = f"damaged before its first frame, or of an unknown codec; {AGAIN}, or convert it to MP4 (H.264)"
-    elif sound:
-        why = "holds sound but no video; give a video"
-    else:
-        why = "not a video; give a video file or a folder of images"
-    return InputError(f"{path}: {why}")
+        if damage:
+            frames = f"about frame {min(damage)}{f' and {len(damage) - 1} later ones' if len(damage) > 1 else ''}"
+            self._cut(f"{self.path}: damaged: the decoder reports errors at {frames}, which may look wrong; {AGAIN}")
 
 
 class FolderSource(Source):
@@ -331,62 +278,51 @@ class FolderSource(Source):
     """
 
     def __init__(
-        self,
-        path: Path,
-        files: Sequence[Path],
-        fps: Fraction,
-        start: int,
-        stop: int | None,
-        data: Callable[[Path], bytes | None] = lambda file: None,
-        shown_s: Sequence[float] = (),
+        self, path: Path, pictures: Pictures, fps: Fraction, start: int, stop: int | None, shown_s: Sequence[float] = ()
     ):
         super().__init__(path, (0, 0), fps, start, stop)
-        self._data, self._held = data, dict[Path, Any]()  # the bytes of a file that is not on disk; an open stack
-        self._pages = [(file, page) for file in files for page in range(images.pages(file, data))]
-        self.files, self._resized, self._shown_s = [file for file, _ in self._pages], False, shown_s
+        self._pictures, self.files, self._resized, self._shown_s = pictures, pictures.files, False, shown_s
         self.variable = len({round(b - a, 3) for a, b in pairwise(shown_s)}) > 1
         if start >= len(self.files):
             raise self._past_end(len(self.files))
-        read = self._pages[start:stop]
-        self.frames_hint = len(read)
-        first = images.numbers(read[0][0], data(read[0][0]), read[0][1])
+        self.frames_hint = len(self.files[start:stop])
+        first = pictures.numbers(start)
         self.size = first.shape[1], first.shape[0]
-        self._levels = images.Levels()
         if first.dtype.itemsize > 1:  # the same whatever is read
-            some = self._pages[:: max(len(self._pages) // _LEVEL_IMAGES, 1)]
             with suppress(images.UnreadableError):
-                self._levels = images.levels(images.numbers(file, data(file), page) for file, page in some)
-            if self._levels != images.Levels():
-                what = f"{path}: 16-bit images that use the numbers {self._levels.black} to {self._levels.white}"
+                pictures.measure_levels()
+            if pictures.levels != images.ALL_LEVELS:
+                what = "{}: 16-bit images that use the numbers {} to {}".format(path, *pictures.levels)
                 self.warnings.append(f"{what}; these are black and white, so that all of it is seen")
 
     def close(self) -> None:
-        super().close()
-        images.let_go(self._held)
+        self._closed = True
+        with self._lock:
+            self._pictures.close()
 
     def frame(self, index: int) -> Frame:
         """Any frame of the folder. Raises images.UnreadableError."""
-        file, page = self._pages[index]
-        data = None if file in self._held else self._data(file)
-        image = images.read(file, data, page, self._levels, self._held)
+        with self._lock:
+            image = self._pictures.read(index)
         if (size := image.shape[1::-1]) != self.size:
             if not self._resized:
-                self._scaled(str(file), size)
+                self._scaled(str(self.files[index]), size)
             self._resized, image = True, fitted(image, self.size)
         return Frame(index, self._shown_s[index] if self._shown_s else float(index / self.fps), image)
 
     def _frames(self) -> Iterator[Frame]:
         total = len(self.files)
-        for index in range(total)[self._start : self._stop]:
-            if self._closed:
-                return
-            try:
-                frame = self.frame(index)
-            except images.UnreadableError as error:
-                file = self.files[index]
-                self._cut(f"{file}: {error.why}; stopped after {index} of {total} frames, {error.remedy}")
-                return
-            yield frame
+        with self._pictures:  # the last file, where somebody has closed the source meanwhile
+            for index in range(total)[self._start : self._stop]:
+                if self._closed:
+                    return
+                try:
+                    frame = self.frame(index)
+                except images.UnreadableError as error:
+                    what = f"{error.why}; stopped after {index} of {total} frames, {error.remedy}"
+                    self._cut(f"{self.files[index]}: {what}")
+                    return
+                yield frame
 
 
 def open_source(
@@ -409,16 +345,16 @@ def open_source(
     if (files := images.listing(path)) is not None:
         if not files:
             raise InputError(f"{path}: no images in this folder; {', '.join(sorted(images.SUFFIXES))} are read")
-        return FolderSource(path, files, rate, start, stop)
+        return FolderSource(path, Pictures(files), rate, start, stop)
     check_file(path)
     if is_archive(path):
         archive = Archive(path)
-        return FolderSource(path, archive.files, rate, start, stop, archive.read)
+        return FolderSource(path, Pictures(archive.files, archive), rate, start, stop)
     if is_image(path):
-        return FolderSource(path, [path], rate, start, stop)
+        return FolderSource(path, Pictures([path]), rate, start, stop)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for images only")
     if each := images.durations(path):
         rate = Fraction(1 / sorted(each)[len(each) // 2]).limit_denominator(1001)
-        return FolderSource(path, [path], rate, start, stop, shown_s=[0.0, *accumulate(each[:-1])])
+        return FolderSource(path, Pictures([path]), rate, start, stop, shown_s=[0.0, *accumulate(each[:-1])])
     return VideoSource(path, start, stop, stream)

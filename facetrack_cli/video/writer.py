@@ -272,8 +272,8 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
     `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from the first frame written to the end of
     the last. Odd sizes are padded by one black line or column, which H.264 requires. With `replace=False` the finished
     file keeps its temporary name. Pieces go to the folder `pieces`; those of a video that was written up to a `Cut` are
-    there. `aspect` is the width of a pixel over its height. `warnings` (one line each) says what could not be
-    kept, `published` whether the file is at `path`. Raises OutputError when the file cannot be written.
+    there. `aspect` is the width of a pixel over its height. `warnings` (one line each) says what could not be kept.
+    Raises OutputError when the file cannot be written.
     """
 
     def __init__(
@@ -298,7 +298,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         self._number = 0  # of the piece that is written
         self._encoder: Encoder | None = None
         self._failed: OutputError | None = None
-        self.published = self._closed = False
+        self._closed = False
         if not after.pieces:
             self._start()
 
@@ -392,7 +392,6 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
                 try:
                     with _writing(self.path):
                         publish(self.path)
-                    self.published = True
                 finally:
                     discard(self.path)  # which is gone once it is published
 

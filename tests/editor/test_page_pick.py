@@ -194,7 +194,7 @@ def test_what_is_saved_is_what_was_chosen(clips, tmp_path, config, targets, suff
         assert found.box == (None if "box" not in chosen else tuple(round(value, 2) for value in chosen["box"]))
         assert found.points == {part: tuple(at) for part, at in chosen.get("points", {}).items()}
     if suffix == ".yaml":
-        assert out.read_text().startswith("# Where the track of face begins, picked on the page.\n")
+        assert out.read_text().startswith("# Where the track of face begins.\n")
 
 
 def test_a_file_that_appears_meanwhile_is_not_replaced(clips, tmp_path):

@@ -119,8 +119,8 @@ def test_folders_of_images_give_their_frames_and_are_not_read_whole(tmp_path, mo
     from facetrack_cli.video import images
 
     clip = write_pictures(tmp_path / "clip", 30)
-    read, opened = images.read, []
-    monkeypatch.setattr(images, "read", lambda path, *size: opened.append(path.name) or read(path, *size))
+    read, opened = images.Pictures.read, []
+    monkeypatch.setattr(images.Pictures, "read", lambda of, at: opened.append(of.files[at].name) or read(of, at))
     page = make_report(write_run(tmp_path / "run", clip))
     assert seen(page.html) == {frame: frame for frame in KEYS}
     assert set(opened) == {f"{frame}.png" for frame in KEYS}

@@ -19,6 +19,7 @@ from facetrack_cli.start.search import (
     SEARCHED_FRAMES,
     _Candidate,
     _change,
+    _Look,
     _Search,
     box_start,
     search_start,
@@ -318,15 +319,15 @@ def test_a_poster_that_a_hand_shakes_is_none_that_lives():
 
 def candidate(side, change=1.0, contrast=50.0):
     box = (0, 0, side, side)
-    boxes = [(frame, box) for frame in range(60)]
-    return _Candidate(Detection(box), boxes, contrast=[contrast], begins={0: None}, features=True, change=change)
+    looks = [_Look(frame, box, {}, contrast, False) for frame in range(60)]
+    return _Candidate(Detection(box), looks, begins={0: None}, features=True, change=change)
 
 
 def faces(*candidates, ended=True):
     """The sides of those that are faces, the best first, after 60 frames."""
     search = _Search((), Fake(None), lambda _, start: start, 0.0)
     search.candidates, search.frames, search.times = candidates, [*range(60)], [frame / 25 for frame in range(60)]
-    return [face.size for face in search.faces(ended=ended)]
+    return [face.box[2] for face in search.faces(ended=ended)]
 
 
 def test_of_those_that_hardly_move_one_that_changes_ten_times_as_much_comes_first():

@@ -318,12 +318,12 @@ def test_refused_files(tmp_path: Path) -> None:
             (tmp_path / name).write_bytes(data)
         assert words in refusal(tmp_path / name)
     assert "moov" in refusal(media.without_moov(tmp_path / "cut.mp4"))
-    assert "sound but no video" in refusal(media.sound_only(tmp_path / "tune.mp4"))
+    assert "not a video" in refusal(media.sound_only(tmp_path / "tune.mp4"))
     assert "pipe" in refusal(Path("-"))
     cover = media.write_pictures(tmp_path / "c", 1) / "0.png"
     inputs = ("-f", "lavfi", "-i", "sine=d=1", "-i", cover, "-map", "0", "-map", "1", "-c:v", "copy")
     media.ffmpeg(*inputs, "-disposition:v", "attached_pic", tmp_path / "tune.mp3")
-    assert "sound but no video" in refusal(tmp_path / "tune.mp3"), "the picture of its cover is none"
+    assert "not a video" in refusal(tmp_path / "tune.mp3"), "the picture of its cover is none"
 
 
 @pytest.mark.parametrize("suffix", sorted(media.CODECS))
@@ -337,8 +337,7 @@ def test_a_clip_that_is_cut_within_its_headers_is_refused(tmp_path: Path, suffix
             read(path)
         except InputError as error:
             assert str(path) in str(error)
-            damaged_head = suffix in (".mp4", ".avi", ".mkv") and length == 200
-            assert not damaged_head or "damaged before its first frame" in str(error)
+            assert suffix != ".avi" or length != 200 or "cut short or damaged (" in str(error)
 
 
 def test_what_the_system_refuses_and_impossible_arguments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

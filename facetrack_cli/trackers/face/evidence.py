@@ -10,11 +10,11 @@ target has the log odds
                 target: `same_person` in people/identity.py, where each is bounded by how often it is wrong
     place       NEAR where the target was last seen, -AWAY elsewhere while it is held to be covered; 0 after a cut
 
-A face that is seen in the place of a target that was not seen for a while may be of somebody who walks by. The log odds that it
-is the target are AGAIN + looks, without colours: the light and what is around are those of before. If they speak for
-somebody else, place says nothing any more, and the prior grows from 0 by 1 a second up to SHOT, since who walks by does
-not stay. This takes the extra `people`, since grey views of a head that turns differ as much as those of two people,
-and YuNet, whose eyes lay out all views alike.
+A face that is seen in the place of a target that was not seen for a while may be of somebody who walks by. The log
+odds that it is the target are AGAIN + looks, without colours: the light and what is around are those of before. If they
+speak for somebody else, place says nothing any more, and the prior grows from 0 by 1 a second up to SHOT, since who
+walks by does not stay. This takes the extra `people`, since grey views of a head that turns differ as much as those of
+two people, and YuNet, whose eyes lay out all views alike.
 
 No term has a veto: skin changes with the light, hair with a hat.
 People change places over cuts, so the looks decide there, and hardly elsewhere. What looks like a cut and was a flash,
