@@ -103,8 +103,8 @@ class Motion(Protocol):
         ...
 
     def log_transition(self, x: Array, parents: Array) -> Array:
-        """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D)."""
-        ...
+        """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D). Filters of points ask."""
+        raise TypeError(f"{type(self).__name__} has no density")
 
     def expect(self, x: Array) -> Array:
         """(N, K, D): the mean of p(x_t | x_{t-1} = x)."""

@@ -149,7 +149,7 @@ def test_moments_of_differences_to_others_are_those_of_the_differences(labels, r
     rows = np.array(naive.to_others(groups)).reshape(-1, D)[np.array(asked, bool)]
     got = Samples(x, who, np.arange(len(x)), basis).to_others(patches, persons)
     expected = Moments.of(rows @ basis.T, (rows**2).sum(1))
-    assert got.count == expected.count
+    assert got.number == expected.number
     np.testing.assert_allclose(got.total, expected.total, atol=1e-9)
     np.testing.assert_allclose(got.products, expected.products, atol=1e-9)
     assert got.square == pytest.approx(expected.square, abs=1e-9)

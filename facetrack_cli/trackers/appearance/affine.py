@@ -34,7 +34,6 @@ from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame, Particles, factor_for
 from facetrack_cli.engine.filters import FrameModel, Prediction, Stepped, weighted
 from facetrack_cli.engine.kernels.compiled import boxes_extent
-from facetrack_cli.engine.motion import log_normal
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context, Estimate, Outline, SizedSpace, estimate
 from facetrack_cli.trackers.appearance.appearance_kernels import Rows, differences, gain, mapped, read_patches
@@ -173,7 +172,7 @@ class AffineWalk(Motion):
 
     The state is (x, y, a1, a2, a3, a4), `sigma` the standard deviation of x and y in pixels. The paper leaves u_0 open;
     here scale, turn, and stretch and shear have noise of their own: if they have the same, it is that of each of a1 to
-    a4. `scale` bounds the scale, [least, most]; the density and the linear form leave the bounds out.
+    a4. `scale` bounds the scale, [least, most]; the linear form leaves the bounds out.
     """
 
     settings: AffineWalkSettings
@@ -209,10 +208,6 @@ class AffineWalk(Motion):
     def expect(self, x: Array) -> Array:
         """The mean of p(x_t | x_{t-1} = x), (N, 1, 6)."""
         return x
-
-    def log_transition(self, x: Array, parents: Array) -> Array:
-        """log p(x_n | parents_m): x (N, 1, 6), parents (M, 1, 6) -> (N, M, 1)."""
-        return log_normal((x[:, None] - parents[None]) @ _AFFINE, np.diag(self._sigma**2))
 
     def linear(self, state: Array) -> Linear:
         """The motion around a state (1, 6)."""

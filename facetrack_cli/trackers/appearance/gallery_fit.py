@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,53 +56,33 @@ def fit_gallery(
     if not len(own):
         remedy = "add a second image of somebody, or copies that are cut a little off"
         raise InputError(f"there is one image of each person, and {_CHANGES.format('one face changes')}; {remedy}")
-    # persons that are held out together; where that leaves nothing to learn from, images are
-    folds = folds_by(who)
-    fold = np.argmax(folds, axis=0)
+    # persons that are held out together; where that leaves nothing to learn from, images are, for rho alone
+    folds, by_image = folds_by(who), folds_by(of)
     frontal = fit_subspace(x, folds, samples.basis)
-    own_folds = [mask[own_of] for mask in folds]
-    able = any(mask.any() and not mask.all() for mask in own_folds)
-    intra = fit_subspace(own, own_folds if able else folds_by(of[own_of]), samples.basis, centred=True)
-    if not able:
-        intra = Fitted(intra.whole, (intra.whole,) * len(folds))
-    extra = _fit_others(samples, folds)
+    able = any(mask[own_of].any() and not mask[own_of].all() for mask in folds)
+    intra = fit_subspace(own, [mask[own_of] for mask in (folds if able else by_image)], samples.basis, centred=True)
+    # of what a fold holds out, neither patches nor faces are used; without one of two nobody is left to differ from
+    anyone = np.ones(len(names), bool)
+    apart = len(names) > 2
+    held = [(mask, ~anyone if not apart else np.bincount(who, mask) > 0) for mask in (folds if apart else by_image)]
+    without = [samples.to_others(~mask, ~gone) for mask, gone in held]
+    extra = fit_moments(samples.to_others(who >= 0, anyone), without, samples.basis, centred=True)
     right_q = np.concatenate([space.log_density(x[mask]) for space, mask in zip(frontal.without, folds, strict=True)])
     wrong_q = np.mean([space.log_density(negatives) for space in frontal.without], axis=0)
-    threshold, errors = equal_errors(*_genuine_and_strangers(intra, extra, samples, own, fold, own_of))
+    genuine, best, faces = np.empty(len(own)), np.empty(len(x)), samples.faces
+    for k, mask in enumerate(folds):  # log ratios (eq. 16) by spaces that have not seen the person
+        within, between = intra.without[k] if able else intra.whole, extra.without[k] if apart else extra.whole
+        genuine[mask[own_of]] = within.log_density(own[mask[own_of]]) - between.log_density(own[mask[own_of]])
+        ratios = within.log_densities(x[mask], faces) - between.log_densities(x[mask], faces)
+        ratios[np.arange(len(ratios)), who[mask]] = -np.inf  # the largest is to another person
+        best[mask] = ratios.max(axis=1)
+    threshold, errors = equal_errors(genuine, best)
     counts = tuple(np.bincount(who[samples.first]).tolist())
     return Gallery(
         tuple(map(str, names)), samples.faces.astype(np.float32), (int(shape[0]), int(shape[1])),
         frontal.whole, intra.whole, extra.whole, fit_logistic(right_q, wrong_q), threshold, errors, counts,
         notes=_notes(names.tolist(), counts, errors), proportion=proportion,
     )  # fmt: skip
-
-
-def _fit_others(samples: Samples, folds: Sequence[Mask]) -> Fitted:
-    """The space of differences to others; of what a fold (n,) holds out, neither patches nor faces are used."""
-    everybody, anyone = np.ones(len(samples.x), bool), np.ones(len(samples.faces), bool)
-    able = len(anyone) > 2  # without one of two nobody is left to differ from
-    held = [(mask, np.bincount(samples.who, mask) == 0) for mask in folds]
-    if not able:
-        held = [(mask, anyone) for mask in folds_by(samples.of)]
-    without = [samples.to_others(~mask, others) for mask, others in held]
-    fitted = fit_moments(samples.to_others(everybody, anyone), without, samples.basis, centred=True)
-    return fitted if able else Fitted(fitted.whole, (fitted.whole,) * len(folds))
-
-
-def _genuine_and_strangers(
-    intra: Fitted, extra: Fitted, samples: Samples, own: Array, fold: Indices, own_of: Indices
-) -> tuple[Array, Array]:
-    """Log ratios (eq. 16) by spaces that have not seen the person: to it (m,), and the largest to another (n,)."""
-    genuine, best, faces = np.empty(len(own)), np.empty(len(samples.x)), samples.faces
-    for k, (within, between) in enumerate(zip(intra.without, extra.without, strict=True)):
-        held = fold[own_of] == k
-        genuine[held] = within.log_density(own[held]) - between.log_density(own[held])
-        held = fold == k
-        x, who = samples.x[held], samples.who[held]
-        ratios = within.log_densities(x, faces) - between.log_densities(x, faces)
-        ratios[np.arange(len(x)), who] = -np.inf
-        best[held] = ratios.max(axis=1)
-    return genuine, best
 
 
 def _notes(names: Sequence[str], counts: Sequence[int], errors: float) -> tuple[str, ...]:
@@ -236,19 +216,17 @@ def stand_in(images: Array) -> Array:
     return np.asarray((mean - mean.mean()) / spread)
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
+class Fitted(NamedTuple):
     """The subspace of all rows, and one subspace per fold: `without[k]` has not seen the rows of fold k."""
 
     whole: Subspace
     without: tuple[Subspace, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Of `count` rows: sums of coordinates (r,) and of their products (r, r), and of squared lengths of whole rows."""
+class Moments(NamedTuple):
+    """Of `number` rows: sums of coordinates (r,) and of their products (r, r), and of squared lengths of whole rows."""
 
-    count: int
+    number: int
     total: Array
     products: Array
     square: float
@@ -258,48 +236,44 @@ class Moments:
         """Of coordinates z (n, r) and squared lengths (n,)."""
         return Moments(len(z), z.sum(0), z.T @ z, float(square.sum()))
 
-    def __sub__(self, other: Moments) -> Moments:
-        """Of these rows without the others, which are among them."""
-        count, square = self.count - other.count, self.square - other.square
-        return Moments(count, self.total - other.total, self.products - other.products, square)
+    def about(self, mean: Array) -> tuple[Array, float]:
+        """Of differences to a mean (r,): sums of the products (r, r), and of the squared lengths."""
+        cross, n = np.outer(mean, self.total), self.number
+        square = self.square - 2.0 * mean @ self.total + n * mean @ mean
+        return self.products - cross - cross.T + n * np.outer(mean, mean), float(square)
 
 
 def common_basis(x: Array, most: int = MAX_DIRECTIONS) -> Array:
     """Orthonormal rows (r, d), r at most `most`: the largest directions of rows x (n, d), or all."""
-    n, d = x.shape
-    if d <= most:
-        return np.eye(d)
-    if n <= most:
-        return np.asarray(np.linalg.svd(x, full_matrices=False)[2])
-    if min(n, d) > MAX_ROWS:
-        x = x[np.linspace(0, n - 1, MAX_ROWS).astype(int)]
-    if d <= len(x):
-        return np.ascontiguousarray(np.linalg.eigh(x.T @ x)[1][:, : -most - 1 : -1].T)
-    largest = np.linalg.eigh(x @ x.T)[1][:, : -most - 1 : -1]
-    return np.asarray(np.linalg.qr(x.T @ largest)[0].T)
+    some = x[np.linspace(0, len(x) - 1, min(len(x), MAX_ROWS)).astype(int)]
+    largest = np.linalg.eigh(some @ some.T)[1][:, : -most - 1 : -1]
+    return np.asarray(np.linalg.qr(some.T @ largest)[0].T)
 
 
 def fit_subspace(x: Array, folds: Sequence[Mask], basis: Array, *, centred: bool = False) -> Fitted:
-    """The subspace of rows x (n, d): as many components as hold ENERGY of the variance, at most half of the rank.
-
-    `folds[k]` (n,) is true for the rows that are held out together; a fold of no row or of all of them holds nothing
-    out. `basis` (r, d), orthonormal, of a space that the rows are nearly in. `centred`: the mean is 0 by construction.
-    All subspaces have the same rho.
-    """
+    """The subspace of rows x (n, d), without those of each fold (n,) in turn, as `fit_moments` says."""
     z, square = x @ basis.T, np.einsum("nd,nd->n", x, x)
     without = [Moments.of(z[~fold], square[~fold]) for fold in folds]
     return fit_moments(Moments.of(z, square), without, basis, centred=centred)
 
 
 def fit_moments(all_rows: Moments, without: Sequence[Moments], basis: Array, *, centred: bool) -> Fitted:
-    """As `fit_subspace`, from the moments of all rows and of the rows `without` each fold."""
+    """The subspace of all rows, and of those `without` each fold; a fold of no row or of all holds nothing out.
+
+    It has as many components as hold ENERGY of the variance, at most half of the rank. `basis` (r, d) is orthonormal,
+    of a space that the rows are nearly in. `centred`: the mean is 0 by construction. All subspaces have the same rho.
+    """
     d = basis.shape[1]
     whole = _Components.of(all_rows, centred, d)
-    parts = [_Components.of(m, centred, d) if 0 < m.count < all_rows.count else whole for m in without]
-    held = [(part, all_rows - moments) for part, moments in zip(parts, without, strict=True) if part is not whole]
+    parts = [_Components.of(rows, centred, d) if 0 < rows.number < all_rows.number else whole for rows in without]
+    held = [
+        (part.errors(all_rows) - part.errors(rows), all_rows.number - rows.number)
+        for part, rows in zip(parts, without, strict=True) if part is not whole
+    ]  # fmt: skip
     rho = whole.remaining
     if held:
-        rho = max(rho, sum(part.errors(rows) for part, rows in held) / sum(rows.count for _, rows in held))
+        left_over, number = np.sum(held, axis=0).tolist()
+        rho = max(rho, left_over / number)
     rho = max(rho, MIN_RHO)
     return Fitted(whole.subspace(rho, basis), tuple(part.subspace(rho, basis) for part in parts))
 
@@ -310,39 +284,37 @@ def folds_by(labels: Indices) -> list[Mask]:
     return [index % FOLDS == k for k in range(min(FOLDS, len(names)))] if len(names) > 1 else []
 
 
-@dataclass(frozen=True, eq=False)
-class _Components:
-    """Principal components in a basis; `remaining`: the sum of the eigenvalues that are left, over d - s."""
+class _Components(NamedTuple):
+    """Principal components in a basis; `remaining`: the sum of the eigenvalues that are left, over d - s, `others`."""
 
     mean: Array
     vectors: Array
     values: Array
     remaining: float
-    d: int
+    others: int
 
     @staticmethod
     def of(rows: Moments, centred: bool, d: int) -> _Components:
         """Of rows of d numbers."""
-        n = rows.count
+        n = rows.number
         mean = np.zeros_like(rows.total) if centred else rows.total / n
+        products, square = rows.about(mean)
         freedom = n if centred else max(n - 1, 1)
-        values, vectors = np.linalg.eigh((rows.products - n * np.outer(mean, mean)) / freedom)
+        values, vectors = np.linalg.eigh(products / freedom)
         values = np.maximum(values[::-1], 0.0)
         # the lengths of the rows include directions that are not in the basis
-        total = max(float(rows.square - n * mean @ mean) / freedom, float(values.sum()))
+        total = max(square / freedom, float(values.sum()))
         rank = int((values > 1e-9 * max(total, 1e-12)).sum())
         enough = int(np.searchsorted(np.cumsum(values), ENERGY * total)) + 1
         s = min(enough, max(rank // 2, 1), rank)
-        left = max(total - float(values[:s].sum()), 0.0)
-        return _Components(mean, vectors[:, ::-1][:, :s].T, values[:s], left / max(d - s, 1), d)
+        left, others = max(total - float(values[:s].sum()), 0.0), max(d - s, 1)
+        return _Components(mean, vectors[:, ::-1][:, :s].T, values[:s], left / others, others)
 
     def errors(self, rows: Moments) -> float:
         """What rows leave over, the sum of err^2 / (d - s)."""
-        along = self.vectors @ self.mean
-        length = rows.square - 2.0 * self.mean @ rows.total + rows.count * self.mean @ self.mean
-        kept = np.einsum("si,ij,sj->", self.vectors, rows.products, self.vectors, optimize=True)
-        kept += -2.0 * along @ (self.vectors @ rows.total) + rows.count * along @ along
-        return max(float(length - kept), 0.0) / max(self.d - len(self.values), 1)
+        products, square = rows.about(self.mean)
+        kept = np.einsum("si,ij,sj->", self.vectors, products, self.vectors, optimize=True)
+        return max(square - float(kept), 0.0) / self.others
 
     def subspace(self, rho: float, basis: Array) -> Subspace:
         # a principal direction varies at least as much as the directions left out
