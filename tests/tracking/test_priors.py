@@ -275,15 +275,15 @@ def test_fit_says_what_is_wrong(tmp_path):
     for paths, given, error, said in [
         ([good, four], {}, InputError, "four.csv: there is no part lip_lower"),
         ([hidden], {}, InputError, "none of its 5 frames"),
-        ([flat], {}, InputError, "frame 0.*no scale"),
-        ([wild], {}, InputError, "wild.csv: a part moves"),
+        ([flat], {}, InputError, "frame 0: .* are 0.00 apart"),
+        ([wild], {}, InputError, "wild.csv: frame 1: a part of face moves"),
         ([double], {}, InputError, "frame 0 has two rows of face/nose"),
         ([empty], {}, InputError, "no row"),
         ([tmp_path / "absent.csv"], {}, InputError, "absent.csv"),
-        ([good], {"parts": ["nose", "lip_upper"]}, UsageError, "no part mouth_left"),
-        ([good], {"stable": "ear"}, UsageError, "no part ear"),
-        ([good], {"scale": ("nose", "nose")}, UsageError, "both are nose"),
-        ([good], {"parts": [*PARTS, "nose"]}, UsageError, "twice"),
+        ([good], {"parts": ["nose", "lip_upper"]}, UsageError, "here are nose, lip_upper, with nose and mouth_left"),
+        ([good], {"stable": "ear"}, UsageError, "with ear and .* --stable"),
+        ([good], {"scale": ("nose", "nose")}, UsageError, "with nose and nose, nose"),
+        ([good], {"parts": [*PARTS, "nose"]}, UsageError, "named once"),
     ]:
         with pytest.raises(error, match=said) as caught:
             fit_prior(paths, **given)

@@ -112,10 +112,11 @@ class Patches:
 
     @classmethod
     def of(cls, context: Context) -> Patches:
-        """As the likelihood of a target reads them. Raises TypeError for a likelihood that reads none."""
+        """As the likelihood of a target reads them. Raises RecipeError for a likelihood that reads none."""
         likelihood = context.settings.likelihood
         if not isinstance(likelihood, AppearanceSettings):
-            raise TypeError(f"the likelihood {likelihood.type} does not compare patches")
+            what = "does not compare patches; write velocity: null, noise: null, and no recognition"
+            raise context.error("likelihood.type", f'likelihood type "{likelihood.type}" {what}')
         columns, rows = likelihood.template
         return cls(context.placed.size, (rows, columns))
 
@@ -194,15 +195,13 @@ class AffineWalk(Motion):
         return self._bounded(x + moved + noise * step)
 
     def _bounded(self, x: Array) -> Array:
-        """x (N, 1, 6), with scales beyond the bounds brought back to them; a deformation of 0 becomes upright."""
+        """x (N, 1, 6), with scales beyond the bounds brought back to them."""
         least, most = self.scale
         scale = np.asarray(scale_of(x))[..., None]
-        flat, wild = scale < 1e-12, (scale < least) | (scale > most)
-        if not wild.any():
-            return x
-        by = np.where(flat, 1.0, np.clip(scale, least, most) / np.where(flat, 1.0, scale))
-        deformed = np.where(flat, (least, 0.0, 0.0, least), x[..., 2:])
-        x[..., 2:] = np.where(wild, deformed * by, x[..., 2:])
+        wild = (scale < least) | (scale > most)
+        if wild.any():
+            by = np.clip(scale, least, most) / np.maximum(scale, 1e-12)
+            x[..., 2:] = np.where(wild, x[..., 2:] * by, x[..., 2:])
         return x
 
     def expect(self, x: Array) -> Array:

@@ -62,9 +62,9 @@ class Subspace:
         s, d = len(self.values), len(self.mean)
         if self.vectors.shape != (s, d) or s > d or not d:
             raise ValueError(f"directions of {self.vectors.shape} do not fit {s} variances of {d} points")
-        if not all(np.isfinite(a).all() for a in (self.mean, self.vectors, self.values)):
+        if not all(np.isfinite(a).all() for a in (self.mean, self.vectors, self.values, self.rho)):
             raise ValueError("a number is not finite")
-        if not (0.0 < self.rho < math.inf and (self.values > 0.0).all()):
+        if not (self.rho > 0.0 and (self.values > 0.0).all()):
             raise ValueError("a variance is not above 0")
 
     @property
@@ -75,10 +75,7 @@ class Subspace:
 
     def log_density(self, y: Reals) -> Array:
         """(N,): log Q of y (N, d), eq. 14."""
-        centred = np.asarray(y, np.float64) - self.mean
-        q = centred @ self.vectors.T.astype(np.float64)
-        error = np.maximum((centred**2).sum(1) - (q**2).sum(1), 0.0) if len(self.values) < len(self.mean) else 0.0
-        return np.asarray(self.log_constant - 0.5 * ((q**2 / self.values).sum(1) + error / self.rho))
+        return self.log_densities(np.asarray(y, np.float64) - self.mean, -self.mean[None])[:, 0]
 
     @property
     def precision(self) -> tuple[Array, float, Array]:
@@ -86,7 +83,7 @@ class Subspace:
         plain = 1.0 / self.rho if len(self.values) < len(self.mean) else 0.0
         return self.vectors.astype(np.float64), plain, 1.0 / self.values - plain
 
-    def log_densities(self, y: Array, faces: Array) -> Array:
+    def log_densities(self, y: Reals, faces: Reals) -> Array:
         """(N, P): log Q of the differences of y (N, d) to faces (P, d), which are not written out."""
         v, plain, weight = self.precision
         faces = faces + self.mean
@@ -125,17 +122,14 @@ class Gallery:
             raise ValueError("a gallery needs two persons or more, each named once")
         if problem := next(filter(None, map(name_problem, self.names)), None):
             raise ValueError(problem)
-        if (
-            min(self.shape) < 1
-            or self.faces.shape != (p, math.prod(self.shape))
-            or any(len(space.mean) != d for space in spaces)
-        ):
+        fits = len(self.shape) == 2 and self.faces.shape == (p, math.prod(self.shape)) and min(self.shape) > 0
+        if not fits or any(len(space.mean) != d for space in spaces):
             raise ValueError(f"faces of {self.faces.shape} do not fit {p} persons and a template of {self.shape}")
-        numbers = (*self.calibration, self.most_frontal, self.threshold, self.errors, self.proportion or 0.0)
+        numbers = (*self.calibration, self.most_frontal, self.threshold, self.errors)
         if not (np.isfinite(self.faces).all() and np.isfinite(numbers).all()):
             raise ValueError("a number is not finite")
         ranged = len(self.counts) == p and min(self.counts) >= 1 and len(self.calibration) == 2
-        ranged = ranged and (self.proportion is None or self.proportion > 0.0)
+        ranged = ranged and (self.proportion is None or 0.0 < self.proportion < math.inf)
         if not ranged or self.calibration[0] < 0.0 or not 0.0 <= self.most_frontal <= 1.0:
             raise ValueError("counts, proportion or the calibration of p_f are out of range")
 
@@ -238,8 +232,6 @@ def _from_arrays(stored: Stored) -> Gallery:
     fields |= {name: stored.whole(name) for name in ("shape", "counts")}
     numbers = ("threshold", "errors", "most_frontal", *(["proportion"] if "proportion" in stored else []))
     fields |= {name: stored.number(name) for name in numbers}
-    if len(fields["shape"]) != 2:
-        raise ValueError("shape is not two numbers")
     for name in _SPACES:
         mean, vectors = stored.reals(f"{name}_mean", 1), stored.reals(f"{name}_vectors", 2)
         fields[name] = Subspace(mean, vectors, stored.reals(f"{name}_values", 1), stored.number(f"{name}_rho"))
