@@ -67,7 +67,7 @@ class Likelihood(Protocol):
 
     def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any:
         """What is known for the next frame, given the estimate `state` (K, D) and the particles of this one."""
-        ...
+        return learned
 
     def distances(self, learned: Any, frame: Frame, x: Array) -> Array:
         """(N, K): how badly parts x (N, K, D) match what the first frame showed; 0 is perfect."""

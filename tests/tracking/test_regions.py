@@ -98,7 +98,7 @@ def test_neither_drawing_nor_threads_nor_processes_change_a_byte(facetrack):
     for name, more in (("video1", ["--threads", 1]), ("video2", ["--threads", 2]), ("plain", ["--no-video"])):
         assert facetrack(*asked, *more, "-o", name)[0] == 0
     code, _, err = facetrack(*asked, "IN/grey", "--no-video", "-j", 2, "-o", "many")
-    assert code == 5 and "grey: head, frame 0: this clip is grey" in err
+    assert code == 5 and "grey: head, frame 0: 0.0% of the box" in err
     [batch] = Path("many").glob("head*")
     tables = {
         (folder / "trajectory.csv").read_bytes() for folder in (Path("video1"), Path("video2"), Path("plain"), batch)
@@ -165,7 +165,7 @@ def run(facetrack, *args, name="head", config=ALL):
 @pytest.mark.parametrize(("begin", "name"), [((), "head"), (("--box", BOX), "face")])
 def test_colours_on_a_grey_clip_name_the_clip_the_target_and_what_to_do(facetrack, clips, begin, name):
     said = refused(run(facetrack, *begin, name="grey"), 3)
-    assert f"{clips}/grey: {name}, frame 0: this clip is grey" in said
+    assert f"{clips}/grey: {name}, frame 0: 0.0% of the box's pixels have a hue" in said
     assert "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8" in said
 
 

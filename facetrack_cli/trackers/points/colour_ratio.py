@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import size_of_points
-from facetrack_cli.core.types import Array, Extent, Frame, Mask, Particles, Start, Whole, factor_for
+from facetrack_cli.core.types import Array, Extent, Frame, Mask, Start, Whole, factor_for
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context, Placed, PointSpace, size_of_box
 from facetrack_cli.trackers.points import point_kernels as windows
@@ -118,9 +118,6 @@ class ColourRatio(Likelihood):
             at = x, left, top, g.factor
             windows.colour_ratio_distances(windows.flat(image), *template, *at, MIN_MEAN, robust, scale, out)
         return out
-
-    def learn(self, learned: Templates, frame: Frame, state: Array, particles: Particles) -> Templates:
-        return learned
 
     def relearn(self, learned: Templates, frame: Frame, x0: Array, parts: Mask) -> Templates:
         """With the templates of `parts` (K,) as they look in `frame` at x0 (K, 2)."""

@@ -186,7 +186,7 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Histogram:
+class Histogram(Likelihood):
     """`size`: width and height of the box at scale 1, in pixels."""
 
     settings: HistogramSettings
@@ -201,13 +201,15 @@ class Histogram:
         settings, factor = self.settings, factor_for(max(self.size), self.settings.max_size)
         hsv, ex, ey, _ = self._read(frame, x0[None], factor)
         if hsv is None:
-            wrong = "lies outside the image: choose another box"
-            if factor > 1:
-                remedy = "give a wider one, or raise likelihood.histogram.max_size"
-                wrong = f"has no pixel of the image at 1/{factor} of its size: {remedy}"
-            raise InputError(f"frame {frame.index}: the box {wrong}")
-        if settings.value_bins <= 1:
-            self._need_colours(frame, hsv)
+            wrong = f"the box has no pixel of the image at 1/{factor} of its size"
+            remedy = "choose another, or raise likelihood.histogram.max_size"
+            raise InputError(f"frame {frame.index}: {wrong}: {remedy}")
+        least = 255 * settings.least_saturation, 255 * settings.least_value
+        share = float(np.mean((hsv[..., 1:] >= least).all(axis=2)))
+        if settings.value_bins <= 1 and share < MIN_COLOURED:
+            what = f"{share:.1%} of the box's pixels have a hue, so a colour histogram cannot know it"
+            remedy = "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8"
+            raise InputError(f"frame {frame.index}: {what}: {remedy}")
         hue = np.arange(180) * settings.hue_bins // 180 * settings.saturation_bins
         coloured = (hue[:, None] + np.arange(256) * settings.saturation_bins // 256).astype(np.uint16)
         bins = settings.hue_bins * settings.saturation_bins
@@ -231,26 +233,21 @@ class Histogram:
         """D of boxes x (N, 1, 6) -> (N, 1): 0 for a perfect match, 1 for no colour in common."""
         return np.sqrt(self._squared(learned, frame, x))
 
-    def learn(self, learned: Reference, frame: Frame, state: Array, particles: Particles) -> Reference:
-        return learned
-
     def _squared(self, learned: Reference, frame: Frame, x: Array) -> Array:
         hsv, ex, ey, area = self._read(frame, x, learned.factor)
         if hsv is None:
             return np.ones((len(x), 1))
         codes = self._codes(hsv, learned.coloured, learned.colourless)
-        each = [slice(None)]
-        if codes.size > MAX_CELLS:  # far apart: of each box what it covers alone
-            each = [slice(n, n + 1) for n in range(len(x))]
-        match = np.concatenate([self._match(codes, ex[n], ey[n], area[n], learned.root) for n in each])
-        return np.asarray(np.clip(1.0 - match, 0.0, 1.0)[:, None])
 
-    @staticmethod
-    def _match(codes: NDArray[np.uint16], ex: Whole, ey: Whole, area: Array, root: NDArray[np.float32]) -> Array:
-        """(N,): the Bhattacharyya coefficient of boxes with the reference."""
-        left, right, top, bottom = int(ex.min()), int(ex.max()), int(ey.min()), int(ey.max())
-        part = np.ascontiguousarray(codes[top:bottom, left:right])
-        return np.asarray(kernel.match_boxes(part, ex - left, ey - top, area, root))
+        def match(of: slice) -> Array:
+            """The Bhattacharyya coefficients of some boxes with the reference."""
+            left, top = int(ex[of].min()), int(ey[of].min())
+            part = np.ascontiguousarray(codes[top : int(ey[of].max()), left : int(ex[of].max())])
+            return np.asarray(kernel.match_boxes(part, ex[of] - left, ey[of] - top, area[of], learned.root))
+
+        together = len(x) if codes.size <= MAX_CELLS else 1  # far apart: of each box what it covers alone
+        each = [match(slice(n, n + together)) for n in range(0, len(x), together)]
+        return np.asarray(np.clip(1.0 - np.concatenate(each), 0.0, 1.0)[:, None])
 
     def _read(self, frame: Frame, x: Array, factor: int) -> tuple[Image | None, Whole, Whole, Array]:
         """HSV of the part of the frame that boxes (N, 1, 6) cover, their edges in it, and areas.
@@ -292,16 +289,6 @@ class Histogram:
         least_saturation, least_value = self.settings.least_saturation, self.settings.least_value
         pale = (saturation < math.ceil(255 * least_saturation)) | (value < math.ceil(255 * least_value))
         return np.where(pale, colourless.take(value), codes)
-
-    def _need_colours(self, frame: Frame, hsv: Image) -> None:
-        least = 255 * self.settings.least_saturation, 255 * self.settings.least_value
-        share = float(np.mean((hsv[..., 1:] >= least).all(axis=2)))
-        if share < MIN_COLOURED:
-            grey = np.mean((_hsv(frame.bgr)[..., 1:] >= least).all(axis=2)) < MIN_COLOURED
-            what = "this clip is grey, or too dark" if grey else "the box shows no colours"
-            remedy = "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8"
-            hues = f"{share:.1%} of the box's pixels have a hue"
-            raise InputError(f"frame {frame.index}: {what}, so a colour histogram cannot know it: {hues}: {remedy}")
 
 
 def _hsv(bgr: Image) -> Image:

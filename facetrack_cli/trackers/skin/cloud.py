@@ -229,9 +229,6 @@ class SkinCloud(Likelihood):
         """(N, 1): log p(y | x) of x (N, 1, D), x and y first."""
         return np.log(np.maximum(self._skin(learned, frame, x[:, 0, :2]), self.settings.floor))[:, None]
 
-    def learn(self, learned: SkinModel, frame: Frame, state: Array, particles: Particles) -> SkinModel:
-        return learned
-
     def distances(self, learned: SkinModel, frame: Frame, x: Array) -> Array:
         """(N, 1): 1 less the mean probability of skin about each place."""
         steps = np.linspace(-0.5, 0.5, GRID) * MIDDLE

@@ -218,14 +218,11 @@ def adapted(template: Template, settings: PatternSettings, frame: Frame, state: 
 
 
 class _GreyView(NamedTuple):
-    """The grey image around boxes (3, N) = (u, v, s) in its pixels; which are `seen` at all; the range of (u, v)."""
+    """The grey image around boxes (3, N) = (u, v, s) in its pixels, and which of them are `seen` at all."""
 
     image: Image
     boxes: Array
     seen: Mask
-    low: Array
-    high: Array
-    same_scale: bool
 
 
 def _view(template: Template, frame: Frame, x: Array) -> _GreyView:
@@ -238,9 +235,8 @@ def _view(template: Template, frame: Frame, x: Array) -> _GreyView:
     # comparisons with nan are false; beyond the bound the arithmetic of places would be rough
     seen = (s * min(th, tw) >= 1.0) & (s <= LARGEST) & ((end > -0.5) & (start < size[:, None] - 0.5)).all(axis=0)
     boxes = np.where(seen, np.vstack([at, s]), [[0.0], [0.0], [1.0]])
-    low, high, corner, far = np.zeros(2), np.zeros(2), np.zeros(2, np.int64), np.ones(2, np.int64)
+    corner, far = np.zeros(2, np.int64), np.ones(2, np.int64)
     if seen.any():
-        low, high = at[:, seen].min(axis=1), at[:, seen].max(axis=1)
         corner = np.maximum(np.floor(start[:, seen].min(axis=1)), 0).astype(np.int64)
         far = np.minimum(np.ceil(end[:, seen].max(axis=1)) + 1, size).astype(np.int64)
     (x0, y0), (x1, y1) = corner.tolist(), far.tolist()
@@ -248,7 +244,7 @@ def _view(template: Template, frame: Frame, x: Array) -> _GreyView:
     dx, dy = left // factor, top // factor
     boxes[:2] -= corner[:, None]
     image = np.ascontiguousarray(grey[y0 - dy : y1 - dy, x0 - dx : x1 - dx])  # one signature, one compilation
-    return _GreyView(image, boxes, seen, low - corner, high - corner, bool((s[seen] == 1.0).all()))
+    return _GreyView(image, boxes, seen)
 
 
 def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
@@ -259,9 +255,11 @@ def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
 
 def _moments(view: _GreyView, centred: NDArray[np.float32]) -> Array:
     """Mean of template times image, and the image's variance at the template's points, (2, N), the cheaper way."""
-    (x0, y0), (height, width) = np.floor(view.low).astype(int).tolist(), view.image.shape
-    x1, y1 = (np.floor(view.high).astype(int) + 1 + centred.shape[::-1]).tolist()
-    if not view.same_scale or (x1 - x0) * (y1 - y0) * DENSE > view.boxes.shape[1] * centred.size:
+    places = view.boxes[:2, view.seen] if view.seen.any() else np.zeros((2, 1))
+    (x0, y0), (height, width) = np.floor(places.min(axis=1)).astype(int).tolist(), view.image.shape
+    x1, y1 = (np.floor(places.max(axis=1)).astype(int) + 1 + centred.shape[::-1]).tolist()
+    same_scale = (view.boxes[2, view.seen] == 1.0).all()
+    if not same_scale or (x1 - x0) * (y1 - y0) * DENSE > view.boxes.shape[1] * centred.size:
         return np.asarray(kernel.moments_direct(view.image, centred, view.boxes))
     # one correlation at all whole places
     region = np.zeros((y1 - y0, x1 - x0), np.float32)
