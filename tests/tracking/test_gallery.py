@@ -15,17 +15,20 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import check_gallery
 from facetrack_cli.trackers.appearance.affine import Patches
 from facetrack_cli.trackers.appearance.appearance import Appearance
-from facetrack_cli.trackers.appearance.gallery import NONE, Subspace, logistic, name_problem
-from facetrack_cli.trackers.appearance.gallery_fit import (
+from facetrack_cli.trackers.appearance.gallery import (
     MIN_RHO,
+    NONE,
     Moments,
     Samples,
+    Subspace,
     common_basis,
     equal_errors,
     fit_gallery,
     fit_logistic,
     fit_subspace,
     folds_by,
+    logistic,
+    name_problem,
 )
 from tests.support import parts
 from tests.twins import appearance as naive

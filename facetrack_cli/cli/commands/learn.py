@@ -79,7 +79,7 @@ def fit_gallery(
     from facetrack_cli.core.files import check_new
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.start.gallery_images import Reading, count, find_people, read_faces
-    from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery as fit
+    from facetrack_cli.trackers.appearance.gallery import fit_gallery as fit
 
     empty = stop is not None and stop <= start
     refuse((empty, f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start"))
