@@ -168,7 +168,7 @@ class ParticleTarget:
         expected = self.motion.expect(state.estimated.state[None])[0]
         state = replace(state, learned=self.likelihood.look(state.learned, frame, expected))
         moved = self.motion if motion is None else motion(state.learned)
-        bound = Bound(self, state, frame, footprints, moved)
+        bound = FrameModel(self, state, frame, footprints, moved)
         particles, info = self.step(rng, state.particles, bound)
         if state.absent is not None:
             particles = particles._replace(x=self.follow(particles.x, state.absent))
@@ -274,8 +274,12 @@ class ParticleTarget:
 
 
 @dataclass(frozen=True)
-class Bound:
-    """A target with one frame, and the motion of it, bound in: the model that filters see (`filters.FrameModel`)."""
+class FrameModel:
+    """What a filter may ask: a target with one frame, and the motion of it, bound in.
+
+    Of N particles of K parts, with D coordinates a part; the parts of a particle move independently. `motion`,
+    `likelihood`, what it has `learned`, and `prior` are for the filters of one tracker, which know them.
+    """
 
     target: ParticleTarget
     state: ParticleState
@@ -307,25 +311,29 @@ class Bound:
         return ahead if entropy is None else ahead._replace(entropy_fell=before is None or entropy <= before)
 
     def propagate(self, rng: Generator, x: Array) -> Array:
-        moved: Array = self.motion.propagate(
-            rng, x, *(() if self.state.flow is None else (self.ahead.shift, self.ahead.noise))
-        )
+        """(N, K, D): a draw from p(x_t | x_{t-1} = x) for each x (N, K, D), around the place that is predicted."""
+        how = () if self.state.flow is None else (self.ahead.shift, self.ahead.noise)
+        moved: Array = self.motion.propagate(rng, x, *how)
         return moved
 
     def expect(self, x: Array) -> Array:
+        """(N, K, D): the mean of p(x_t | x_{t-1} = x)."""
         mean: Array = self.motion.expect(x)
         return mean if self.state.flow is None else mean + self.ahead.shift
 
     def log_transition(self, x: Array, parents: Array) -> Array:
+        """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D)."""
         return self._of_present(self.motion.log_transition(x, parents))
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
+        """(N, K): log p(y | x) of each part; x and the particles that they come from are (N, K, D)."""
         score = partial(self.likelihood.score, self.learned, self.frame, x, parents)
         log_p = self._of_present(self.motion.weighed(x, parents, score))
         exclusion = self.target.exclusion
         return log_p if exclusion is None else log_p + exclusion(x, self.footprints)
 
     def log_prior(self, x: Array) -> Array:
+        """(N,): log p(x) of the shape, up to a constant; zeros without a prior."""
         if self.target.prior is None:
             return np.zeros(len(x))
         absent = self.state.absent

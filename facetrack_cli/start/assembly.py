@@ -19,7 +19,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import common_area
 from facetrack_cli.core.types import BOX, Array, Box, Correction, Frame, Start, TargetStart, factor_for
-from facetrack_cli.engine.corrected import CorrectedTarget, RestartPolicy, correctable_parts, is_complete
+from facetrack_cli.engine.corrected import CorrectedTarget, correctable_parts, is_complete
 from facetrack_cli.engine.loop import Target, Tracker
 from facetrack_cli.engine.spaces import MIN_BOX_PX, box_of, check_size
 from facetrack_cli.engine.target import ParticleTarget, particle_target
@@ -171,7 +171,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
         renewed = replace(start, frame=frame.index, targets={**start.targets, target.name: target_start})
         return _target(recipe, renewed, target.name)
 
-    return CorrectedTarget(target, {fix.frame: fix for fix in corrections}, RestartPolicy(points, learns, place, build))
+    return CorrectedTarget(target, {fix.frame: fix for fix in corrections}, points, learns, place, build)
 
 
 def _check(correction: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:

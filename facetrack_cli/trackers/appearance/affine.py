@@ -32,10 +32,11 @@ from numpy.random import Generator
 
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame, Particles, factor_for
-from facetrack_cli.engine.filters import FrameModel, Prediction, Stepped, weighted
+from facetrack_cli.engine.filters import Prediction, Stepped, weighted
 from facetrack_cli.engine.kernels.compiled import boxes_extent
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context, Estimate, Outline, SizedSpace, estimate
+from facetrack_cli.engine.target import FrameModel
 from facetrack_cli.trackers.appearance.appearance_kernels import Rows, differences, gain, mapped, read_patches
 from facetrack_cli.trackers.appearance.settings import (
     AdaptiveSettings,
