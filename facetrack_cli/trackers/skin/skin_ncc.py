@@ -40,6 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import remap
 from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles, factor_for
 from facetrack_cli.engine.kernels.compiled import boxes_extent
 from facetrack_cli.engine.protocols import Likelihood
@@ -297,4 +298,6 @@ def _patch(template: Template, frame: Frame, x0: Array) -> NDArray[np.float32]:
     view = _view(template, frame, x0[None])
     if not view.seen[0]:
         return np.zeros_like(template.now)
-    return np.asarray(kernel.read_patch(view.image, *view.boxes[:, 0].tolist(), *template.now.shape))
+    (u, v, s), (th, tw) = view.boxes[:, 0], template.now.shape
+    x, y = (np.float32(at) for at in np.meshgrid(u + s * np.arange(tw), v + s * np.arange(th)))
+    return np.asarray(remap(np.float32(view.image), x, y, cv2.BORDER_CONSTANT))
