@@ -18,7 +18,7 @@ from facetrack_cli.engine.target import ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trackers.regions.likelihoods import Product
-from facetrack_cli.trackers.skin.cloud import CloudSpace
+from facetrack_cli.trackers.skin.likelihoods import CloudSpace
 from tests.support.moving_head import START, H, W, path, scene
 from tests.support.parts import changed, contour, correlation
 from tests.support.samples import FOLDER

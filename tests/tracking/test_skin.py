@@ -11,9 +11,16 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.start.assembly import hand_regions
-from facetrack_cli.trackers.skin import cloud
+from facetrack_cli.trackers.skin import likelihoods
 from facetrack_cli.trackers.skin import skin_kernels as kernel
-from facetrack_cli.trackers.skin.cloud import LEAST_SHARE, MIN_CONTRAST, MIN_VARIANCE, kovac, learn_skin, skin_map
+from facetrack_cli.trackers.skin.likelihoods import (
+    LEAST_SHARE,
+    MIN_CONTRAST,
+    MIN_VARIANCE,
+    kovac,
+    learn_skin,
+    skin_map,
+)
 from tests.twins import skin as naive
 
 FACE = (50.0, 40.0, 60.0, 70.0)
@@ -126,7 +133,7 @@ def test_a_warm_wall_in_the_corners_does_not_pass_for_a_dark_face(monkeypatch):
     model = learn_skin(frame, FACE)
     assert model.fallback and model.share < LEAST_SHARE
     face, outside = mean_p(frame, model)
-    monkeypatch.setattr(cloud, "LEAST_SHARE", 0)
+    monkeypatch.setattr(likelihoods, "LEAST_SHARE", 0)
     as_printed = learn_skin(frame, FACE)
     assert not as_printed.fallback
     wrong_face, wrong_outside = mean_p(frame, as_printed)
@@ -180,7 +187,7 @@ def one_column(column, height=15):
 
 
 def test_a_box_has_the_pixels_whose_centres_it_covers(monkeypatch):
-    monkeypatch.setattr(cloud, "LEAST_SHARE", 0)
+    monkeypatch.setattr(likelihoods, "LEAST_SHARE", 0)
     for left, first, last in ((10.4, 10, 14), (9.6, 10, 14), (10.6, 11, 15)):
         seen = [column for column in range(8, 18)
                 if not learn_skin(one_column(column), (left, 2.0, 5.0, 9.0)).fallback]  # fmt: skip

@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Particles
+from facetrack_cli.trackers.skin import likelihoods as matching
 from facetrack_cli.trackers.skin import skin_kernels as kernel
-from facetrack_cli.trackers.skin import skin_ncc as matching
-from facetrack_cli.trackers.skin.cloud import learn_skin
+from facetrack_cli.trackers.skin.likelihoods import MIN_NCC, learn_skin
 from facetrack_cli.trackers.skin.settings import SkinNccSettings
-from facetrack_cli.trackers.skin.skin_ncc import MIN_NCC
 from tests.support.images import frame, grey, smooth, states
 from tests.support.parts import pattern, skin_cue, skin_ncc
 from tests.support.samples import TrackClip
