@@ -174,8 +174,8 @@ def test_proposals_are_drawn_from_the_conditional(part):
 @pytest.mark.parametrize(
     ("parts", "first", "sigma", "error", "said"),
     [
-        ((*PARTS, "brow"), np.vstack([FACE, FACE[:1]]), 0.1, RecipeError, "not brow"),
-        (PARTS[:4], FACE[:4], 0.1, RecipeError, "does not track lip_lower"),
+        ((*PARTS, "brow"), np.vstack([FACE, FACE[:1]]), 0.1, RecipeError, "tracks nose, .*, brow; fit a prior"),
+        (PARTS[:4], FACE[:4], 0.1, RecipeError, "lip_lower, and the recipe tracks .*, lip_upper;"),
         ((*PARTS[:4], "nose"), FACE, 0.1, RecipeError, "lip_lower"),
         (PARTS, FACE * 0.0, 0.1, InputError, "same place"),
     ],

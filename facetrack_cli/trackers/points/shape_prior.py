@@ -126,12 +126,8 @@ class BoundPrior(Prior):
 
     def __init__(self, prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) -> None:
         parts = list(parts)
-        strange = [name for name in parts if name not in prior.parts]
-        absent = [name for name in prior.parts if name not in parts]
-        if strange or absent:
-            parted = f"the shape prior knows {', '.join(prior.parts)}"
-            parted += f" not {', '.join(strange)}" if strange else ""
-            parted += f" and the recipe does not track {', '.join(absent)}" if absent else ""
+        if sorted(parts) != sorted(prior.parts):
+            parted = f"the shape prior is of {', '.join(prior.parts)}, and the recipe tracks {', '.join(parts)}"
             raise RecipeError(f"{parted}; fit a prior with `facetrack prior fit --parts` or change the parts")
         left, right = (first[parts.index(name)] for name in prior.scale)
         self.first, self.length, self.sigma = np.array(first, np.float64), float(np.hypot(*(right - left))), sigma
