@@ -198,18 +198,6 @@ def test_every_colour_goes_to_its_bin(bins):
     assert len(pairs) == len(set(theirs)) == len(set(ours.ravel().tolist()))
 
 
-@given(x=places, regions=st.sampled_from([(1, 1), (3, 3), (2, 4)]))
-def test_areas_and_edges_are_those_of_the_twin(x, regions):
-    hsv, ex, ey, area = histogram((12.0, 9.5), regions=regions)._read(frame(noisy(1, 25, 31)), states(x), 1)
-    counts = [naive.counts(np.zeros((25, 31), int), box, (12.0, 9.5), *regions) for box in x]
-    assert area.tolist() == [whole for _, whole in counts]
-    seen = [sum(found.values()) for found, _ in counts]
-    if hsv is None:
-        assert not any(seen)
-    else:
-        assert ((ex[:, -1] - ex[:, 0]) * (ey[:, -1] - ey[:, 0])).tolist() == seen
-
-
 def test_boxes_far_apart_are_counted_as_alone(monkeypatch):
     likelihood, learned = learned_at_truth(scene())
     x = states([(*BOX_AT, 1), (20, 30, 1), (-90, 20, 1), (240.2, 180.7, 0.4)])
