@@ -14,7 +14,7 @@ from facetrack_cli.engine.motion import RandomWalk
 from facetrack_cli.engine.resampling import (
     MEMORY,
     SCHEMES,
-    averaged,
+    Share,
     distinct,
     effective_sample_size,
     effective_share,
@@ -443,8 +443,7 @@ def test_what_says_nothing_counts_in_full(terms):
 
 
 def test_the_mean_forgets():
-    share = 1.0
-    for frame in range(3):
-        share = averaged(share, frame, 0.2)
-    assert share == pytest.approx(0.2)  # of the first frames the plain mean
-    assert averaged(0.2, 1000, 0.7) == pytest.approx(0.2 + 0.5 / MEMORY)
+    slow, even = np.sin(np.arange(64) / 20), np.ones(64)
+    share = Share().after(slow).after(even)
+    assert share.frames == 2 and share.mean == pytest.approx((effective_share(slow) + 1) / 2)  # the plain mean
+    assert Share(0.2, 1000).after(even).mean == pytest.approx(0.2 + 0.8 / MEMORY)

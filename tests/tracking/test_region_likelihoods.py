@@ -93,7 +93,7 @@ def test_likelihood_and_distance_are_the_formulas(max_size, factor, search):
     likelihood = contour(OVAL, sigma=5.0, search=search, threshold=8.0, outlier=0.1, max_size=max_size)
     boxes = [OVAL_AT, (86.3, 57.2, 1.1), (70.1, 66.4, 0.8)]
     x, learned = states(boxes), likelihood.init(picture, states(OVAL_AT)[0])
-    assert learned.factor == factor
+    assert likelihood._outline[0] == factor
     seen = picture.grey(factor, (0, 0, WIDTH, HEIGHT))[0].astype(float)
     means = np.lib.stride_tricks.sliding_window_view(np.pad(seen, 1, mode="reflect"), (3, 3)).mean(axis=(2, 3))
     points, normals = ellipse(OVAL, 32)
@@ -312,7 +312,7 @@ def test_likelihood_is_the_formula_of_the_paper(kind):
     likelihood = correlation(SIZE, kind, grid=(5, 4), sigma=60.0, saturation=15.0 if kind == "saturated_l1" else None)
     x, parent = [[70.3, 50.2, 1.1], [20.0, 30.0, 0.5], [150.0, 60.0, 1.0]], [71.0, 49.0, 1.05]
     factor = 8
-    assert likelihood.init(before, states(parent)[0]).factor == factor, "40 / 5 pixels a step"
+    assert likelihood.factor == factor, "40 / 5 pixels a step"
     greys = [f.grey(factor, (0, 0, WIDTH, HEIGHT)) for f in (now, before)]
     (a, b), view = [grey[0] for grey in greys], (0, 0, WIDTH, HEIGHT)
     assert all(grey[1:] == (0, 0) for grey in greys)
@@ -346,5 +346,5 @@ def test_a_parent_is_looked_up_wherever_it_was(grid):
     cut = scored(likelihood, before, now, x, parent)
     whole = Frame(0, 0.0, before.bgr), Frame(1, 0.0, now.bgr)
     for f in whole:
-        f.grey(likelihood.init(f, states([0, 0, 1.0])[0]).factor, (0, 0, 500, 400))
+        f.grey(likelihood.factor, (0, 0, 500, 400))
     np.testing.assert_array_equal(cut, scored(likelihood, *whole, x, parent))

@@ -104,7 +104,8 @@ class ColourRatio(Likelihood):
             image, left, top = frame.reduced(factor, extent)
             flat, places = windows.flat(image), (x0 - (left, top) - (factor - 1) / 2) / factor
             for k, (w, h) in zip(parts.tolist(), sides.tolist(), strict=True):
-                o = windows.read_window(flat, *places[k].tolist(), w, h)
+                x, y = places[k].tolist()
+                o = windows.read_window(flat, x, y, w, h)
                 means[k] = max(float(o[:, :w].mean()), MIN_MEAN)
                 ratios.append(o.ravel() / np.float32(means[k]))
         return Templates(np.concatenate(ratios), self.settings.sigma / means)
