@@ -24,7 +24,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -175,27 +175,17 @@ class BoundPrior(Prior):
         return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
 
 
-class Fit(NamedTuple):
-    """The prior, and the kernel's standard deviation that suits it, in mouth widths.
-
-    `files`: each with the number of its frames, and of those in which every part is seen.
-    """
-
-    prior: ShapePrior
-    files: tuple[tuple[Path, int, int], ...]
-    sigma: float
-
-
 def fit_prior(
     paths: Sequence[Path],
     parts: Sequence[str] | None = None,
     stable: str = "nose",
     scale: tuple[str, str] = ("mouth_left", "mouth_right"),
     max_shapes: int = 500,
-) -> Fit:
+) -> tuple[ShapePrior, tuple[tuple[Path, int, int], ...]]:
     """A prior of `parts` (all that the first file has, if None) from ground truth or trajectory files.
 
-    Rows that are hidden, absent, lost or without a position do not count as seen. Raises UsageError or InputError.
+    With it each file, the number of its frames, and of those in which every part is seen: rows that are hidden, absent,
+    lost or without a position do not count. Raises UsageError or InputError.
     """
     tables = [read_trajectory(path) for path in paths]
     names = tuple(parts) if parts is not None else _parts_of(tables[0])
@@ -205,7 +195,7 @@ def fit_prior(
     every = np.concatenate([shapes for _, shapes in read])
     prior = ShapePrior(names, every[_spread_out(every.reshape(len(every), -1), max_shapes)], stable, scale)
     files = tuple((path, frames, len(shapes)) for path, (frames, shapes) in zip(paths, read, strict=True))
-    return Fit(prior, files, suggested_sigma(prior))
+    return prior, files
 
 
 def suggested_sigma(prior: ShapePrior) -> float:
