@@ -350,7 +350,8 @@ class Correlation:
 
     def _read(self, frame: Frame, state: Array) -> Array:
         """(rows, columns): grey values of the grid at a state (1, 6); those beyond the frame are its border's."""
-        (image, (left, top, _, _)), at = self._image(frame, np.ascontiguousarray(state[:, :3])), []
+        image, (left, top, _, _) = self._image(frame, np.ascontiguousarray(state[:, :3]))
+        at = []
         for place, side, count, first in zip(state[0, :2], self.size, self.settings.grid, (left, top), strict=True):
             cells = place + state[0, 2] * side * ((np.arange(count) + 0.5) / count - 0.5)
             at.append(((cells - first - 0.5 * (self.factor - 1)) / self.factor).astype(np.float32))
@@ -359,10 +360,11 @@ class Correlation:
 
     def _image(self, frame: Frame, boxes: Array) -> tuple[Image, tuple[int, int, int, int]]:
         """The grey image around the boxes (N, 3), reduced, and its view: (left, top, whole width, whole height)."""
-        (width, height), factor = frame.size, self.factor
+        width, height = frame.size
         left, top, right, bottom = boxes_extent(boxes, *self.size, width, height)
         # between its border and the centre of its first block, a box is read from the block before too
-        grey, left, top = frame.grey(factor, (left - factor, top - factor, right + factor, bottom + factor))
+        more = self.factor
+        grey, left, top = frame.grey(more, (left - more, top - more, right + more, bottom + more))
         return grey, (left, top, width, height)
 
 
