@@ -131,7 +131,7 @@ def test_filters_and_likelihoods_never_meet():
     likelihoods = [
         one for one in every_import() if FILES[one[0]].count("(Likelihood):") and "settings" not in one[0].stem
     ]
-    assert len({path for path, *_ in likelihoods}) > 6
+    assert len({path for path, *_ in likelihoods}) > 5
     assert not wrong(lambda _, module: not module.endswith(".filters"), likelihoods)
 
 

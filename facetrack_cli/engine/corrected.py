@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal, NamedTuple, cast
+from typing import Any, Final, Literal, cast
 
 import numpy as np
 from numpy.random import Generator
@@ -27,18 +27,6 @@ from facetrack_cli.engine.loop import Footprint, Target, Tracker
 from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajectory, build
 
 STREAM: Final = 2**31  # keeps the streams of corrections apart from those of targets
-
-
-class RestartPolicy(NamedTuple):
-    """How a target begins again: whether it is placed by `points`, and whether it is learned if `learn` is None.
-
-    `place` finds the visible points in a box given alone, `build` makes the target that learns from a frame.
-    """
-
-    points: bool
-    learn: bool
-    place: Callable[[Frame, Correction], TargetStart]
-    build: Callable[[Frame, TargetStart], Target]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +49,19 @@ class State:
 class CorrectedTarget:
     """A target and its corrections by their frames, all after the one in which it begins.
 
+    `points`: whether it is placed by points; `learns`: whether it is learned again if a correction leaves that open.
+    `place` finds the visible points in a box given alone, `build` makes the target that learns from a frame.
+
     With `first`, the first frame of the whole run, it begins at one of its corrections, a complete one. Its rows equal
     those of the whole run, provided that it keeps its index in the tracker: the index seeds its generator.
     """
 
     target: Target
     corrections: Mapping[int, Correction]
-    policy: RestartPolicy
+    points: bool
+    learns: bool
+    place: Callable[[Frame, Correction], TargetStart]
+    build: Callable[[Frame, TargetStart], Target]
     first: Frame | None = None
 
     @property
@@ -115,21 +109,21 @@ class CorrectedTarget:
             result = self._absent(frame)
             rows = replace(result.rows, by_hand=np.isin(self.parts, absent))
             return replace(state, inner=None), result._replace(rows=rows)
-        if self.policy.points and target_start.box is not None and not target_start.points:
-            target_start = self.policy.place(frame, correction)
-        by_hand = tuple(part for part in self.parts if part in target_start.points or not self.policy.points)
-        if self.policy.points:
+        if self.points and target_start.box is not None and not target_start.points:
+            target_start = self.place(frame, correction)
+        by_hand = tuple(part for part in self.parts if part in target_start.points or not self.points)
+        if self.points:
             # a part is compared by as much of the image as at the start
             target_start = TargetStart(points={**correction.kept, **target_start.points}, windows=self.windows)
         streams = state.streams
         key = (*streams.spawn_key, STREAM, frame.index)
         rng = np.random.default_rng(np.random.SeedSequence(streams.entropy, spawn_key=key))
-        if self.policy.learn if correction.learn is None else correction.learn:
-            target, learned = self.policy.build(frame, target_start), (frame.index, target_start)
+        if self.learns if correction.learn is None else correction.learn:
+            target, learned = self.build(frame, target_start), (frame.index, target_start)
             inner, result = target.begin(rng, frame)
         else:
             target, learned, restarting = self.target, None, cast(Any, self.target)
-            relearned = by_hand if correction.learn is None and self.policy.points else ()
+            relearned = by_hand if correction.learn is None and self.points else ()
             inner, result = restarting.restart(rng, frame, state.first, target_start, absent, relearned)
         rows, sure = result.rows, np.isin(self.parts, by_hand)
         # what is kept is where the tracker was, though it may be learned again
@@ -154,7 +148,7 @@ def restored(tracker: Tracker, states: Sequence[Any], frame: Callable[[int], Fra
         if state.learned is None:
             return replace(state, target=corrected.target)
         index, start = state.learned
-        return replace(state, target=corrected.policy.build(frame(index), start))
+        return replace(state, target=corrected.build(frame(index), start))
 
     both = zip(tracker, states, strict=True) if states else ()
     return [complete(target, state) if isinstance(target, CorrectedTarget) else state for target, state in both]

@@ -1,12 +1,14 @@
 """The particle filters, side by side.
 
 A filter is a function `(settings, rng, particles, model) -> (particles, info)`. It never sees a frame: `model` is the
-tracker with one frame bound in. All arithmetic on weights is in logs.
+target with one frame bound in, `FrameModel` in `target.py`. All arithmetic on weights is in logs.
 """
+
+from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
@@ -22,6 +24,9 @@ from facetrack_cli.engine.resampling import (
     uniform,
 )
 from facetrack_cli.recipe.sections import AuxiliarySettings, FactorizedSettings, IndependentSettings, SirSettings
+
+if TYPE_CHECKING:
+    from facetrack_cli.engine.target import FrameModel
 
 
 class Prediction(NamedTuple):
@@ -39,50 +44,10 @@ class Prediction(NamedTuple):
     entropy_fell: bool | None = None
 
 
-class FrameModel(Protocol):
-    """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently.
-
-    `motion`, `likelihood`, what it has `learned`, and `prior` are for the filters of one tracker, which know them.
-    `ahead` is where the target is expected; `propagate` takes its shift and noise into account.
-    """
-
-    @property
-    def motion(self) -> Any: ...
-    @property
-    def likelihood(self) -> Any: ...
-    @property
-    def learned(self) -> Any: ...
-    @property
-    def prior(self) -> Any: ...
-
-    @property
-    def ahead(self) -> Prediction: ...
-
-    def propagate(self, rng: Generator, x: Array) -> Array:
-        """(N, K, D): a draw from p(x_t | x_{t-1} = x) for each x (N, K, D)."""
-        ...
-
-    def expect(self, x: Array) -> Array:
-        """(N, K, D): the mean of p(x_t | x_{t-1} = x)."""
-        ...
-
-    def log_transition(self, x: Array, parents: Array) -> Array:
-        """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D)."""
-        ...
-
-    def log_likelihood(self, x: Array, parents: Array) -> Array:
-        """(N, K): log p(y | x) of each part; x and the particles that they come from are (N, K, D)."""
-        ...
-
-    def log_prior(self, x: Array) -> Array:
-        """(N,): log p(x) of the shape, up to a constant; zeros without a prior."""
-        ...
-
-
 # in place of log 0, so that a ratio of two zeros is 1 and not a NaN: where nothing is likely, nothing is preferred
 MIN_LOG = -1e30
 Stepped: TypeAlias = tuple[Particles, Info]
-Step: TypeAlias = Callable[[Generator, Particles, FrameModel], Stepped]
+Step: TypeAlias = "Callable[[Generator, Particles, FrameModel], Stepped]"
 
 
 def sir(settings: SirSettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:

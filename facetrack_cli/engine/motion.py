@@ -1,4 +1,4 @@
-"""Motions that several trackers share: how a particle moves in a frame, and the density of that move."""
+"""Motions that several trackers share: how a particle moves in a frame."""
 
 from __future__ import annotations
 
@@ -78,44 +78,12 @@ class FirstOrder(Motion):
             moved[..., i::3] = x[..., i::3] @ a.T
         return moved
 
-    def log_transition(self, x: Array, parents: Array) -> Array:
-        """log p(x_n | parents_m) of each part: x (N, K, 6), parents (M, K, 6) -> (N, M, K).
-
-        The bounds of s are left out. Where B has one source of noise, the density is that on its line, -inf beside it.
-        """
-        total = np.zeros((len(x), len(parents), x.shape[1]))
-        for i, (a, b) in enumerate((self.position, self.position, self.scale)):
-            off = x[:, None, :, i::3] - parents[None, :, :, i::3] @ a.T
-            total += log_normal(off, b @ b.T)
-        return total
-
     def linear(self, state: Array) -> Linear:
         """The motion around a state (K, 6); the bounds of s are left out."""
         matrix, cov = np.zeros((2, len(state), 6, 6))
         for i, (a, b) in enumerate((self.position, self.position, self.scale)):
             matrix[:, i::3, i::3], cov[:, i::3, i::3] = a, b @ b.T
         return Linear(matrix, np.zeros((len(state), 6)), cov)
-
-
-def log_normal(off: Array, cov: Array) -> Array:
-    """log N(off; 0, cov); of a singular cov, the density on its support.
-
-    Parameters
-    ----------
-    off : (..., D), deviations from the mean.
-    cov : (D, D), in the squares of their units.
-
-    Returns
-    -------
-    (...) : log densities, -inf beside the support.
-    """
-    values, vectors = np.linalg.eigh(cov)
-    along = off @ vectors
-    spread = values > 1e-12 * max(float(values[-1]), 1e-300)
-    z = along[..., spread] / np.sqrt(values[spread])
-    inside = (np.abs(along[..., ~spread]) <= 1e-9 * (1.0 + np.abs(off).max(axis=-1, keepdims=True))).all(axis=-1)
-    log_p = -0.5 * (z**2).sum(axis=-1) - 0.5 * float(np.sum(np.log(2 * np.pi * values[spread])))
-    return np.where(inside, log_p, -np.inf)
 
 
 def random_walk(settings: RandomWalkSettings, context: Context) -> RandomWalk | FirstOrder:

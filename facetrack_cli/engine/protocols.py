@@ -4,12 +4,11 @@ Derive from them: what a part does not say has the default written here.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
 from numpy.random import Generator
 
 from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles
-from facetrack_cli.engine.filters import Prediction
 from facetrack_cli.trajectory.diagnostics import Diagnostic
 
 Names: TypeAlias = Sequence[str]
@@ -68,7 +67,7 @@ class Likelihood(Protocol):
 
     def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any:
         """What is known for the next frame, given the estimate `state` (K, D) and the particles of this one."""
-        ...
+        return learned
 
     def distances(self, learned: Any, frame: Frame, x: Array) -> Array:
         """(N, K): how badly parts x (N, K, D) match what the first frame showed; 0 is perfect."""
@@ -96,15 +95,27 @@ class Likelihood(Protocol):
 
 
 class Motion(Protocol):
-    """How parts move from frame to frame: the transition density p(x_t | x_{t-1}) of N particles of K parts."""
+    """How parts move from frame to frame: the transition density p(x_t | x_{t-1}) of N particles of K parts.
+
+    Of a motion that predicts from the frame where the target went, before any particle is drawn, `begin` returns what
+    it learns of a frame, a value, the flow. It also has `learn` and `predict`, and its `propagate` takes the shift and
+    the noise of the prediction: see `PredictedWalk` in `trackers/appearance/affine.py`.
+    """
+
+    diagnostics: ClassVar[tuple[Diagnostic, ...]] = ()
+    """What it reports of its predictions."""
+
+    def begin(self, rng: Generator, frame: Frame, x0: Array) -> Any:
+        """The flow of the first frame, whose parts are at x0 (K, D); None: it predicts nothing."""
+        return None
 
     def propagate(self, rng: Generator, x: Array) -> Array:
         """(N, K, D): a draw from p(x_t | x_{t-1} = x) for each x (N, K, D)."""
         ...
 
     def log_transition(self, x: Array, parents: Array) -> Array:
-        """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D)."""
-        ...
+        """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D). Filters of points ask."""
+        raise TypeError(f"{type(self).__name__} has no density")
 
     def expect(self, x: Array) -> Array:
         """(N, K, D): the mean of p(x_t | x_{t-1} = x)."""
@@ -117,41 +128,6 @@ class Motion(Protocol):
     def weighed(self, x: Array, parents: Array, score: Callable[[], Array]) -> Array:
         """(N, K): log p(y | x), which `score` gives, and of p(x | parents) over the density by which x was drawn."""
         return score()
-
-
-@runtime_checkable  # isinstance is slow: it is asked once per target
-class PredictiveMotion(Protocol):
-    """A motion that predicts from the frame where the target went, before any particle is drawn.
-
-    What it learns of a frame is a value, the flow.
-    """
-
-    diagnostics: ClassVar[tuple[Diagnostic, ...]]
-
-    def begin(self, rng: Generator, frame: Frame, x0: Array) -> Any:
-        """The flow of the first frame, whose parts are at x0 (K, D)."""
-        ...
-
-    def learn(self, frame: Frame, state: Array, x: Array) -> Any:
-        """The flow after a frame with the estimate `state` (K, D) and the particles x (N, K, D)."""
-        ...
-
-    def predict(
-        self, flow: Any, frame: Frame, error: Callable[[Any], Array], expected: Callable[[], Any]
-    ) -> Prediction:
-        """Where the target is expected in the frame.
-
-        Parameters
-        ----------
-        flow : of the frame before.
-        error : how much patches (N, d) differ from the appearance, (N,).
-        expected : the patch (d,) that the appearance expects.
-        """
-        ...
-
-    def propagate(self, rng: Generator, x: Array, shift: Array | None = None, noise: float = 1.0) -> Array:
-        """(N, K, D): a draw for each x, moved by `shift` (K, D), with noise so many times the usual."""
-        ...
 
 
 class Prior(Protocol):

@@ -12,8 +12,10 @@ independent ones, so the logarithm of the product counts n_e / n. rho is that of
 at the estimate; lags count up to the distance at which its mean is what independent terms have by chance, n^(-1/2).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -127,6 +129,13 @@ def effective_share(terms: Array, *, ring: bool = False) -> float:
     return float(np.clip(1 / max(total, _MIN_ENERGY), 1 / n, 1.0))
 
 
-def averaged(share: float, frames: int, new: float) -> float:
-    """The mean share after one more frame, of all so far, later of the last `MEMORY` or so."""
-    return share + (new - share) / min(frames + 1, MEMORY)
+class Share(NamedTuple):
+    """The mean share of terms that count as independent, of all `frames` so far, later of the last `MEMORY` or so."""
+
+    mean: float = 1.0
+    frames: int = 0
+
+    def after(self, terms: Array, *, ring: bool = False) -> Share:
+        """With that of the `terms` of one more frame, as `effective_share` takes them."""
+        more = effective_share(terms, ring=ring) - self.mean
+        return Share(self.mean + more / min(self.frames + 1, MEMORY), self.frames + 1)

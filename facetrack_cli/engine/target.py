@@ -15,7 +15,7 @@ from facetrack_cli.engine import confidence
 from facetrack_cli.engine.confidence import Calibration, Judgement, load_calibration
 from facetrack_cli.engine.filters import Prediction, Step
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.engine.protocols import Likelihood, Motion, Names, PredictiveMotion, Prior
+from facetrack_cli.engine.protocols import Likelihood, Motion, Names, Prior
 from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.smoothing import Belief, belief
 from facetrack_cli.engine.spaces import Context, Estimate, PointSpace, Space, evenly
@@ -102,7 +102,7 @@ class ParticleTarget:
         self, rng: Generator, frame: Frame, state: ParticleState, status: Status
     ) -> tuple[ParticleState, TargetResult]:
         """The state with its diagnostics and its flow, where particles begin."""
-        flow = None if self._predicts is None else self._predicts.begin(rng, frame, state.estimated.state)
+        flow = self.motion.begin(rng, frame, state.estimated.state)
         state = replace(state, reported=self.likelihood.diagnose(state.learned), flow=flow)
         return state, self._result(state, frame, self.begun, status)
 
@@ -150,11 +150,7 @@ class ParticleTarget:
         return x
 
     def advance(
-        self,
-        rng: Generator,
-        state: ParticleState,
-        frame: Frame,
-        footprints: Sequence[Footprint] = (),
+        self, rng: Generator, state: ParticleState, frame: Frame, footprints: Sequence[Footprint] = ()
     ) -> tuple[ParticleState, TargetResult]:
         """As a `Target` does."""
         state, info = self.advanced(rng, state, frame, footprints)
@@ -172,7 +168,7 @@ class ParticleTarget:
         expected = self.motion.expect(state.estimated.state[None])[0]
         state = replace(state, learned=self.likelihood.look(state.learned, frame, expected))
         moved = self.motion if motion is None else motion(state.learned)
-        bound = Bound(self, state, frame, footprints, moved)
+        bound = FrameModel(self, state, frame, footprints, moved)
         particles, info = self.step(rng, state.particles, bound)
         if state.absent is not None:
             particles = particles._replace(x=self.follow(particles.x, state.absent))
@@ -188,24 +184,14 @@ class ParticleTarget:
             else:
                 distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
                 judgement = confidence.judge(self.confidence, judgement, distance)
-        predicted: dict[str, Any] = {}
-        if self._predicts is not None:
-            flow = self._predicts.learn(frame, estimated.state, particles.x)
-            predicted = {"flow": flow, "ahead": bound.ahead, "entropy_before": state.reported.get(ENTROPY.name)}
-        state = ParticleState(
-            particles,
-            estimated,
-            learned,
-            judgement,
-            self.likelihood.diagnose(learned),
-            absent=state.absent,
-            **predicted,
+        after = ParticleState(
+            particles, estimated, learned, judgement, self.likelihood.diagnose(learned), absent=state.absent
         )
-        return state, info
-
-    @cached_property
-    def _predicts(self) -> PredictiveMotion | None:
-        return self.motion if isinstance(self.motion, PredictiveMotion) else None
+        if state.flow is None:
+            return after, info
+        flow = bound.motion.learn(frame, estimated.state, particles.x)
+        before = state.reported.get(ENTROPY.name)
+        return replace(after, flow=flow, ahead=bound.ahead, entropy_before=before), info
 
     def footprint(self, state: ParticleState, *, ahead: bool) -> Footprint | None:
         if len(self.parts) > 1:
@@ -222,8 +208,7 @@ class ParticleTarget:
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What is reported of the target beside its rows."""
-        predicted = () if self._predicts is None else self._predicts.diagnostics
-        return (*self.likelihood.diagnostics, *self.space.diagnostics, *predicted, EVIDENCE)
+        return (*self.likelihood.diagnostics, *self.space.diagnostics, *self.motion.diagnostics, EVIDENCE)
 
     @cached_property
     def begun(self) -> Info:
@@ -289,14 +274,18 @@ class ParticleTarget:
 
 
 @dataclass(frozen=True)
-class Bound:
-    """A target with one frame, and the motion of it, bound in: the model that filters see (`filters.FrameModel`)."""
+class FrameModel:
+    """What a filter may ask: a target with one frame, and the motion of it, bound in.
+
+    Of N particles of K parts, with D coordinates a part; the parts of a particle move independently. `motion`,
+    `likelihood`, what it has `learned`, and `prior` are for the filters of one tracker, which know them.
+    """
 
     target: ParticleTarget
     state: ParticleState
     frame: Frame
     footprints: Sequence[Footprint]
-    motion: Motion
+    motion: Any  # a `Motion`, with what one that predicts has beside
 
     @property
     def likelihood(self) -> Any:
@@ -313,33 +302,38 @@ class Bound:
     @cached_property
     def ahead(self) -> Prediction:
         """Where the motion predicts the target, or where it was."""
-        estimated, predicts, scorer = self.state.estimated.state, self.target._predicts, self.likelihood
-        if predicts is None:
+        estimated, scorer = self.state.estimated.state, self.likelihood
+        if self.state.flow is None:
             return Prediction(estimated, np.zeros_like(estimated))
         error, expected = partial(scorer.error, self.learned), partial(scorer.expected, self.learned)
-        ahead = predicts.predict(self.state.flow, self.frame, error, expected)
+        ahead: Prediction = self.motion.predict(self.state.flow, self.frame, error, expected)
         before, entropy = self.state.entropy_before, self.state.reported.get(ENTROPY.name)
         return ahead if entropy is None else ahead._replace(entropy_fell=before is None or entropy <= before)
 
     def propagate(self, rng: Generator, x: Array) -> Array:
-        predicts = self.target._predicts
-        if predicts is None:
-            return self.motion.propagate(rng, x)
-        return predicts.propagate(rng, x, self.ahead.shift, self.ahead.noise)
+        """(N, K, D): a draw from p(x_t | x_{t-1} = x) for each x (N, K, D), around the place that is predicted."""
+        how = () if self.state.flow is None else (self.ahead.shift, self.ahead.noise)
+        moved: Array = self.motion.propagate(rng, x, *how)
+        return moved
 
     def expect(self, x: Array) -> Array:
-        return self.motion.expect(x) + (0.0 if self.target._predicts is None else self.ahead.shift)
+        """(N, K, D): the mean of p(x_t | x_{t-1} = x)."""
+        mean: Array = self.motion.expect(x)
+        return mean if self.state.flow is None else mean + self.ahead.shift
 
     def log_transition(self, x: Array, parents: Array) -> Array:
+        """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D)."""
         return self._of_present(self.motion.log_transition(x, parents))
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
+        """(N, K): log p(y | x) of each part; x and the particles that they come from are (N, K, D)."""
         score = partial(self.likelihood.score, self.learned, self.frame, x, parents)
         log_p = self._of_present(self.motion.weighed(x, parents, score))
         exclusion = self.target.exclusion
         return log_p if exclusion is None else log_p + exclusion(x, self.footprints)
 
     def log_prior(self, x: Array) -> Array:
+        """(N,): log p(x) of the shape, up to a constant; zeros without a prior."""
         if self.target.prior is None:
             return np.zeros(len(x))
         absent = self.state.absent

@@ -18,7 +18,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import common_area
 from facetrack_cli.core.types import BOX, Array, Box, Correction, Frame, Start, TargetStart, factor_for
-from facetrack_cli.engine.corrected import CorrectedTarget, RestartPolicy, correctable_parts, is_complete
+from facetrack_cli.engine.corrected import CorrectedTarget, correctable_parts, is_complete
 from facetrack_cli.engine.loop import Target, Tracker
 from facetrack_cli.engine.spaces import MIN_BOX_PX, box_of, check_size
 from facetrack_cli.engine.target import ParticleTarget, particle_target
@@ -30,7 +30,7 @@ from facetrack_cli.trackers.face.assembly import box_with, face_target
 from facetrack_cli.trackers.face.detectors import PARTS, NotHereError
 
 if TYPE_CHECKING:
-    from facetrack_cli.trackers.skin.cloud import SkinModel
+    from facetrack_cli.trackers.skin.likelihoods import SkinModel
 
 MIN_WINDOW_PX: Final = 3.0  # pixels; windows are not made smaller
 MAX_SEARCHED_PX: Final = 400  # pixels of the longer side, at most, of the image that is searched for hands
@@ -99,7 +99,7 @@ def _target(recipe: Recipe, start: Start, name: str) -> Target:
     settings = recipe.exclusion if isinstance(recipe, ParticleRecipe | ParticlesRecipe) else None
     exclusion = None
     if settings is not None and name not in settings.first:
-        from facetrack_cli.trackers.skin.cloud import log_weights
+        from facetrack_cli.trackers.skin.likelihoods import log_weights
 
         exclusion = partial(log_weights, settings)
     return particle_target(recipe, key, filter_settings, start, name, ParticleTarget, exclusion)
@@ -163,7 +163,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
         renewed = replace(start, frame=frame.index, targets={**start.targets, target.name: target_start})
         return _target(recipe, renewed, target.name)
 
-    return CorrectedTarget(target, {fix.frame: fix for fix in corrections}, RestartPolicy(points, learns, place, build))
+    return CorrectedTarget(target, {fix.frame: fix for fix in corrections}, points, learns, place, build)
 
 
 def _check(correction: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:
@@ -220,7 +220,7 @@ def name_targets(
         raise InputError(f"{start.origin}: {what}: {remedy}")
     check_size(start.origin, first, head)
     if missing := [name for name in names if name not in (*targets, *later)]:
-        from facetrack_cli.trackers.skin.cloud import learn_skin
+        from facetrack_cli.trackers.skin.likelihoods import learn_skin
 
         assert frame is not None
         taken = [other.box for name, other in targets.items() if name != first and other.box is not None]
@@ -248,7 +248,7 @@ def hand_regions(
     region, such as a bare arm, the box is where most skin is. Regions out of an arm's reach, of another size than a
     hand's, over a box of `taken`, or with a side of less than `least` pixels do not count: there may be fewer.
     """
-    from facetrack_cli.trackers.skin.cloud import skin_map
+    from facetrack_cli.trackers.skin.likelihoods import skin_map
 
     factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
     image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))

@@ -66,7 +66,6 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.appearance.appearance_kernels.update": ("f4:1r f4:2 f4:2 f4:2 f8:2 f4:2 f4:2 f8 b1 f8 f8 f8", _LOOKS),
     "trackers.skin.skin_kernels.moments_direct": ("u1:2 f4:2 f8:2", _NCC),
     "trackers.points.point_kernels.parzen": ("f8:3 i8:1 f8:2 i8 f8 f4:2 f4:1 f8:1", "prior=parzen"),
-    "trackers.skin.skin_kernels.read_patch": ("u1:2 f8 f8 f8 i8 i8", _NCC),
     "trackers.box.box_kernels._arrive": (
         "f8:2 f8:2 f8:2 f8 f8:1 f8:1 f8:1 f8:1 f8:1 i8:1 f8:2 f8:2 f8:1",
         "motion=visible_walk",

@@ -219,9 +219,8 @@ class MultiFaceTracker:
 def among_others(target: Target) -> Target:
     """A face, corrected or not, that is one of several: while it is lost, not any face is taken for it."""
     if isinstance(target, CorrectedTarget):
-        build = target.policy.build
-        policy = target.policy._replace(build=lambda frame, target_start: among_others(build(frame, target_start)))
-        return replace(target, target=among_others(target.target), policy=policy)
+        head, build = among_others(target.target), target.build
+        return replace(target, target=head, build=lambda frame, given: among_others(build(frame, given)))
     return replace(target, alone=False) if isinstance(target, FaceTarget) else target
 
 

@@ -158,24 +158,22 @@ class _SmoothedTarget:
 
     def _box(self, columns: dict[str, Array], before: Chain, mean: Array, cov: Array) -> None:
         columns |= _places(mean, cov)
-        w, h = self.of["w"], self.of["h"]
-        reported = self._reported
-        if reported is None or AFFINE.name not in reported.values:
-            ratio, relative = mean[..., 2] / before.mean[..., 2], np.sqrt(cov[..., 2, 2]) / before.mean[..., 2]
-            columns |= {"w": w * ratio, "h": h * ratio, "std_w": w * relative, "std_h": h * relative}
-            return
-        # of the rows' state, which may be that of the best particle
-        affine, half = np.full((*before.unseen.shape, 6), np.nan), []
-        affine[np.searchsorted(self.all.frames, reported.frame), 0] = reported.values[AFFINE.name]
-        for side, std, size, at in (("w", "std_w", w, [2, 4]), ("h", "std_h", h, [3, 5])):
-            old, new = (np.linalg.norm(sides, axis=-1) for sides in (affine[..., np.array(at) - 2], mean[..., at]))
-            half.append(np.maximum(size / old - 1, 1) / 2)
-            way = mean[..., at] / new[..., None]
+        sides, state, reported = {"w": [2], "h": [2]}, before.mean, self._reported
+        affine = reported is not None and AFFINE.name in reported.values
+        if reported is not None and affine:
+            # of the rows' state, which may be that of the best particle
+            sides, state = {"w": [2, 4], "h": [3, 5]}, np.full_like(before.mean, np.nan)
+            state[np.searchsorted(self.all.frames, reported.frame), 0, 2:] = reported.values[AFFINE.name][:, :4]
+        at_first = []
+        for side, at in sides.items():
+            old, new = (np.linalg.norm(each[..., at], axis=-1) for each in (state, mean))
+            way, size = mean[..., at] / new[..., None], self.of[side] / old
             var = np.einsum("tki,tkij,tkj->tk", way, cov[..., at, :][..., at], way)
-            columns |= {side: size * new / old, std: size / old * np.sqrt(np.maximum(var, 0.0))}
-        a1, a2, a3, a4 = (mean[..., i] for i in range(2, 6))
-        angle = np.degrees(np.arctan2(a3 * half[0] - a2 * half[1], a1 * half[0] + a4 * half[1]))
-        columns["angle"] = shown_angle(angle, self.aspect)
+            columns |= {side: size * new, f"std_{side}": size * np.sqrt(np.maximum(var, 0.0))}
+            at_first.append(np.maximum(size - 1, 1))
+        if affine:
+            (w, h), (a1, a2, a3, a4) = at_first, (mean[..., i] for i in range(2, 6))
+            columns["angle"] = shown_angle(np.degrees(np.arctan2(a3 * w - a2 * h, a1 * w + a4 * h)), self.aspect)
 
     def _face(self, columns: dict[str, Array], points: Chain, head: Chain, boxes: Array, box_cov: Array) -> _Moments:
         """Points of a stabilized image, which the box leads to the frame, where head and box become `boxes`.

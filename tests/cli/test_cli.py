@@ -79,7 +79,7 @@ def test_a_run_imports_nothing_that_it_does_not_use(tmp_path):
     run = "run", str(clip), "--stop", "3", "--no-video", "-o", str(tmp_path / "out"), "--overwrite"
     unused = (
         "runs.people runs.smooth runs.cluster runs.live runs.api start.presence trackers.smoothed trackers.opencv "
-        "trackers.hands.target trackers.skin.cloud trackers.appearance.appearance trajectory.people video.writer "
+        "trackers.hands.target trackers.skin.likelihoods trackers.appearance.appearance trajectory.people video.writer "
         "video.overlay"
     )
     others = {"PIL", "imageio", "scipy.linalg", *(f"facetrack_cli.{name}" for name in unused.split())}

@@ -26,8 +26,7 @@ from facetrack_cli.start.gallery_images import (
     read_faces,
 )
 from facetrack_cli.trackers.appearance.affine import Patches
-from facetrack_cli.trackers.appearance.gallery import load_gallery
-from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
+from facetrack_cli.trackers.appearance.gallery import fit_gallery, load_gallery
 from facetrack_cli.trackers.face.detectors import find_faces
 from tests.support.media import write_video
 

@@ -21,9 +21,8 @@ from facetrack_cli.trackers.points.colour_ratio import ColourRatio
 from facetrack_cli.trackers.points.settings import ColourRatioSettings
 from facetrack_cli.trackers.regions.likelihoods import Contour, Correlation, Histogram
 from facetrack_cli.trackers.regions.settings import ContourSettings, CorrelationSettings, HistogramSettings
-from facetrack_cli.trackers.skin.cloud import SkinCloud
+from facetrack_cli.trackers.skin.likelihoods import SkinCloud, SkinNcc
 from facetrack_cli.trackers.skin.settings import PatternSettings, SkinCloudSettings, SkinNccSettings, SkinSettings
-from facetrack_cli.trackers.skin.skin_ncc import SkinNcc
 
 
 def section(kind, **settings):

@@ -18,7 +18,7 @@ from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.save import save
 from facetrack_cli.engine.corrected import CorrectedTarget, is_complete
 from facetrack_cli.engine.loop import track
-from facetrack_cli.engine.target import Bound
+from facetrack_cli.engine.target import FrameModel
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.start.assembly import build_tracker
@@ -378,7 +378,7 @@ def test_absent_parts_say_nothing_and_follow_the_others_in_the_shape_of_the_firs
     shape = np.array([FACE.start.targets["face"].points[name] for name in PARTS])
     following = x[:, ~away].mean(axis=1, keepdims=True) + shape[away] - shape[~away].mean(0)
     np.testing.assert_allclose(x[:, away], following, atol=1e-9)
-    model = Bound(target, state, FACE.frames[11], (), target.motion)
+    model = FrameModel(target, state, FACE.frames[11], (), target.motion)
     x = x + np.random.default_rng(2).normal(0, 2, x.shape)
     before, after = x.copy(), target.follow(x, away)
     np.testing.assert_array_equal(x, before)

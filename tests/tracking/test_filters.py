@@ -14,7 +14,7 @@ from facetrack_cli.engine.motion import RandomWalk
 from facetrack_cli.engine.resampling import (
     MEMORY,
     SCHEMES,
-    averaged,
+    Share,
     distinct,
     effective_sample_size,
     effective_share,
@@ -392,11 +392,6 @@ def test_expected_counts_are_the_weights(name):
     np.testing.assert_allclose(counts / 4000, 7 * w, atol=0.08)
 
 
-@pytest.mark.parametrize("bad", [-np.inf, np.nan, np.inf])
-def test_weights_that_say_nothing_become_equal(bad):
-    np.testing.assert_allclose(normalise(np.full(4, bad)), np.log(0.25))
-
-
 def test_logsumexp_along_an_axis():
     a = np.random.default_rng(0).normal(size=(4, 5)) * 300
     expected = [np.logaddexp.reduce(row) for row in a]
@@ -413,8 +408,9 @@ def test_populations_side_by_side_are_each_resampled_by_their_own_weights(name):
     np.testing.assert_array_equal(chosen, [[1, 4, 0]] * 8)
 
 
-def test_a_population_that_says_nothing_does_not_touch_its_neighbours():
-    log_w = normalise(np.array([[0.0, np.nan], [np.log(3.0), 1.0]]))
+@pytest.mark.parametrize("bad", [[-np.inf] * 2, [np.nan, 1.0], [np.inf, 0.0]])
+def test_weights_that_say_nothing_become_equal_and_do_not_touch_their_neighbours(bad):
+    log_w = normalise(np.array([[0.0, bad[0]], [np.log(3.0), bad[1]]]))
     np.testing.assert_allclose(np.exp(log_w), [[0.25, 0.5], [0.75, 0.5]])
 
 
@@ -447,8 +443,7 @@ def test_what_says_nothing_counts_in_full(terms):
 
 
 def test_the_mean_forgets():
-    share = 1.0
-    for frame in range(3):
-        share = averaged(share, frame, 0.2)
-    assert share == pytest.approx(0.2)  # of the first frames the plain mean
-    assert averaged(0.2, 1000, 0.7) == pytest.approx(0.2 + 0.5 / MEMORY)
+    slow, even = np.sin(np.arange(64) / 20), np.ones(64)
+    share = Share().after(slow).after(even)
+    assert share.frames == 2 and share.mean == pytest.approx((effective_share(slow) + 1) / 2)  # the plain mean
+    assert Share(0.2, 1000).after(even).mean == pytest.approx(0.2 + 0.8 / MEMORY)

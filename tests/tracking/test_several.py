@@ -15,7 +15,7 @@ from facetrack_cli.engine.spaces import BoxSpace, evenly
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trackers.skin.cloud import CloudSpace, log_weights
+from facetrack_cli.trackers.skin.likelihoods import CloudSpace, log_weights
 from facetrack_cli.trackers.skin.settings import ExclusionSettings, SkinCloudSettings
 from tests.support.parts import sir
 from tests.support.results import target

@@ -13,7 +13,7 @@ from facetrack_cli.start.init_file import read_init
 from facetrack_cli.start.search import search_start
 from facetrack_cli.trackers.face.detectors import NotHereError
 from facetrack_cli.video.source import open_source
-from tests.tracking.test_skin_cloud import HEAD, LEFT, RIGHT, box, picture
+from tests.tracking.test_skin import HEAD, LEFT, RIGHT, box, picture
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 ALL = ("head", "left_hand", "right_hand")

@@ -33,9 +33,7 @@ def diffused(x, u, sigma, shift, noise, least, most):
     off = [position * u[0], position * u[1], grow + stretch, skew - turned, turned + skew, grow - stretch]
     cx, cy, *a = (v + s + noise * o for v, s, o in zip(x, shift, off, strict=True))
     scale = math.sqrt(sum(v * v for v in a) / 2)
-    if scale < 1e-12 and least > 0:
-        return [cx, cy, least, 0, 0, least]
-    by = max(min(scale, most), least) / scale if scale else 1
+    by = max(min(scale, most), least) / max(scale, 1e-12)
     return [cx, cy, *(v * by for v in a)]
 
 

@@ -4,25 +4,14 @@ import math
 
 import numpy as np
 
-
-def pixel(image, x, y, c):
-    """Bilinear value of image (H, W, 3) at (x, y); outside, the nearest border pixel."""
-    height, width = image.shape[:2]
-    x0, y0 = math.floor(x), math.floor(y)
-    value = 0.0
-    for yy, wy in ((y0, y0 + 1 - y), (y0 + 1, y - y0)):
-        for xx, wx in ((x0, x0 + 1 - x), (x0 + 1, x - x0)):
-            value += wx * wy * float(image[min(max(yy, 0), height - 1), min(max(xx, 0), width - 1), c])
-    return value
+from tests.twins.images import bilinear
 
 
 def window(image, x, y, w, h):
-    """(h, w, 3) pixels centred at (x, y)."""
+    """(h, w, 3) pixels of image (H, W, 3) centred at (x, y); outside, the nearest border pixel."""
+    left, top = x - (w - 1) / 2, y - (h - 1) / 2
     return np.array(
-        [
-            [[pixel(image, x - (w - 1) / 2 + j, y - (h - 1) / 2 + i, c) for c in range(3)] for j in range(w)]
-            for i in range(h)
-        ]
+        [[[bilinear(image[..., c], left + j, top + i) for c in range(3)] for j in range(w)] for i in range(h)]
     )
 
 

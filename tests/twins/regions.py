@@ -3,19 +3,13 @@
 import itertools
 import math
 
+from tests.twins.images import bilinear
+
 
 def grey_at(image, x, y):
     """Bilinear grey value, or None beyond the centres of the border pixels."""
-    height, width = len(image), len(image[0])
-    if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
-        return None
-    x0, y0 = math.floor(x), math.floor(y)
-    total = 0.0
-    for yy, wy in ((y0, y0 + 1 - y), (y0 + 1, y - y0)):
-        for xx, wx in ((x0, x0 + 1 - x), (x0 + 1, x - x0)):
-            if wx > 0 and wy > 0:
-                total += wx * wy * float(image[yy][xx])
-    return total
+    height, width = image.shape
+    return bilinear(image, x, y) if 0 <= x <= width - 1 and 0 <= y <= height - 1 else None
 
 
 def edges(image, x, y, dx, dy, steps, threshold):
@@ -120,14 +114,8 @@ def pixel(picture, view, factor, x, y):
     left, top, width, height = view
     if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
         return None
-    rows, cols = picture.shape
-    u = min(max((x - left - (factor - 1) / 2) / factor, 0), cols - 1)
-    v = min(max((y - top - (factor - 1) / 2) / factor, 0), rows - 1)
-    value = 0.0
-    for i, wy in ((math.floor(v), 1 - v % 1), (math.floor(v) + 1, v % 1)):
-        for j, wx in ((math.floor(u), 1 - u % 1), (math.floor(u) + 1, u % 1)):
-            value += wx * wy * float(picture[min(i, rows - 1), min(j, cols - 1)])
-    return value
+    shift = (factor - 1) / 2
+    return bilinear(picture, (x - left - shift) / factor, (y - top - shift) / factor)
 
 
 def patch(picture, view, factor, box, size, cols, rows):

@@ -253,7 +253,7 @@ def fit_gallery(
     from facetrack_cli.core.files import check_new
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.start.gallery_images import Reading, count, find_people, read_faces
-    from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery as fit
+    from facetrack_cli.trackers.appearance.gallery import fit_gallery as fit
 
     empty = stop is not None and stop <= start
     refuse((empty, f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start"))
@@ -383,17 +383,18 @@ def fit_prior(
     """
     from facetrack_cli.core.files import check_new
     from facetrack_cli.trackers.points.shape_prior import fit_prior as fit
+    from facetrack_cli.trackers.points.shape_prior import suggested_sigma
 
     check_new(out, overwrite=overwrite)
-    fitted = fit(truth, parts, stable, scale, max_shapes)
-    fitted.prior.save(out)
+    prior, files = fit(truth, parts, stable, scale, max_shapes)
+    prior.save(out)
     if quiet:
         return
-    for path, frames, seen in fitted.files:
+    for path, frames, seen in files:
         say(f"{path}: {seen} of {frames} frames used, {frames - seen} skipped")
-    used = sum(seen for _, _, seen in fitted.files)
-    say(f"{out}: {len(fitted.prior.shapes)} shapes kept of {used}: {', '.join(fitted.prior.parts)}")
-    say(f"suggested sigma: {fitted.sigma:.3f} ({' to '.join(scale)} is 1)")
+    used = sum(seen for _, _, seen in files)
+    say(f"{out}: {len(prior.shapes)} shapes kept of {used}: {', '.join(prior.parts)}")
+    say(f"suggested sigma: {suggested_sigma(prior):.3f} ({' to '.join(scale)} is 1)")
 
 
 @prior_command.command("show")

@@ -5,8 +5,7 @@
 - `affine.py`, where to begin: the six affine parameters, how a patch is read from a frame (eq. 3), the predicted shift,
   the adaptive noise and the number of particles (eq. 12, 13 and 17).
 - `appearance.py`: the mixture W, S, F, eq. 6 to 11; motion and identity in one posterior, eq. 5.
-- `gallery.py`: eq. 14 to 16; `gallery_fit.py`: a gallery
-  learned from faces.
+- `gallery.py`: eq. 14 to 16, and a gallery learned from faces.
 - `settings.py`: what a recipe may say. `appearance_kernels.py`: the loops.
 
 Recipes: `adaptive` and those whose names begin with it, `fixed_template`.

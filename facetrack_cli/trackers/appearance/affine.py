@@ -32,11 +32,11 @@ from numpy.random import Generator
 
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame, Particles, factor_for
-from facetrack_cli.engine.filters import FrameModel, Prediction, Stepped, weighted
+from facetrack_cli.engine.filters import Prediction, Stepped, weighted
 from facetrack_cli.engine.kernels.compiled import boxes_extent
-from facetrack_cli.engine.motion import log_normal
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context, Estimate, Outline, SizedSpace, estimate
+from facetrack_cli.engine.target import FrameModel
 from facetrack_cli.trackers.appearance.appearance_kernels import Rows, differences, gain, mapped, read_patches
 from facetrack_cli.trackers.appearance.settings import (
     AdaptiveSettings,
@@ -113,10 +113,11 @@ class Patches:
 
     @classmethod
     def of(cls, context: Context) -> Patches:
-        """As the likelihood of a target reads them. Raises TypeError for a likelihood that reads none."""
+        """As the likelihood of a target reads them. Raises RecipeError for a likelihood that reads none."""
         likelihood = context.settings.likelihood
         if not isinstance(likelihood, AppearanceSettings):
-            raise TypeError(f"the likelihood {likelihood.type} does not compare patches")
+            what = "does not compare patches; write velocity: null, noise: null, and no recognition"
+            raise context.error("likelihood.type", f'likelihood type "{likelihood.type}" {what}')
         columns, rows = likelihood.template
         return cls(context.placed.size, (rows, columns))
 
@@ -173,7 +174,7 @@ class AffineWalk(Motion):
 
     The state is (x, y, a1, a2, a3, a4), `sigma` the standard deviation of x and y in pixels. The paper leaves u_0 open;
     here scale, turn, and stretch and shear have noise of their own: if they have the same, it is that of each of a1 to
-    a4. `scale` bounds the scale, [least, most]; the density and the linear form leave the bounds out.
+    a4. `scale` bounds the scale, [least, most]; the linear form leaves the bounds out.
     """
 
     settings: AffineWalkSettings
@@ -195,24 +196,18 @@ class AffineWalk(Motion):
         return self._bounded(x + moved + noise * step)
 
     def _bounded(self, x: Array) -> Array:
-        """x (N, 1, 6), with scales beyond the bounds brought back to them; a deformation of 0 becomes upright."""
+        """x (N, 1, 6), with scales beyond the bounds brought back to them."""
         least, most = self.scale
         scale = np.asarray(scale_of(x))[..., None]
-        flat, wild = scale < 1e-12, (scale < least) | (scale > most)
-        if not wild.any():
-            return x
-        by = np.where(flat, 1.0, np.clip(scale, least, most) / np.where(flat, 1.0, scale))
-        deformed = np.where(flat, (least, 0.0, 0.0, least), x[..., 2:])
-        x[..., 2:] = np.where(wild, deformed * by, x[..., 2:])
+        wild = (scale < least) | (scale > most)
+        if wild.any():
+            by = np.clip(scale, least, most) / np.maximum(scale, 1e-12)
+            x[..., 2:] = np.where(wild, x[..., 2:] * by, x[..., 2:])
         return x
 
     def expect(self, x: Array) -> Array:
         """The mean of p(x_t | x_{t-1} = x), (N, 1, 6)."""
         return x
-
-    def log_transition(self, x: Array, parents: Array) -> Array:
-        """log p(x_n | parents_m): x (N, 1, 6), parents (M, 1, 6) -> (N, M, 1)."""
-        return log_normal((x[:, None] - parents[None]) @ _AFFINE, np.diag(self._sigma**2))
 
     def linear(self, state: Array) -> Linear:
         """The motion around a state (1, 6)."""

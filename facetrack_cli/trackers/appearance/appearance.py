@@ -40,7 +40,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -186,9 +186,9 @@ class Recognition(Appearance):
 
     @classmethod
     def of(cls, settings: RecognitionSettings, context: Context) -> Recognition:
-        appearance = context.settings.likelihood.build(context)
-        gallery = find_gallery(settings, appearance.patches.shape, context.recipe, context.above)
-        return cls(appearance.settings, appearance.patches, settings, gallery)
+        patches, likelihood = Patches.of(context), cast(AppearanceSettings, context.settings.likelihood)
+        gallery = find_gallery(settings, patches.shape, context.recipe, context.above)
+        return cls(likelihood, patches, settings, gallery)
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -23,11 +23,20 @@ What we take the paper to mean, and what is ours:
   of an image to the mean of the other images of its person, or to that of another person.
 - "none of them" is one more identity, whose log ratio is a threshold: that at which as many images of the gallery
   would be taken for nobody, by spaces that have not seen their person, as strangers for somebody.
+
+Where a gallery is learned from images (`fit_gallery`), persons are held out in folds: rho, p_f and the threshold are
+learned from those whom the spaces have not seen. The eigenvalues that are left are less than what a new image leaves
+over, by far where the images are frames of a few clips. So rho is what maximises the density of images held out: the
+mean of err^2 / (d - s) of each, reconstructed from those of other people. Where nothing is held out, rho is as printed.
+
+Of many rows only their moments are kept, in the coordinates of a basis (`Moments`): of up to MAX_DIRECTIONS rows it
+spans all, of more the largest directions. Of the other directions the lengths of the rows tell the variance.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -36,15 +45,24 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.types import Array, checked_name
+from facetrack_cli.core.types import Array, Mask, checked_name
 from facetrack_cli.engine.resampling import logsumexp
 
 Rows: TypeAlias = NDArray[np.float32]
 Reals: TypeAlias = NDArray[np.floating[Any]]
+Indices: TypeAlias = NDArray[np.intp]
 NONE: Final = "none"  # what the posterior calls nobody of the gallery
 MAX_FRONTAL: Final = 0.5
 KIND: Final = Kind("facetrack-gallery", 1, "gallery", "facetrack gallery fit")
+MAX_ERRORS = 0.25  # beyond them the user is warned; half is chance
+MIN_RHO = 1e-3  # of the variance of a patch: noise of a camera, about one grey level
+FOLDS = 10
+ENERGY = 0.9  # share of the variance that a subspace keeps
+MAX_DIRECTIONS = 256  # of a basis; of ten people's patches what is beyond holds about 1 % of the variance
+MAX_ROWS = 1500  # from which a basis is found
+_CHANGES = "how {} with light, expression and pose cannot be learned from it"
 _SPACES = ("frontal", "intra", "extra")
 _FIELDS: Final = {"mean": "<f4", "vectors": "<f4", "values": "<f8", "rho": "<f8"}
 
@@ -62,9 +80,9 @@ class Subspace:
         s, d = len(self.values), len(self.mean)
         if self.vectors.shape != (s, d) or s > d or not d:
             raise ValueError(f"directions of {self.vectors.shape} do not fit {s} variances of {d} points")
-        if not all(np.isfinite(a).all() for a in (self.mean, self.vectors, self.values)):
+        if not all(np.isfinite(a).all() for a in (self.mean, self.vectors, self.values, self.rho)):
             raise ValueError("a number is not finite")
-        if not (0.0 < self.rho < math.inf and (self.values > 0.0).all()):
+        if not (self.rho > 0.0 and (self.values > 0.0).all()):
             raise ValueError("a variance is not above 0")
 
     @property
@@ -75,10 +93,7 @@ class Subspace:
 
     def log_density(self, y: Reals) -> Array:
         """(N,): log Q of y (N, d), eq. 14."""
-        centred = np.asarray(y, np.float64) - self.mean
-        q = centred @ self.vectors.T.astype(np.float64)
-        error = np.maximum((centred**2).sum(1) - (q**2).sum(1), 0.0) if len(self.values) < len(self.mean) else 0.0
-        return np.asarray(self.log_constant - 0.5 * ((q**2 / self.values).sum(1) + error / self.rho))
+        return self.log_densities(np.asarray(y, np.float64) - self.mean, -self.mean[None])[:, 0]
 
     @property
     def precision(self) -> tuple[Array, float, Array]:
@@ -86,7 +101,7 @@ class Subspace:
         plain = 1.0 / self.rho if len(self.values) < len(self.mean) else 0.0
         return self.vectors.astype(np.float64), plain, 1.0 / self.values - plain
 
-    def log_densities(self, y: Array, faces: Array) -> Array:
+    def log_densities(self, y: Reals, faces: Reals) -> Array:
         """(N, P): log Q of the differences of y (N, d) to faces (P, d), which are not written out."""
         v, plain, weight = self.precision
         faces = faces + self.mean
@@ -125,17 +140,14 @@ class Gallery:
             raise ValueError("a gallery needs two persons or more, each named once")
         if problem := next(filter(None, map(name_problem, self.names)), None):
             raise ValueError(problem)
-        if (
-            min(self.shape) < 1
-            or self.faces.shape != (p, math.prod(self.shape))
-            or any(len(space.mean) != d for space in spaces)
-        ):
+        fits = len(self.shape) == 2 and self.faces.shape == (p, math.prod(self.shape)) and min(self.shape) > 0
+        if not fits or any(len(space.mean) != d for space in spaces):
             raise ValueError(f"faces of {self.faces.shape} do not fit {p} persons and a template of {self.shape}")
-        numbers = (*self.calibration, self.most_frontal, self.threshold, self.errors, self.proportion or 0.0)
+        numbers = (*self.calibration, self.most_frontal, self.threshold, self.errors)
         if not (np.isfinite(self.faces).all() and np.isfinite(numbers).all()):
             raise ValueError("a number is not finite")
         ranged = len(self.counts) == p and min(self.counts) >= 1 and len(self.calibration) == 2
-        ranged = ranged and (self.proportion is None or self.proportion > 0.0)
+        ranged = ranged and (self.proportion is None or 0.0 < self.proportion < math.inf)
         if not ranged or self.calibration[0] < 0.0 or not 0.0 <= self.most_frontal <= 1.0:
             raise ValueError("counts, proportion or the calibration of p_f are out of range")
 
@@ -238,9 +250,303 @@ def _from_arrays(stored: Stored) -> Gallery:
     fields |= {name: stored.whole(name) for name in ("shape", "counts")}
     numbers = ("threshold", "errors", "most_frontal", *(["proportion"] if "proportion" in stored else []))
     fields |= {name: stored.number(name) for name in numbers}
-    if len(fields["shape"]) != 2:
-        raise ValueError("shape is not two numbers")
     for name in _SPACES:
         mean, vectors = stored.reals(f"{name}_mean", 1), stored.reals(f"{name}_vectors", 2)
         fields[name] = Subspace(mean, vectors, stored.reals(f"{name}_values", 1), stored.number(f"{name}_rho"))
     return Gallery(faces=stored.reals("faces", 2), calibration=tuple(stored.reals("calibration", 1).tolist()), **fields)
+
+
+# --- learned from images
+
+
+def fit_gallery(
+    patches: Reals,
+    persons: Sequence[str],
+    shape: tuple[int, int],
+    *,
+    negatives: Reals,
+    images: Sequence[int] | None = None,
+    proportion: float | None = None,
+) -> Gallery:
+    """The gallery of patches (n, d), zero mean and unit variance, each of a person; persons in order of their names.
+
+    `negatives` (m, d) are displaced, turned, scaled. `images` (n,): the image of each patch, first the image itself,
+    then copies cut a little off; without it each patch is an image. `proportion`: the boxes' width over height. Raises
+    InputError where there are no two patches of one person.
+    """
+    x = np.asarray(patches, np.float64)
+    names, who = np.unique(np.array(persons, str), return_inverse=True)
+    of = np.unique(np.arange(len(x)) if images is None else np.asarray(images), return_inverse=True)[1]
+    samples = Samples(x, who, of, common_basis(x))
+    own, own_of = samples.to_own()
+    if not len(own):
+        remedy = "add a second image of somebody, or copies that are cut a little off"
+        raise InputError(f"there is one image of each person, and {_CHANGES.format('one face changes')}; {remedy}")
+    # persons that are held out together; where that leaves nothing to learn from, images are, for rho alone
+    folds, by_image = folds_by(who), folds_by(of)
+    frontal = fit_subspace(x, folds, samples.basis)
+    able = any(mask[own_of].any() and not mask[own_of].all() for mask in folds)
+    intra = fit_subspace(own, [mask[own_of] for mask in (folds if able else by_image)], samples.basis, centred=True)
+    # of what a fold holds out, neither patches nor faces are used; without one of two nobody is left to differ from
+    anyone = np.ones(len(names), bool)
+    apart = len(names) > 2
+    held = [(mask, ~anyone if not apart else np.bincount(who, mask) > 0) for mask in (folds if apart else by_image)]
+    without = [samples.to_others(~mask, ~gone) for mask, gone in held]
+    extra = fit_moments(samples.to_others(who >= 0, anyone), without, samples.basis, centred=True)
+    right_q = np.concatenate([space.log_density(x[mask]) for space, mask in zip(frontal.without, folds, strict=True)])
+    wrong_q = np.mean([space.log_density(negatives) for space in frontal.without], axis=0)
+    genuine, best, faces = np.empty(len(own)), np.empty(len(x)), samples.faces
+    for k, mask in enumerate(folds):  # log ratios (eq. 16) by spaces that have not seen the person
+        within, between = intra.without[k] if able else intra.whole, extra.without[k] if apart else extra.whole
+        genuine[mask[own_of]] = within.log_density(own[mask[own_of]]) - between.log_density(own[mask[own_of]])
+        ratios = within.log_densities(x[mask], faces) - between.log_densities(x[mask], faces)
+        ratios[np.arange(len(ratios)), who[mask]] = -np.inf  # the largest is to another person
+        best[mask] = ratios.max(axis=1)
+    threshold, errors = equal_errors(genuine, best)
+    counts = tuple(np.bincount(who[samples.first]).tolist())
+    return Gallery(
+        tuple(map(str, names)), samples.faces.astype(np.float32), (int(shape[0]), int(shape[1])),
+        frontal.whole, intra.whole, extra.whole, fit_logistic(right_q, wrong_q), threshold, errors, counts,
+        notes=_notes(names.tolist(), counts, errors), proportion=proportion,
+    )  # fmt: skip
+
+
+def _notes(names: Sequence[str], counts: Sequence[int], errors: float) -> tuple[str, ...]:
+    """What cannot be learned, for the user."""
+    notes = []
+    if single := [name for name, count in zip(names, counts, strict=True) if count == 1]:
+        each, their = (" each", "their faces change") if len(single) > 1 else ("", "this face changes")
+        notes.append(f"{', '.join(single)}: one image{each}: {_CHANGES.format(their)}; add further images")
+    if errors > MAX_ERRORS:
+        share = f"the equal error rate is {100 * errors:.0f} % for a person who is not in the gallery"
+        remedy = "look whether each is in one folder alone, and add people and images"
+        notes.append(f"by these images people are hardly told apart: {share}; {remedy}")
+    return tuple(notes)
+
+
+def fit_logistic(positive: Array, negative: Array) -> tuple[float, float]:
+    """Slope (never below 0) and offset of the probability of being positive, both classes equally frequent.
+
+    Platt (1999) with his targets, (n + 1) / (n + 2) and 1 / (n + 2), by Newton's method with steps halved where they do
+    not help (Lin, Lin & Weng 2007). A score that says nothing has slope 0 and probability 1/2.
+    """
+    score = np.concatenate([positive, negative])
+    # in units of the middle of both classes, since densities of negatives have no lower bound
+    centre = 0.5 * (np.median(positive) + np.median(negative))
+    unit = max(0.5 * abs(float(np.median(positive) - np.median(negative))), 1e-9)
+    z = np.clip((score - centre) / unit, -50.0, 50.0)
+    p, n = len(positive), len(negative)
+    target = np.repeat([(p + 1) / (p + 2), 1 / (n + 2)], [p, n])
+    weight = np.repeat([0.5 / p, 0.5 / n], [p, n])
+    design = np.stack([z, np.ones_like(z)], axis=1)
+
+    def loss(a: Array) -> float:
+        t = design @ a
+        return float((weight * (np.logaddexp(0.0, t) - target * t)).sum() + 1e-6 * (a @ a))
+
+    a = np.zeros(2)
+    for _ in range(100):
+        probability = logistic(design @ a, 1.0, 0.0)
+        gradient = design.T @ (weight * (probability - target)) + 2e-6 * a
+        curvature = (design.T * (weight * probability * (1 - probability))) @ design + 2e-6 * np.eye(2)
+        step = np.linalg.solve(curvature, gradient)
+        size = 1.0
+        while size > 1e-6 and loss(a - size * step) > loss(a):
+            size /= 2
+        a = a - size * step
+        if np.abs(size * step).max() < 1e-9:
+            break
+    slope = float(a[0] / unit)
+    return (slope, float(a[1] - slope * centre)) if a[0] > 0.0 else (0.0, 0.0)
+
+
+def equal_errors(genuine: Array, impostor: Array) -> tuple[float, float]:
+    """The threshold at which as large a share of the genuine is below it as of the impostors above, and that share."""
+    at = np.unique(np.concatenate([genuine, impostor]))
+    at = np.concatenate([at[:1] - 1.0, (at[1:] + at[:-1]) / 2, at[-1:] + 1.0])
+    missed = np.searchsorted(np.sort(genuine), at) / len(genuine)
+    passed = 1.0 - np.searchsorted(np.sort(impostor), at) / len(impostor)
+    gap = np.abs(missed - passed)
+    # the middle of all thresholds that serve as well
+    best = np.flatnonzero(gap <= gap.min() + 1e-12)
+    k = best[len(best) // 2]
+    return float((at[best[0]] + at[best[-1]]) / 2), float((missed[k] + passed[k]) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Patches `x` (n, d), the person `who` (n,) and the image `of` (n,) of each, counted from 0.
+
+    The first patch of an image is the image itself, others are copies cut a little off. `basis` (r, d): orthonormal.
+    """
+
+    x: Array
+    who: Indices
+    of: Indices
+    basis: Array
+
+    @cached_property
+    def first(self) -> Mask:
+        """(n,): the images themselves."""
+        mask = np.zeros(len(self.x), bool)
+        mask[np.unique(self.of, return_index=True)[1]] = True
+        return mask
+
+    @cached_property
+    def faces(self) -> Array:
+        """(P, d): what stands for each person."""
+        return np.stack([stand_in(self.x[self.first & (self.who == p)]) for p in range(self.who.max() + 1)])
+
+    def to_own(self) -> tuple[Array, Indices]:
+        """Differences of patches to the mean of the other images of the person, or to the only one; their index."""
+        rows, index = [], []
+        for k in range(self.of.max() + 1):
+            copies = np.flatnonzero(self.of == k)
+            others = self.first & (self.who == self.who[copies[0]]) & (self.of != k)
+            stands = stand_in(self.x[others]) if others.any() else self.x[copies[0]]
+            copies = copies if others.any() else copies[1:]
+            rows.append(self.x[copies] - stands)
+            index.append(copies)
+        return np.concatenate(rows), np.concatenate(index)
+
+    def to_others(self, patches: Mask, persons: Mask) -> Moments:
+        """Moments, from sums, of the differences of these patches (n,) to the faces of others of these persons (P,)."""
+        coordinates, squares, face_coordinates, face_squares, products_of_both = self._sums
+        z, who, faces = coordinates[patches], self.who[patches], face_coordinates[persons]
+        own = persons[who]
+        apart = np.where(own[:, None], face_coordinates[who], 0.0)  # a patch is not compared with its own person
+        number = persons.sum() - own
+        asked = len(z) - np.bincount(who, minlength=len(persons))[persons]
+        cross = z.T @ (faces.sum(0) - apart)
+        products = (z.T * number) @ z - cross - cross.T + (faces.T * asked) @ faces
+        along = products_of_both[patches]
+        between = (along @ persons).sum() - along[np.arange(len(z)), who][own].sum()
+        square = number @ squares[patches] - 2.0 * between + asked @ face_squares[persons]
+        return Moments(int(number.sum()), number @ z - asked @ faces, products, max(float(square), 0.0))
+
+    @cached_property
+    def _sums(self) -> tuple[Array, ...]:
+        """Coordinates (n, r) and squared lengths (n,) of patches, the same of faces, and their products (n, P)."""
+        of_each = []
+        for rows in (self.x, self.faces):
+            of_each += [rows @ self.basis.T, np.einsum("nd,nd->n", rows, rows)]
+        return (*of_each, self.x @ self.faces.T)
+
+
+def stand_in(images: Array) -> Array:
+    """(d,): what stands for a person, the mean of the images (k, d), of unit variance again."""
+    mean = images.mean(0)
+    spread = float(mean.std())
+    if len(images) == 1 or spread < 1e-6:
+        return np.asarray(images[0])
+    return np.asarray((mean - mean.mean()) / spread)
+
+
+class Fitted(NamedTuple):
+    """The subspace of all rows, and one subspace per fold: `without[k]` has not seen the rows of fold k."""
+
+    whole: Subspace
+    without: tuple[Subspace, ...]
+
+
+class Moments(NamedTuple):
+    """Of `number` rows: sums of coordinates (r,) and of their products (r, r), and of squared lengths of whole rows."""
+
+    number: int
+    total: Array
+    products: Array
+    square: float
+
+    @staticmethod
+    def of(z: Array, square: Array) -> Moments:
+        """Of coordinates z (n, r) and squared lengths (n,)."""
+        return Moments(len(z), z.sum(0), z.T @ z, float(square.sum()))
+
+    def about(self, mean: Array) -> tuple[Array, float]:
+        """Of differences to a mean (r,): sums of the products (r, r), and of the squared lengths."""
+        cross, n = np.outer(mean, self.total), self.number
+        square = self.square - 2.0 * mean @ self.total + n * mean @ mean
+        return self.products - cross - cross.T + n * np.outer(mean, mean), float(square)
+
+
+def common_basis(x: Array, most: int = MAX_DIRECTIONS) -> Array:
+    """Orthonormal rows (r, d), r at most `most`: the largest directions of rows x (n, d), or all."""
+    some = x[np.linspace(0, len(x) - 1, min(len(x), MAX_ROWS)).astype(int)]
+    largest = np.linalg.eigh(some @ some.T)[1][:, : -most - 1 : -1]
+    return np.asarray(np.linalg.qr(some.T @ largest)[0].T)
+
+
+def fit_subspace(x: Array, folds: Sequence[Mask], basis: Array, *, centred: bool = False) -> Fitted:
+    """The subspace of rows x (n, d), without those of each fold (n,) in turn, as `fit_moments` says."""
+    z, square = x @ basis.T, np.einsum("nd,nd->n", x, x)
+    without = [Moments.of(z[~fold], square[~fold]) for fold in folds]
+    return fit_moments(Moments.of(z, square), without, basis, centred=centred)
+
+
+def fit_moments(all_rows: Moments, without: Sequence[Moments], basis: Array, *, centred: bool) -> Fitted:
+    """The subspace of all rows, and of those `without` each fold; a fold of no row or of all holds nothing out.
+
+    It has as many components as hold ENERGY of the variance, at most half of the rank. `basis` (r, d) is orthonormal,
+    of a space that the rows are nearly in. `centred`: the mean is 0 by construction. All subspaces have the same rho.
+    """
+    d = basis.shape[1]
+    whole = _Components.of(all_rows, centred, d)
+    parts = [_Components.of(rows, centred, d) if 0 < rows.number < all_rows.number else whole for rows in without]
+    held = [
+        (part.errors(all_rows) - part.errors(rows), all_rows.number - rows.number)
+        for part, rows in zip(parts, without, strict=True) if part is not whole
+    ]  # fmt: skip
+    rho = whole.remaining
+    if held:
+        left_over, number = np.sum(held, axis=0).tolist()
+        rho = max(rho, left_over / number)
+    rho = max(rho, MIN_RHO)
+    return Fitted(whole.subspace(rho, basis), tuple(part.subspace(rho, basis) for part in parts))
+
+
+def folds_by(labels: Indices) -> list[Mask]:
+    """Masks (n,) of the rows to hold out, a label together, FOLDS masks at most; none with fewer than two labels."""
+    names, index = np.unique(labels, return_inverse=True)
+    return [index % FOLDS == k for k in range(min(FOLDS, len(names)))] if len(names) > 1 else []
+
+
+class _Components(NamedTuple):
+    """Principal components in a basis; `remaining`: the sum of the eigenvalues that are left, over d - s, `others`."""
+
+    mean: Array
+    vectors: Array
+    values: Array
+    remaining: float
+    others: int
+
+    @staticmethod
+    def of(rows: Moments, centred: bool, d: int) -> _Components:
+        """Of rows of d numbers."""
+        n = rows.number
+        mean = np.zeros_like(rows.total) if centred else rows.total / n
+        products, square = rows.about(mean)
+        freedom = n if centred else max(n - 1, 1)
+        values, vectors = np.linalg.eigh(products / freedom)
+        values = np.maximum(values[::-1], 0.0)
+        # the lengths of the rows include directions that are not in the basis
+        total = max(square / freedom, float(values.sum()))
+        rank = int((values > 1e-9 * max(total, 1e-12)).sum())
+        enough = int(np.searchsorted(np.cumsum(values), ENERGY * total)) + 1
+        s = min(enough, max(rank // 2, 1), rank)
+        left, others = max(total - float(values[:s].sum()), 0.0), max(d - s, 1)
+        return _Components(mean, vectors[:, ::-1][:, :s].T, values[:s], left / others, others)
+
+    def errors(self, rows: Moments) -> float:
+        """What rows leave over, the sum of err^2 / (d - s)."""
+        products, square = rows.about(self.mean)
+        kept = np.einsum("si,ij,sj->", self.vectors, products, self.vectors, optimize=True)
+        return max(square - float(kept), 0.0) / self.others
+
+    def subspace(self, rho: float, basis: Array) -> Subspace:
+        # a principal direction varies at least as much as the directions left out
+        values, vectors = np.maximum(self.values, rho), self.vectors @ basis
+        # the sign of an eigenvector is arbitrary: its largest entry is positive
+        largest = np.abs(vectors).argmax(axis=1)
+        vectors = vectors * np.sign(vectors[np.arange(len(vectors)), largest])[:, None]
+        mean = (self.mean @ basis).astype(np.float32)
+        return Subspace(mean, np.ascontiguousarray(vectors, np.float32), values, rho)

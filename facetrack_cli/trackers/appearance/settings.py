@@ -100,10 +100,6 @@ class AffineWalkSettings(MotionSettings):
     """r_t; null: fixed, r_0."""
 
     def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        if (self.velocity or self.noise) and not isinstance(whole.likelihood, AppearanceSettings):
-            message = f'likelihood type "{whole.likelihood.type}" does not compare patches'
-            key = "velocity" if self.velocity else "noise"
-            yield Refusal(("motion", key), f"{message}; write velocity: null, noise: null")
         if self.velocity is None:
             return
         n, where = whole.filter.most(whole)
@@ -186,11 +182,6 @@ class RecognitionSettings(Component):
     @property
     def files(self) -> Mapping[str, str]:
         return {} if self.gallery is None else {"gallery": self.gallery}
-
-    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        if not isinstance(whole.likelihood, AppearanceSettings):
-            message = f'recognition does not go with likelihood type "{whole.likelihood.type}"; remove it'
-            yield Refusal(("recognition",), message)
 
 
 class AdaptiveSettings(FilterSettings):

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.types import Info, Particles
-from facetrack_cli.engine.filters import MIN_LOG, FrameModel, Stepped
+from facetrack_cli.engine.filters import MIN_LOG, Stepped
 from facetrack_cli.engine.resampling import SCHEMES, effective_sample_size, summed
+from facetrack_cli.engine.target import FrameModel
 from facetrack_cli.trackers.box.settings import GuidedSettings
 
 

@@ -131,14 +131,12 @@ def views_of(box: Trajectory) -> list[View]:
         return []
     sure = np.where(np.isnan(box.confidence[good]), 1.0, box.confidence[good])
     size = np.clip(box.w[good] / CHIP_PX, 0.1, 1.0)
-    worth = sure * np.sqrt(size)
+    worth, angles = sure * np.sqrt(size), shown_angle(box.angle, 1 / box.pixel_aspect)
     found = []
     for part in np.array_split(np.arange(len(good)), min(VIEWS, len(good))):
         k = int(part[np.argmax(worth[part])])
         i = int(good[k])
-        turn = (
-            math.radians(float(shown_angle(box.angle, 1 / box.pixel_aspect)[i])) if np.isfinite(box.angle[i]) else 0.0
-        )
+        turn = math.radians(float(angles[i])) if np.isfinite(angles[i]) else 0.0
         face = Similarity(np.array([box.x[i], box.y[i]]), float(box.w[i]), turn)
         found.append(View(int(box.frame[i]), face, float(worth[k])))
     return found

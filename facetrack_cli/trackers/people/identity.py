@@ -13,7 +13,7 @@ This is recognition of an open set, without a gallery: Zhou et al. (2003) recogn
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -95,13 +95,13 @@ def cast_of(tracks: Sequence[TrackSummary], known: Sequence[FaceDescriptor] = ()
     apart[:k, :k] = ~np.eye(k, dtype=bool)
     nobody = np.array([i >= k and worth_of(one) < LEAST for i, one in enumerate(every)])
     nothing = (nobody[:, None] | nobody) & ~(follows | goes_on)
-    label = _in_order(clusters(odds, apart | nothing))
-    found, shown = _judged(label, odds, apart), np.bincount(label, ~nobody) > 0
+    label = np.unique(clusters(odds, apart | nothing), return_inverse=True)[1]  # counted as they come
+    own, other, p_other = _judged(label, odds, apart)
+    shown = np.bincount(label, ~nobody) > 0
     person = np.where(shown, np.cumsum(shown) - 1, UNKNOWN)  # of each cluster, where a face of it can be told again
-    doubts = [replace(one, track=one.track - k) for one in found.doubts if one.track >= k]
-    others = [None if one.other is None or not shown[one.other] else int(person[one.other]) for one in doubts]
-    told = tuple(replace(one, other=other) for one, other in zip(doubts, others, strict=True))
-    return Cast(person[found.person[k:]], found.p[k:], told)
+    names = [None if number == UNKNOWN else number for number in person.tolist()] + [None]
+    doubts = [Doubt(i - k, names[other[i]], float(p_other[i])) for i in np.flatnonzero(own < SURE).tolist() if i >= k]
+    return Cast(person[label[k:]], own[k:], tuple(doubts))
 
 
 def same_person(looks: Sequence[FaceDescriptor], *, colours: bool = True) -> Array:
@@ -195,7 +195,7 @@ def places(tracks: Sequence[TrackSummary], fps: float) -> tuple[Mask, Mask]:
 
 
 def clusters(odds: Array, apart: Mask) -> Whole:
-    """(T,) the cluster of each track: average linkage of log odds (T, T), joined while they are above 0.
+    """(T,) the first track of each track's cluster: average linkage of log odds (T, T), joined while they are above 0.
 
     Clusters that hold two tracks that are `apart` (T, T) are never joined.
     """
@@ -214,16 +214,13 @@ def clusters(odds: Array, apart: Mask) -> Whole:
     return label
 
 
-def _in_order(label: Whole) -> Whole:
-    """Clusters, counted as they come."""
-    order = {one: k for k, one in enumerate(dict.fromkeys(label.tolist()))}
-    return np.array([order[one] for one in label.tolist()])
+def _judged(person: Whole, odds: Array, apart: Mask) -> tuple[Array, Whole, Array]:
+    """By the posterior of each track over the people of the film and somebody new, the last one.
 
-
-def _judged(person: Whole, odds: Array, apart: Mask) -> Cast:
-    """The posterior of each track over the people of the film and somebody new."""
-    count, t = int(person.max()) + 1, len(person)
-    member = person[:, None] == np.arange(count)
+    The probability (T,) of its person, the likeliest other one, and the probability of that.
+    """
+    every, t = np.arange(len(person)), len(person)
+    member = person[:, None] == np.arange(int(person.max()) + 1)
     others = member[None] & ~np.eye(t, dtype=bool)[:, :, None]  # (T, T, P), of a track without itself
     many = others.sum(axis=1)
     mean = np.einsum("ij,ijp->ip", odds, others) / np.maximum(many, 1)
@@ -231,12 +228,8 @@ def _judged(person: Whole, odds: Array, apart: Mask) -> Cast:
     logs = np.column_stack([np.where(able, mean, -np.inf), np.full(t, _NEW)])
     p = np.exp(logs - logs.max(axis=1, keepdims=True))
     p /= p.sum(axis=1, keepdims=True)
-    alone = many[np.arange(t), person] == 0  # whose person is the new one
-    own = np.where(alone, p[:, -1], p[np.arange(t), person])
-    doubts = []
-    for i in np.flatnonzero(own < SURE).tolist():
-        rest = p[i].copy()
-        rest[count if alone[i] else person[i]] = -1
-        other = int(np.argmax(rest))
-        doubts.append(Doubt(i, None if other == count else other, float(rest[other])))
-    return Cast(person, own, tuple(doubts))
+    own = np.where(many[every, person] == 0, member.shape[1], person)  # who is alone is the new one
+    rest = p.copy()
+    rest[every, own] = -1
+    other = rest.argmax(axis=1)
+    return p[every, own], other, p[every, other]

@@ -15,15 +15,16 @@ Templates are learned in the first frame and then stay, except where a correctio
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import size_of_points
-from facetrack_cli.core.types import Array, Extent, Frame, Mask, Particles, Start, Whole, factor_for
+from facetrack_cli.core.types import Array, Frame, Mask, Start, Whole, factor_for
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context, Placed, PointSpace, size_of_box
 from facetrack_cli.trackers.points import point_kernels as windows
@@ -46,27 +47,24 @@ def place_points(settings: PointsSettings, start: Start, name: str) -> Placed:
     return Placed(PointSpace(np.array(sides)), x0, np.array(sides), unit)
 
 
-@dataclass(frozen=True)
-class Group:
-    """Templates read at 1 / `factor` of the frame's size, laid out for the kernel; `parts` (G,) are their indices.
+class Group(NamedTuple):
+    """Windows read at 1 / `factor` of the frame's size; `parts` (G,) are their indices, laid out for the kernel.
 
-    `sides` (G, 2) are (w, h), odd, in reduced pixels; template g is `ratios[offsets[g] : offsets[g + 1]]`, o / E{o}.
+    `sides` (G, 2) are (w, h), odd, in reduced pixels; template g is `ratios[offsets[g] : offsets[g + 1]]`.
     """
 
     factor: int
     parts: Whole
     sides: Whole
-    ratios: NDArray[np.float32]
     offsets: Whole
 
 
 @dataclass(frozen=True)
 class Templates:
-    """What K parts looked like in the first frame; `sigma` (K,) of eq. 10; `reach`: of any window, in whole pixels."""
+    """What K parts looked like in the first frame: `ratios`, o / E{o} of each after another; `sigma` (K,) of eq. 10."""
 
-    groups: tuple[Group, ...]
+    ratios: NDArray[np.float32]
     sigma: Array
-    reach: float
 
 
 @dataclass(frozen=True)
@@ -80,26 +78,37 @@ class ColourRatio(Likelihood):
     def build(cls, settings: ColourRatioSettings, context: Context) -> ColourRatio:
         return cls(settings, context.placed.windows)
 
-    def init(self, frame: Frame, x0: Array) -> Templates:
-        """The templates of K parts at x0 (K, 2)."""
-        layouts, reach = self._layouts
-        extent, means = windows.extent(x0[None], reach), np.empty(len(x0))
-        groups = tuple(self._group(frame, extent, x0, layout, means) for layout in layouts)
-        return Templates(groups, self.settings.sigma / means, reach)
-
     @cached_property
-    def _layouts(self) -> tuple[tuple[Group, ...], float]:
-        """Groups whose templates are still empty, and the reach: they follow from the windows."""
-        most = self.settings.max_samples
+    def _groups(self) -> tuple[Group, ...]:
+        most, end = self.settings.max_samples, 0
         factors = np.array([factor_for(side, most) for side in self.windows.max(axis=1).tolist()])
         groups = []
         for factor in np.unique(factors).tolist():
             parts = np.flatnonzero(factors == factor)
             # odd, and at least 3, so that a window has a pixel at its centre
             odd = [[max(3, 2 * round((side / factor - 1) / 2) + 1) for side in self.windows[k]] for k in parts]
-            offsets = np.cumsum([0, *(CHANNELS * (w + 1) * h for w, h in odd)])
-            groups.append(Group(factor, parts, np.array(odd, np.int64), np.empty(0, np.float32), offsets))
-        return tuple(groups), float(self.windows.max()) / 2 + 3 * int(factors.max())
+            offsets = np.cumsum([end, *(CHANNELS * (w + 1) * h for w, h in odd)])
+            groups.append(Group(factor, parts, np.array(odd, np.int64), offsets))
+            end = int(offsets[-1])
+        return tuple(groups)
+
+    @cached_property
+    def _reach(self) -> float:
+        """How far any window reaches, in whole pixels of reduced frames."""
+        return float(self.windows.max()) / 2 + 3 * self._groups[-1].factor
+
+    def init(self, frame: Frame, x0: Array) -> Templates:
+        """The templates of K parts at x0 (K, 2)."""
+        extent, means, ratios = windows.extent(x0[None], self._reach), np.empty(len(x0)), []
+        for factor, parts, sides, _ in self._groups:
+            image, left, top = frame.reduced(factor, extent)
+            flat, places = windows.flat(image), (x0 - (left, top) - (factor - 1) / 2) / factor
+            for k, (w, h) in zip(parts.tolist(), sides.tolist(), strict=True):
+                x, y = places[k].tolist()
+                o = windows.read_window(flat, x, y, w, h)
+                means[k] = max(float(o[:, :w].mean()), MIN_MEAN)
+                ratios.append(o.ravel() / np.float32(means[k]))
+        return Templates(np.concatenate(ratios), self.settings.sigma / means)
 
     def score(self, learned: Templates, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p(y | x) of each part, x (N, K, 2) -> (N, K), with the floor if there is one; parents do not matter."""
@@ -109,36 +118,18 @@ class ColourRatio(Likelihood):
 
     def distances(self, learned: Templates, frame: Frame, x: Array) -> Array:
         """d(o_i, q_i) of eq. 9 for windows at x (N, K, 2) -> (N, K)."""
-        out = np.empty(x.shape[:2])
-        robust, scale = windows.ROBUST[self.settings.robust], self.settings.scale or 1.0
-        extent = windows.extent(x, learned.reach)
-        for g in reversed(learned.groups):  # a picture much reduced is made from one reduced less, at least as large
-            image, left, top = frame.reduced(g.factor, extent)
-            template = g.ratios, g.offsets, g.sides, g.parts
-            at = x, left, top, g.factor
-            windows.colour_ratio_distances(windows.flat(image), *template, *at, MIN_MEAN, robust, scale, out)
+        out, extent = np.empty(x.shape[:2]), windows.extent(x, self._reach)
+        how = MIN_MEAN, windows.ROBUST[self.settings.robust], self.settings.scale or 1.0
+        # a picture much reduced is made from one reduced less, at least as large
+        for factor, parts, sides, offsets in reversed(self._groups):
+            image, left, top = frame.reduced(factor, extent)
+            template, at = (learned.ratios, offsets, sides, parts), (x, left, top, factor)
+            windows.colour_ratio_distances(windows.flat(image), *template, *at, *how, out)
         return out
-
-    def learn(self, learned: Templates, frame: Frame, state: Array, particles: Particles) -> Templates:
-        return learned
 
     def relearn(self, learned: Templates, frame: Frame, x0: Array, parts: Mask) -> Templates:
         """With the templates of `parts` (K,) as they look in `frame` at x0 (K, 2)."""
         seen = self.init(frame, x0)
-        groups = []
-        for old, new in zip(learned.groups, seen.groups, strict=True):  # which part is where follows from the windows
-            fresh = np.repeat(parts[new.parts], np.diff(new.offsets))
-            groups.append(replace(new, ratios=np.where(fresh, new.ratios, old.ratios)))
-        return Templates(tuple(groups), learned.sigma + parts * (seen.sigma - learned.sigma), learned.reach)
-
-    def _group(self, frame: Frame, extent: Extent, x0: Array, layout: Group, means: Array) -> Group:
-        """The templates of the parts of a group; E{o_i} of each goes into `means` (K,)."""
-        factor, (image, left, top) = layout.factor, frame.reduced(layout.factor, extent)
-        flat, ratios = windows.flat(image), []
-        places = (x0 - (left, top) - (factor - 1) / 2) / factor
-        for k, (w, h) in zip(layout.parts.tolist(), layout.sides.tolist(), strict=True):
-            x, y = places[k].tolist()
-            o = windows.read_window(flat, x, y, w, h)
-            means[k] = max(float(o[:, :w].mean()), MIN_MEAN)
-            ratios.append(o.ravel() / np.float32(means[k]))
-        return replace(layout, ratios=np.concatenate(ratios))
+        fresh = np.concatenate([np.repeat(parts[group.parts], np.diff(group.offsets)) for group in self._groups])
+        ratios = np.where(fresh, seen.ratios, learned.ratios)
+        return Templates(ratios, learned.sigma + parts * (seen.sigma - learned.sigma))

@@ -24,7 +24,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -59,10 +59,8 @@ class ShapePrior:
     scale: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        named = len(self.parts) >= 2 and len(set(self.parts)) == len(self.parts)
-        if not named or len(set(self.scale)) != 2 or not {self.stable, *self.scale} <= set(self.parts):
-            names = f"{', '.join(self.parts)}, with {self.stable} and {', '.join(self.scale)} for the scale"
-            raise ValueError(f"parts are named once, with a stable one and two for the scale, and here are {names}")
+        if problem := _names_problem(self.parts, self.stable, self.scale):
+            raise ValueError(problem)
         if self.shapes.ndim != 3 or self.shapes.shape[1:] != (len(self.parts), 2) or not len(self.shapes):
             raise ValueError(f"shapes of {self.shapes.shape} where (M, {len(self.parts)}, 2) belongs")
         if not np.isfinite(self.shapes).all():
@@ -74,6 +72,14 @@ class ShapePrior:
         """Writes an .npz of plain arrays, whole or not at all; equal priors give equal bytes. Raises OutputError."""
         names = {name: np.array(getattr(self, name)) for name in ("parts", "stable", "scale")}
         KIND.write(path, {**names, "shapes": np.ascontiguousarray(self.shapes, "<f8")})
+
+
+def _names_problem(parts: Sequence[str], stable: str, scale: Sequence[str]) -> str | None:
+    """Why parts of these names make no prior, or None."""
+    if len(parts) >= 2 and len(set(parts)) == len(parts) and len(set(scale)) == 2 and {stable, *scale} <= set(parts):
+        return None
+    rule = "each part is named once, with the stable one and the two of the scale among them"
+    return f"{rule}; here are {', '.join(parts)}, with {stable} and {', '.join(scale)}"
 
 
 def default_prior_path() -> Path:
@@ -120,12 +126,8 @@ class BoundPrior(Prior):
 
     def __init__(self, prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) -> None:
         parts = list(parts)
-        strange = [name for name in parts if name not in prior.parts]
-        absent = [name for name in prior.parts if name not in parts]
-        if strange or absent:
-            parted = f"the shape prior knows {', '.join(prior.parts)}"
-            parted += f" not {', '.join(strange)}" if strange else ""
-            parted += f" and the recipe does not track {', '.join(absent)}" if absent else ""
+        if sorted(parts) != sorted(prior.parts):
+            parted = f"the shape prior is of {', '.join(prior.parts)}, and the recipe tracks {', '.join(parts)}"
             raise RecipeError(f"{parted}; fit a prior with `facetrack prior fit --parts` or change the parts")
         left, right = (first[parts.index(name)] for name in prior.scale)
         self.first, self.length, self.sigma = np.array(first, np.float64), float(np.hypot(*(right - left))), sigma
@@ -173,44 +175,27 @@ class BoundPrior(Prior):
         return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
 
 
-class Fit(NamedTuple):
-    """The prior, and the kernel's standard deviation that suits it, in mouth widths.
-
-    `files`: each with the number of its frames, and of those in which every part is seen.
-    """
-
-    prior: ShapePrior
-    files: tuple[tuple[Path, int, int], ...]
-    sigma: float
-
-
 def fit_prior(
     paths: Sequence[Path],
     parts: Sequence[str] | None = None,
     stable: str = "nose",
     scale: tuple[str, str] = ("mouth_left", "mouth_right"),
     max_shapes: int = 500,
-) -> Fit:
+) -> tuple[ShapePrior, tuple[tuple[Path, int, int], ...]]:
     """A prior of `parts` (all that the first file has, if None) from ground truth or trajectory files.
 
-    Rows that are hidden, absent, lost or without a position do not count as seen. Raises UsageError or InputError.
+    With it each file, the number of its frames, and of those in which every part is seen: rows that are hidden, absent,
+    lost or without a position do not count. Raises UsageError or InputError.
     """
     tables = [read_trajectory(path) for path in paths]
     names = tuple(parts) if parts is not None else _parts_of(tables[0])
-    if len(set(names)) != len(names):
-        raise UsageError(f"a part is named twice among {', '.join(names)}")
-    if scale[0] == scale[1]:
-        raise UsageError(f"the scale is the distance of two parts, and both are {scale[0]}")
-    if unknown := [name for name in (stable, *scale) if name not in names]:
-        where = "among the parts that are asked for" if parts is not None else f"in {paths[0]}"
-        raise UsageError(
-            f"there is no part {unknown[0]} {where} ({', '.join(names)}); name another with --stable or --scale"
-        )
+    if problem := _names_problem(names, stable, scale):
+        raise UsageError(f"{problem}; name others with --parts, --stable or --scale")
     read = [_shapes_of(path, table, names, stable, scale) for path, table in zip(paths, tables, strict=True)]
     every = np.concatenate([shapes for _, shapes in read])
     prior = ShapePrior(names, every[_spread_out(every.reshape(len(every), -1), max_shapes)], stable, scale)
     files = tuple((path, frames, len(shapes)) for path, (frames, shapes) in zip(paths, read, strict=True))
-    return Fit(prior, files, suggested_sigma(prior))
+    return prior, files
 
 
 def suggested_sigma(prior: ShapePrior) -> float:
@@ -230,33 +215,29 @@ def _shapes_of(
     """The frames of a file, and its shapes (M, K, 2)."""
     if missing := ", ".join(name for name in names if name not in _parts_of(trajectory)):
         raise InputError(f"{path}: there is no part {missing}; annotate it, or name the parts to learn with --parts")
-    shapes: list[Array] = []
-    total = 0
+    every, total = [np.empty((0, len(names), 2))], 0
+    left, right = (names.index(name) for name in scale)
     for target in trajectory.targets:
-        parts = trajectory.of_target(target)
-        frames, columns = aligned(parts, "x", "y", "status")
-        total += len(frames)
-        order = [k for name in names for k, part in enumerate(parts) if part.part == name]
-        points = np.stack([columns["x"], columns["y"]], axis=2)[:, order]
-        seen = np.isfinite(points).all(axis=(1, 2)) & np.isin(columns["status"][:, order], SEEN).all(axis=1)
-        if len(order) < len(names) or not seen.any():
+        parts = {part.part: part for part in trajectory.of_target(target)}
+        if not {*names} <= {*parts}:
             continue
-        first = points[seen][0]
-        left, right = (first[names.index(name)] for name in scale)
-        length = math.hypot(*(right - left))
-        if length < 1.0:
-            apart = f"are {length:.2f} pixels apart, which gives no scale; correct them"
-            raise InputError(f"{path}: frame {frames[seen][0]}: {scale[0]} and {scale[1]} of {target} {apart}")
-        moved = points[seen] - first
-        shapes.append((moved - moved[:, [names.index(stable)]]) / length)
-    if not shapes:
+        frames, columns = aligned([parts[name] for name in names], "x", "y", "status")
+        total += len(frames)
+        points = np.stack([columns["x"], columns["y"]], axis=2)
+        seen = np.isfinite(points).all(axis=(1, 2)) & np.isin(columns["status"], SEEN).all(axis=1)
+        moved = points[seen] - points[seen][:1]
+        moved -= moved[:, [names.index(stable)]]
+        length = math.dist(*points[seen][0, [left, right]]) if len(moved) else 1.0
+        far = np.abs(moved).max(axis=(1, 2))
+        if length < 1.0 or (far > 10.0 * length).any():
+            much = f"{far.max():.0f} pixels away, where {scale[0]} and {scale[1]} are {length:.2f} apart"
+            where = f"{path}: frame {frames[seen][far.argmax()]}: a part of {target} moves {much}"
+            raise InputError(f"{where}; correct it, or name another --scale")
+        every.append(moved / length)
+    if not any(map(len, every)):
         remedy = "annotate one, or name the parts to learn with --parts"
         raise InputError(f"{path}: none of its {total} frames shows all of {', '.join(names)}; {remedy}")
-    every = np.concatenate(shapes)
-    if (far := np.abs(every).max()) > 10.0:
-        moves = f"moves {far:.0f} times the distance of {scale[0]} and {scale[1]} away from {stable}"
-        raise InputError(f"{path}: a part {moves}; correct that row, or name another --scale")
-    return total, every
+    return total, np.concatenate(every)
 
 
 def _spread_out(flat: Array, most: int) -> list[int]:

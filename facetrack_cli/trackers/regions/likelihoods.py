@@ -58,9 +58,10 @@ Chosen here: the frame is reduced by the largest power of two that leaves a pixe
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -71,7 +72,7 @@ from facetrack_cli.core.geometry import remap
 from facetrack_cli.core.types import Array, Frame, Image, Particles, Whole, factor_for
 from facetrack_cli.engine.kernels.compiled import boxes_extent
 from facetrack_cli.engine.protocols import Likelihood
-from facetrack_cli.engine.resampling import averaged, effective_share
+from facetrack_cli.engine.resampling import Share
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.regions import region_kernels as kernel
 from facetrack_cli.trackers.regions.settings import (
@@ -82,20 +83,6 @@ from facetrack_cli.trackers.regions.settings import (
 )
 
 _MAX_PIXELS = 1e9  # pixels; no frame is as large
-
-
-@dataclass(frozen=True)
-class Ellipse:
-    """The ellipse at scale 1: `points` (L, 2) from its centre, in pixels, and its outward unit `normals` (L, 2).
-
-    `share`: how much of the normals counts as independent, averaged over `frames`.
-    """
-
-    factor: int
-    points: Array
-    normals: Array
-    share: float = 1.0
-    frames: int = 0
 
 
 @dataclass(frozen=True)
@@ -112,44 +99,48 @@ class Contour:
         unit = context.placed.unit
         return cls(settings, context.placed.size, settings.sigma.pixels(unit), settings.search.pixels(unit))
 
-    def init(self, frame: Frame, x0: Array) -> Ellipse:
-        """The ellipse; of the first frame and x0 (1, 6) nothing is learned but how independent the normals are."""
-        factor = factor_for(max(self.size), self.settings.max_size)
-        return self.learn(Ellipse(factor, *ellipse(self.size, self.settings.normals)), frame, x0)
+    @cached_property
+    def _outline(self) -> tuple[int, Array, Array]:
+        """By what frames are reduced; points of the ellipse at scale 1, and its normals, as `ellipse` gives them."""
+        return factor_for(max(self.size), self.settings.max_size), *ellipse(self.size, self.settings.normals)
 
-    def score(self, learned: Ellipse, frame: Frame, x: Array, parents: Array | None = None) -> Array:
+    def init(self, frame: Frame, x0: Array) -> Share:
+        """Of the first frame and x0 (1, 6) nothing is learned but how independent the normals are."""
+        return self.learn(Share(), frame, x0)
+
+    def score(self, learned: Share, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_o of x (N, 1, 6) -> (N, 1), from L log K to 0; parents do not matter."""
-        return np.asarray(self._terms(learned, frame, x).sum(axis=1, keepdims=True) * learned.share)
+        return np.asarray(self._terms(frame, x).sum(axis=1, keepdims=True) * learned.mean)
 
-    def distances(self, learned: Ellipse, frame: Frame, x: Array) -> Array:
+    def distances(self, learned: Share, frame: Frame, x: Array) -> Array:
         """1 - mean over l of exp(-d_l^2 / (2 sigma^2)) of x (N, 1, 6) -> (N, 1), 0 to 1 (no edges)."""
-        d = self._nearest(learned, frame, x, self.search)
+        d = self._nearest(frame, x, self.search)
         return np.asarray(1.0 - np.exp(-0.5 * (d / self.sigma) ** 2).mean(axis=1, keepdims=True))
 
-    def learn(self, learned: Ellipse, frame: Frame, state: Array, particles: Particles | None = None) -> Ellipse:
+    def learn(self, learned: Share, frame: Frame, state: Array, particles: Particles | None = None) -> Share:
         """How independent the normals are, if that is estimated."""
         if self.settings.independent == "all":
             return learned
-        share = effective_share(self._terms(learned, frame, state[None])[0], ring=True)
-        return replace(learned, share=averaged(learned.share, learned.frames, share), frames=learned.frames + 1)
+        return learned.after(self._terms(frame, state[None])[0], ring=True)
 
-    def _terms(self, learned: Ellipse, frame: Frame, x: Array) -> Array:
+    def _terms(self, frame: Frame, x: Array) -> Array:
         """(N, L): log of the factor of each normal in eq. 11."""
         least = math.log(self.settings.outlier)
         # what lies farther off counts K, found or not
         reach = min(self.search, self.sigma * math.sqrt(-2.0 * least))
-        return np.maximum(-0.5 * (self._nearest(learned, frame, x, reach) / self.sigma) ** 2, least)
+        return np.maximum(-0.5 * (self._nearest(frame, x, reach) / self.sigma) ** 2, least)
 
-    def _nearest(self, learned: Ellipse, frame: Frame, x: Array, reach: float) -> Array:
+    def _nearest(self, frame: Frame, x: Array, reach: float) -> Array:
         """How far the nearest edge lies on each normal, (N, L), in pixels; inf without one within `reach`."""
+        factor, points, normals = self._outline
         boxes = np.clip(np.nan_to_num(x[:, 0, :3]), -_MAX_PIXELS, _MAX_PIXELS)
         # an edge at the very end of a normal is seen by two values beyond it, and each value by a pixel around it
-        around = np.maximum(boxes[:, 2:], 0.0) * np.array(self.size) / 2 + (reach + 5.0 * learned.factor)
+        around = np.maximum(boxes[:, 2:], 0.0) * np.array(self.size) / 2 + (reach + 5.0 * factor)
         low, high = (boxes[:, :2] - around).min(axis=0).tolist(), (boxes[:, :2] + around).max(axis=0).tolist()
-        grey, left, top = frame.grey(learned.factor, (*low, *high))
+        grey, left, top = frame.grey(factor, (*low, *high))
         # sums, which are whole numbers: their ninths are the means
         nine = cv2.boxFilter(grey, cv2.CV_16U, (3, 3), normalize=False)
-        outline = learned.factor, learned.points, learned.normals
+        outline = factor, points, normals
         return np.asarray(kernel.nearest_edges(nine, boxes, left, top, *outline, reach, 9.0 * self.settings.threshold))
 
 
@@ -186,7 +177,7 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Histogram:
+class Histogram(Likelihood):
     """`size`: width and height of the box at scale 1, in pixels."""
 
     settings: HistogramSettings
@@ -201,13 +192,15 @@ class Histogram:
         settings, factor = self.settings, factor_for(max(self.size), self.settings.max_size)
         hsv, ex, ey, _ = self._read(frame, x0[None], factor)
         if hsv is None:
-            wrong = "lies outside the image: choose another box"
-            if factor > 1:
-                remedy = "give a wider one, or raise likelihood.histogram.max_size"
-                wrong = f"has no pixel of the image at 1/{factor} of its size: {remedy}"
-            raise InputError(f"frame {frame.index}: the box {wrong}")
-        if settings.value_bins <= 1:
-            self._need_colours(frame, hsv)
+            wrong = f"the box has no pixel of the image at 1/{factor} of its size"
+            remedy = "choose another, or raise likelihood.histogram.max_size"
+            raise InputError(f"frame {frame.index}: {wrong}: {remedy}")
+        least = 255 * settings.least_saturation, 255 * settings.least_value
+        share = float(np.mean((hsv[..., 1:] >= least).all(axis=2)))
+        if settings.value_bins <= 1 and share < MIN_COLOURED:
+            what = f"{share:.1%} of the box's pixels have a hue, so a colour histogram cannot know it"
+            remedy = "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8"
+            raise InputError(f"frame {frame.index}: {what}: {remedy}")
         hue = np.arange(180) * settings.hue_bins // 180 * settings.saturation_bins
         coloured = (hue[:, None] + np.arange(256) * settings.saturation_bins // 256).astype(np.uint16)
         bins = settings.hue_bins * settings.saturation_bins
@@ -231,26 +224,21 @@ class Histogram:
         """D of boxes x (N, 1, 6) -> (N, 1): 0 for a perfect match, 1 for no colour in common."""
         return np.sqrt(self._squared(learned, frame, x))
 
-    def learn(self, learned: Reference, frame: Frame, state: Array, particles: Particles) -> Reference:
-        return learned
-
     def _squared(self, learned: Reference, frame: Frame, x: Array) -> Array:
         hsv, ex, ey, area = self._read(frame, x, learned.factor)
         if hsv is None:
             return np.ones((len(x), 1))
         codes = self._codes(hsv, learned.coloured, learned.colourless)
-        each = [slice(None)]
-        if codes.size > MAX_CELLS:  # far apart: of each box what it covers alone
-            each = [slice(n, n + 1) for n in range(len(x))]
-        match = np.concatenate([self._match(codes, ex[n], ey[n], area[n], learned.root) for n in each])
-        return np.asarray(np.clip(1.0 - match, 0.0, 1.0)[:, None])
 
-    @staticmethod
-    def _match(codes: NDArray[np.uint16], ex: Whole, ey: Whole, area: Array, root: NDArray[np.float32]) -> Array:
-        """(N,): the Bhattacharyya coefficient of boxes with the reference."""
-        left, right, top, bottom = int(ex.min()), int(ex.max()), int(ey.min()), int(ey.max())
-        part = np.ascontiguousarray(codes[top:bottom, left:right])
-        return np.asarray(kernel.match_boxes(part, ex - left, ey - top, area, root))
+        def match(of: slice) -> Array:
+            """The Bhattacharyya coefficients of some boxes with the reference."""
+            left, top = int(ex[of].min()), int(ey[of].min())
+            part = np.ascontiguousarray(codes[top : int(ey[of].max()), left : int(ex[of].max())])
+            return np.asarray(kernel.match_boxes(part, ex[of] - left, ey[of] - top, area[of], learned.root))
+
+        together = len(x) if codes.size <= MAX_CELLS else 1  # far apart: of each box what it covers alone
+        each = [match(slice(n, n + together)) for n in range(0, len(x), together)]
+        return np.asarray(np.clip(1.0 - np.concatenate(each), 0.0, 1.0)[:, None])
 
     def _read(self, frame: Frame, x: Array, factor: int) -> tuple[Image | None, Whole, Whole, Array]:
         """HSV of the part of the frame that boxes (N, 1, 6) cover, their edges in it, and areas.
@@ -293,16 +281,6 @@ class Histogram:
         pale = (saturation < math.ceil(255 * least_saturation)) | (value < math.ceil(255 * least_value))
         return np.where(pale, colourless.take(value), codes)
 
-    def _need_colours(self, frame: Frame, hsv: Image) -> None:
-        least = 255 * self.settings.least_saturation, 255 * self.settings.least_value
-        share = float(np.mean((hsv[..., 1:] >= least).all(axis=2)))
-        if share < MIN_COLOURED:
-            grey = np.mean((_hsv(frame.bgr)[..., 1:] >= least).all(axis=2)) < MIN_COLOURED
-            what = "this clip is grey, or too dark" if grey else "the box shows no colours"
-            remedy = "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8"
-            hues = f"{share:.1%} of the box's pixels have a hue"
-            raise InputError(f"frame {frame.index}: {what}, so a colour histogram cannot know it: {hues}: {remedy}")
-
 
 def _hsv(bgr: Image) -> Image:
     """Hue 0..179 in steps of 2 degrees, saturation and value 0..255."""
@@ -313,18 +291,12 @@ def _hsv(bgr: Image) -> Image:
 OUTSIDE = 32.0
 
 
-@dataclass(frozen=True)
-class Previous:
-    """The frame that parents lie in; `factor`: by what frames are reduced.
-
-    `state` (1, 6) is the estimate there, `share` how much of the points counts as independent, averaged over `frames`.
-    """
+class Previous(NamedTuple):
+    """The frame that parents lie in, the estimate `state` (1, 6) there, and the share of independent points."""
 
     frame: Frame
-    factor: int
     state: Array
-    share: float = 1.0
-    frames: int = 0
+    share: Share = Share()
 
 
 @dataclass(frozen=True)
@@ -339,52 +311,60 @@ class Correlation:
         w, h = context.placed.size
         return cls(settings, (w * settings.region, h * settings.region))
 
+    @cached_property
+    def _step(self) -> float:
+        """The lesser step of the grid at scale 1, in pixels."""
+        columns, rows = self.settings.grid
+        return min(self.size[0] / columns, self.size[1] / rows)
+
+    @cached_property
+    def factor(self) -> int:
+        """By what frames are reduced."""
+        return int(2 ** math.floor(math.log2(max(self._step, 1.0))))
+
     def init(self, frame: Frame, x0: Array) -> Previous:
         """What the first frame after this one is compared with."""
-        columns, rows = self.settings.grid
-        step = min(self.size[0] / columns, self.size[1] / rows)
-        first = Previous(frame, 2 ** math.floor(math.log2(max(step, 1.0))), x0)
         # half a step off, as a region that is followed well may be
-        return self.learn(first, frame, x0 + 0.5 * step * (np.eye(1, 6) + np.eye(1, 6, 1)))
+        return self.learn(Previous(frame, x0), frame, x0 + 0.5 * self._step * (np.eye(1, 6) + np.eye(1, 6, 1)))
 
     def score(self, learned: Previous, frame: Frame, x: Array, parents: Array) -> Array:
         """log p_c of x (N, 1, 6) in `frame` given its parents (N, 1, 6) in the frame before -> (N, 1), at most 0."""
         here, there = (np.ascontiguousarray(boxes[:, 0, :3]) for boxes in (x, parents))
-        images = *self._image(frame, learned.factor, here), *self._image(learned.frame, learned.factor, there)
+        images = *self._image(frame, here), *self._image(learned.frame, there)
         sigma, most, nearest = self.settings.sigma, self.settings.saturation, self.settings.distance == "hausdorff"
         rate, outside = 1.0 / sigma, min(OUTSIDE, most or OUTSIDE)
         if self.settings.distance == "l2":
             rate, outside = 0.5 / sigma**2, OUTSIDE**2
         sums = np.empty((len(x), 1))  # d_c of eq. 13
         boxes = here, there, self.size, *self.settings.grid
-        kernel.patch_distances(*images, learned.factor, *boxes, most or 0.0, nearest, outside, sums[:, 0])
-        return -rate * learned.share * sums
+        kernel.patch_distances(*images, self.factor, *boxes, most or 0.0, nearest, outside, sums[:, 0])
+        return -rate * learned.share.mean * sums
 
     def learn(self, learned: Previous, frame: Frame, state: Array, particles: Particles | None = None) -> Previous:
         """`frame`, in which the parents of the next frame's particles lie, and how independent the points are."""
         if self.settings.independent == "all":
-            return replace(learned, frame=frame)
-        off = self._read(frame, learned.factor, state) - self._read(learned.frame, learned.factor, learned.state)
+            return learned._replace(frame=frame)
+        off = self._read(frame, state) - self._read(learned.frame, learned.state)
         terms = off**2 if self.settings.saturation is None else np.minimum(np.abs(off), self.settings.saturation)
-        share = averaged(learned.share, learned.frames, effective_share(terms))
-        return replace(learned, frame=frame, state=state, share=share, frames=learned.frames + 1)
+        return Previous(frame, state, learned.share.after(terms))
 
-    def _read(self, frame: Frame, factor: int, state: Array) -> Array:
+    def _read(self, frame: Frame, state: Array) -> Array:
         """(rows, columns): grey values of the grid at a state (1, 6); those beyond the frame are its border's."""
-        image, (left, top, _, _) = self._image(frame, factor, np.ascontiguousarray(state[:, :3]))
+        image, (left, top, _, _) = self._image(frame, np.ascontiguousarray(state[:, :3]))
         at = []
         for place, side, count, first in zip(state[0, :2], self.size, self.settings.grid, (left, top), strict=True):
             cells = place + state[0, 2] * side * ((np.arange(count) + 0.5) / count - 0.5)
-            at.append(((cells - first - 0.5 * (factor - 1)) / factor).astype(np.float32))
+            at.append(((cells - first - 0.5 * (self.factor - 1)) / self.factor).astype(np.float32))
         x, y = np.meshgrid(*at)
         return np.asarray(remap(image, x, y, cv2.BORDER_REPLICATE), np.float64)
 
-    def _image(self, frame: Frame, factor: int, boxes: Array) -> tuple[Image, tuple[int, int, int, int]]:
+    def _image(self, frame: Frame, boxes: Array) -> tuple[Image, tuple[int, int, int, int]]:
         """The grey image around the boxes (N, 3), reduced, and its view: (left, top, whole width, whole height)."""
         width, height = frame.size
         left, top, right, bottom = boxes_extent(boxes, *self.size, width, height)
         # between its border and the centre of its first block, a box is read from the block before too
-        grey, left, top = frame.grey(factor, (left - factor, top - factor, right + factor, bottom + factor))
+        more = self.factor
+        grey, left, top = frame.grey(more, (left - more, top - more, right + more, bottom + more))
         return grey, (left, top, width, height)
 
 

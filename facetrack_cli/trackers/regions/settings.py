@@ -5,7 +5,7 @@ Filters", IDIAP-RR 03-15, 2003. No numerics are imported here.
 """
 
 from collections.abc import Iterable
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -40,29 +40,26 @@ class RegionSettings(ScaledSettings):
 
 
 class _DynamicsSettings(Section):
-    name: ClassVar[str]
     A: Annotated[tuple[Pair, Pair], Field(strict=False)]
+    """What value and speed become: [[value from value, from speed], [speed from value, from speed]]."""
     B: Any
 
     def mistakes(self) -> Iterable[Refusal]:
         if len(self.B[0]) != len(self.B[1]):
-            yield Refusal(("B",), f"both rows of motion.{self.name}.B need the same number of sources of noise")
+            yield Refusal(("B",), "both rows of B need the same number of sources of noise")
         (p, q), (r, s) = self.A
         # the larger eigenvalue of a 2x2 matrix, by trace and determinant; complex ones come in pairs of the same size
         half, determinant = (p + s) / 2, p * s - q * r
         root = half * half - determinant
         largest = abs(half) + root**0.5 if root >= 0 else determinant**0.5
         if largest > 1 + 1e-9:
-            grows = f"motion.{self.name}.A makes the state grow {largest:.3g}-fold each frame"
+            grows = f"A makes the state grow {largest:.3g}-fold each frame"
             yield Refusal(("A",), f"{grows}; its eigenvalues must not exceed 1")
 
 
 class PositionDynamicsSettings(_DynamicsSettings):
     """c = A c + B w for x and its speed, and likewise for y."""
 
-    name = "position"
-    A: Annotated[tuple[Pair, Pair], Field(strict=False)]
-    """What place and speed become: [[place from place, from speed], [speed from place, from speed]]."""
     B: Annotated[tuple[Noise, Noise], Field(strict=False)]
     """How the noise enters place and speed: a row each, with a standard deviation for each of one or two sources."""
 
@@ -70,9 +67,6 @@ class PositionDynamicsSettings(_DynamicsSettings):
 class ScaleDynamicsSettings(_DynamicsSettings):
     """c = A c + B w for the scale, 1 at the start, and its speed."""
 
-    name = "scale"
-    A: Annotated[tuple[Pair, Pair], Field(strict=False)]
-    """What scale and speed become, as in position.A."""
     B: Annotated[tuple[Share, Share], Field(strict=False)]
     """How the noise enters scale and speed, as in position.B; numbers, since a scale has no unit."""
 

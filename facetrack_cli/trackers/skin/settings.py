@@ -41,7 +41,7 @@ class PatternSettings(Section):
 class SkinNccSettings(LikelihoodSettings):
     """A face by skin colour, by a template, or by both together (eq. 11)."""
 
-    engine = "facetrack_cli.trackers.skin.skin_ncc:SkinNcc.build"
+    engine = "facetrack_cli.trackers.skin.likelihoods:SkinNcc.build"
     goes_with = ("region",)
     type: Literal["skin_ncc"]
     skin: SkinSettings | None = None
@@ -63,7 +63,7 @@ class SkinNccSettings(LikelihoodSettings):
 class SkinCloudSettings(LikelihoodSettings):
     """The probability that the colour of one pixel is skin; each particle is a pixel (Gianni et al. 2007)."""
 
-    engine = "facetrack_cli.trackers.skin.cloud:SkinCloud.build"
+    engine = "facetrack_cli.trackers.skin.likelihoods:SkinCloud.build"
     goes_with = ("cloud",)
     type: Literal["skin"]
     learn_from: str | None = None
@@ -77,7 +77,7 @@ class SkinCloudSettings(LikelihoodSettings):
 class CloudSettings(TargetSettings):
     """A cloud of pixels, whose mean is the target's place and whose spread is its size (Gianni et al. 2007)."""
 
-    engine = "facetrack_cli.trackers.skin.cloud:CloudSpace.place"
+    engine = "facetrack_cli.trackers.skin.likelihoods:CloudSpace.place"
     relearns = False  # colours are learned in the first frame alone
     type: Literal["cloud"]
 

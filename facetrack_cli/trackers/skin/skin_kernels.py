@@ -91,23 +91,6 @@ def moments_direct(image, template, boxes):
 
 
 @exact
-def read_patch(image, u, v, s, th, tw):
-    """The image (H, W) uint8 at the points of a template of (th, tw) at (u, v, s) -> (th, tw) float32."""
-    height, width = image.shape
-    left, right, a, b = np.zeros(tw, np.int64), np.zeros(tw, np.int64), np.zeros(tw), np.zeros(tw)
-    upper, lower, c, d = np.zeros(th, np.int64), np.zeros(th, np.int64), np.zeros(th), np.zeros(th)
-    _axis(u, s, width, left, right, a, b)
-    _axis(v, s, height, upper, lower, c, d)
-    out = np.empty((th, tw), np.float32)
-    for i in range(th):
-        for j in range(tw):
-            out[i, j] = c[i] * (a[j] * image[upper[i], left[j]] + b[j] * image[upper[i], right[j]]) + d[i] * (
-                a[j] * image[lower[i], left[j]] + b[j] * image[lower[i], right[j]]
-            )
-    return out
-
-
-@exact
 def bilinear(values, places, left, top):
     """values (H, W), which begin at (left, top), read bilinearly at places (2+, N) = (u, v, ...) -> (N,) float64.
 

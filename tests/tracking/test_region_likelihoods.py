@@ -1,0 +1,350 @@
+"""The likelihoods of a region against twins and formulas: edges of an ellipse, colours, a frame and that before."""
+
+import math
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame
+from facetrack_cli.trackers.regions import likelihoods
+from facetrack_cli.trackers.regions import region_kernels as kernel
+from facetrack_cli.trackers.regions.likelihoods import OUTSIDE, ellipse
+from tests.support.images import frame, grey, states
+from tests.support.parts import contour, correlation, histogram
+from tests.twins import regions as naive
+
+WIDTH, HEIGHT = 160, 120
+
+# --- edges
+
+OVAL = (40.0, 52.0)
+OVAL_AT = (80.0, 60.0, 1.0)
+
+
+@settings(max_examples=10)
+@given(
+    seed=st.integers(0, 1000),
+    cx=st.floats(-20, 80),
+    cy=st.floats(-20, 60),
+    s=st.one_of(st.floats(0.05, 3.0), st.sampled_from([-1.0, 0.0, 1e-7, 1e7])),
+    factor=st.sampled_from([1, 2, 4]),
+    reach=st.floats(0.5, 14.0),
+    threshold=st.floats(9.0, 540.0),
+)
+def test_the_kernel_is_what_its_plain_twin_says(seed, cx, cy, s, factor, reach, threshold):
+    noise = np.random.default_rng(seed).normal(0, 1, (37, 61)).astype(np.float32)
+    image = np.clip(1150 + 1080 * cv2.GaussianBlur(noise, (0, 0), 1.0), 0, 2295).astype(np.uint16)
+    points, normals = ellipse((23.0, 31.0), 10)
+    x = np.array([[cx, cy, s]])
+    ours = kernel.nearest_edges(image, x, 5.0, -3.0, factor, points, normals, reach, threshold)
+    theirs = naive.nearest_edges(image, x, (5.0, -3.0), factor, points, normals, reach, threshold)
+    np.testing.assert_allclose(ours, theirs, atol=2e-3)  # float32, and a parabola may be nearly flat
+
+
+@pytest.mark.parametrize(
+    ("row", "at", "nearest"),
+    [
+        # the step from 0 to 100 has contrasts of 50, 100 and 50, which end on the centre of the last pixel
+        ([0, 0, 0, 0, 0, 0, 0, 100, 100, 100], 4, 2.5),
+        ([9, 9, 9, 0, 0, 0, 0, 0, 0, 0], 5, 2.5),
+        # one nearer to the border may be half of a larger one
+        ([0, 0, 0, 0, 0, 0, 0, 0, 100, 100], 4, math.inf),
+        # two equal contrasts are one edge between them, on the outline too
+        ([0, 0, 0, 0, 50, 100, 100, 100, 100, 100], 4, 0.0),
+        ([0, 0, 0, 0, 50, 100, 100, 100, 100, 100], 6, 2.0),
+        # contrasts of 60, 70 at 4.5, and 40: the parabola is highest 0.5 (60 - 40) / (60 - 140 + 40) from there
+        ([0, 0, 0, 0, 40, 80, 100, 100, 100, 100], 7, 2.75),
+        # of two edges the nearer, whichever way
+        ([0, 0, 90, 90, 90, 90, 90, 0, 0, 0], 4, 2.5),
+        ([0, 0, 90, 90, 90, 90, 90, 0, 0, 0], 5, 1.5),
+    ],
+)
+@pytest.mark.parametrize("turned", [False, True])
+def test_edges_by_hand(row, at, nearest, turned):
+    image = np.repeat(np.array([row], np.uint16), 10, axis=0)
+    image = np.ascontiguousarray(image.T) if turned else image
+    normals = np.array([[0.0, 1.0], [0.0, -1.0]] if turned else [[1.0, 0.0], [-1.0, 0.0]])
+    x = np.array([[3.0, at, 1.0] if turned else [at, 3.0, 1.0]])
+    found = kernel.nearest_edges(image, x, 0.0, 0.0, 1, np.zeros((2, 2)), normals, 4.0, 5.0)
+    np.testing.assert_allclose(found, [[nearest, nearest]], atol=1e-6)
+
+
+@pytest.mark.parametrize(("size", "count"), [((40.0, 52.0), 9), ((90.0, 31.0), 32)])
+def test_the_normals_stand_at_equal_steps_of_arc(size, count):
+    points, normals = ellipse(size, count)
+    other_points, other_normals = naive.ellipse(*size, count)
+    np.testing.assert_allclose(points, other_points, atol=0.03)
+    np.testing.assert_allclose(normals, other_normals, atol=0.01)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+
+
+@pytest.mark.parametrize(("max_size", "factor", "search"), [(None, 1, 4.0), (None, 1, 30.0), (30, 2, 30.0)])
+def test_likelihood_and_distance_are_the_formulas(max_size, factor, search):
+    """Eq. 11, on the means of 3x3 pixels: an edge that lies beyond `search` is none, wherever K takes over."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    within = np.hypot((x - OVAL_AT[0]) / (OVAL[0] / 2), (y - OVAL_AT[1]) / (OVAL[1] / 2)) < 1
+    clutter = cv2.GaussianBlur(np.random.default_rng(0).normal(0, 1, within.shape), (0, 0), 2.0)
+    picture = grey(cv2.GaussianBlur(np.where(within, 150.0, 90 + 25 * clutter / clutter.std()), (0, 0), 1.0))
+    likelihood = contour(OVAL, sigma=5.0, search=search, threshold=8.0, outlier=0.1, max_size=max_size)
+    boxes = [OVAL_AT, (86.3, 57.2, 1.1), (70.1, 66.4, 0.8)]
+    x, learned = states(boxes), likelihood.init(picture, states(OVAL_AT)[0])
+    assert likelihood._outline[0] == factor
+    seen = picture.grey(factor, (0, 0, WIDTH, HEIGHT))[0].astype(float)
+    means = np.lib.stride_tricks.sliding_window_view(np.pad(seen, 1, mode="reflect"), (3, 3)).mean(axis=(2, 3))
+    points, normals = ellipse(OVAL, 32)
+    nearest = naive.nearest_edges(means, boxes, (0, 0), factor, points, normals, search, 8.0)
+    likely = [[math.exp(-(d**2) / (2 * 5.0**2)) for d in row] for row in nearest]
+    assert any(0.1 > p > 0 for row in likely for p in row) == (search > 5)
+    logs = [sum(math.log(max(0.1, p)) for p in row) for row in likely]
+    np.testing.assert_allclose(likelihood.score(learned, picture, x, x)[:, 0], logs, atol=5e-3)
+    np.testing.assert_allclose(likelihood.distances(learned, picture, x)[:, 0], 1 - np.mean(likely, axis=1), atol=1e-3)
+
+
+# --- colours
+
+BOX = (48.0, 60.0)
+BOX_AT = (101.3, 83.6)
+
+
+def colours(hues, saturation=180, value=180):
+    hsv = np.zeros((*np.shape(hues), 3), np.uint8)
+    hsv[..., 0], hsv[..., 1], hsv[..., 2] = hues, saturation, value
+    return cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)
+
+
+@cache
+def scene(centre=BOX_AT, scale=1.0, height=200, width=260):
+    """A box whose nine sub-regions have hues of their own, on a ground of another hue."""
+    rng = np.random.default_rng(0)
+    hues = np.full((height, width), 128) + rng.integers(-3, 4, (height, width))
+    w, h = BOX[0] * scale, BOX[1] * scale
+    left, top = centre[0] - w / 2, centre[1] - h / 2
+    patch = np.array([[11, 56, 78], [101, 11, 33], [56, 146, 168]])
+    for i in range(int(top), int(top + h) + 2):
+        for j in range(int(left), int(left + w) + 2):
+            r, c = naive.cell(i, top, h, 3), naive.cell(j, left, w, 3)
+            if r is not None and c is not None:
+                hues[i, j] = patch[r, c] + rng.integers(-5, 6)
+    return colours(hues)
+
+
+def learned_at_truth(picture, **options):
+    likelihood = histogram(BOX, **options)
+    return likelihood, likelihood.init(frame(picture), states([BOX_AT])[0])
+
+
+def noisy(seed, height=30, width=37):
+    """Any colours, greys and darkness in patches of a few pixels."""
+    small = np.random.default_rng(seed).integers(0, 256, (9, 9, 3), dtype=np.uint8)
+    small[:2] = small[:2, :, :1]
+    return cv2.resize(small, (width, height), interpolation=cv2.INTER_NEAREST)
+
+
+places = st.lists(st.tuples(st.floats(-15, 50), st.floats(-15, 45), st.floats(0.02, 3)), min_size=1, max_size=4)
+
+
+@settings(max_examples=12)
+@given(
+    seed=st.integers(0, 30),
+    x=places,
+    regions=st.sampled_from([(1, 1), (3, 3), (2, 4)]),
+    bins=st.sampled_from([(8, 4, 1), (5, 3, 4), (7, 1, 0)]),
+    factor=st.sampled_from([1, 2]),
+)
+def test_distance_agrees_with_the_formula(seed, x, regions, bins, factor):
+    picture, size, x0 = noisy(seed), (11.0, 14.5), (17.2, 14.9, 1.0)
+    likelihood = histogram(
+        size, hue_bins=bins[0], saturation_bins=bins[1], regions=regions, value_bins=bins[2], max_size=16 // factor
+    )
+    learned = likelihood.init(frame(picture), states([x0])[0])
+    assert learned.factor == factor
+
+    small = frame(picture).reduced(factor, (0, 0, 99, 99))[0]
+    codes = [
+        [naive.bin_of(*map(int, pixel), *bins, 0.1, 0.2) for pixel in row]
+        for row in cv2.cvtColor(small, cv2.COLOR_BGR2HSV)
+    ]
+
+    def there(box):
+        box = ((box[0] - (factor - 1) / 2) / factor, (box[1] - (factor - 1) / 2) / factor, box[2] / factor)
+        return naive.counts(codes, box, size, *regions)
+
+    first, _ = there(x0)
+    reference = {key: n / sum(first.values()) for key, n in first.items()}
+    expected = [naive.squared_distance(*there(box), reference) for box in x]
+    seen = likelihood.score(learned, frame(picture), states(x), states(x))
+    np.testing.assert_allclose(seen[:, 0], -20 * np.array(expected), atol=2e-5)
+    d = likelihood.distances(learned, frame(picture), states(x))[:, 0]
+    np.testing.assert_allclose(d**2, expected, atol=2e-6)
+
+
+@pytest.mark.parametrize("bins", [(8, 4, 1), (5, 3, 4), (7, 1, 0)])
+def test_every_colour_goes_to_its_bin(bins):
+    """Two colours share a bin if they do by the formula, at every threshold and every border of two bins."""
+    numbers = {"hue_bins": bins[0], "saturation_bins": bins[1], "value_bins": bins[2]}
+    likelihood = histogram((64.0, 64.0), regions=(1, 1), least_saturation=0.3, **numbers)
+    learned = likelihood.init(frame(np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)),
+                              states([(31.5, 31.5)])[0])  # fmt: skip
+    hues, rest = np.arange(0, 180, 3), np.array([0, 1, 50, 51, 52, 76, 77, 84, 85, 86, 127, 128, 200, 254, 255])
+    hsv = np.stack(np.meshgrid(hues, rest, rest, indexing="ij"), axis=-1).astype(np.uint8)
+    ours = likelihood._codes(hsv.reshape(len(hues), -1, 3), learned.coloured, learned.colourless)
+    theirs = [naive.bin_of(*map(int, pixel), *bins, 0.3, 0.2) for pixel in hsv.reshape(-1, 3)]
+    pairs = set(zip(ours.ravel().tolist(), theirs, strict=True))
+    assert len(pairs) == len(set(theirs)) == len(set(ours.ravel().tolist()))
+
+
+def test_boxes_far_apart_are_counted_as_alone(monkeypatch):
+    likelihood, learned = learned_at_truth(scene())
+    x = states([(*BOX_AT, 1), (20, 30, 1), (-90, 20, 1), (240.2, 180.7, 0.4)])
+    together = likelihood.distances(learned, frame(scene()), x)
+    monkeypatch.setattr(likelihoods, "MAX_CELLS", 0)
+    np.testing.assert_array_equal(likelihood.distances(learned, frame(scene()), x), together)
+
+
+def grey_scene(noise=0):
+    value = cv2.cvtColor(scene(), cv2.COLOR_BGR2GRAY)
+    value = np.clip((value.astype(float) - 90) * 3, 60, 250)[..., None].repeat(3, axis=2)
+    value += np.random.default_rng(1).integers(-noise, noise + 1, value.shape)
+    return value.round().astype(np.uint8)
+
+
+@pytest.mark.parametrize("value_bins", [0, 1])
+@pytest.mark.parametrize("noise", [0, 2])
+def test_a_grey_clip_is_refused(value_bins, noise):
+    with pytest.raises(InputError) as raised:
+        histogram(BOX, value_bins=value_bins).init(frame(grey_scene(noise), 7), states([BOX_AT])[0])
+    message = str(raised.value)
+    assert message.startswith("frame 7: 0.")
+    assert "% of the box's pixels have a hue, so a colour histogram cannot know it: use the recipe" in message
+    assert message.endswith("recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8")
+    assert "\n" not in message
+
+
+def test_a_grey_box_in_a_clip_with_colours_and_a_dark_box():
+    picture = scene().copy()
+    picture[40:130, 60:140] = 128
+    with pytest.raises(InputError, match=r"frame 0: 0\.0% of the box's pixels have a hue"):
+        learned_at_truth(picture)
+    likelihood, learned = learned_at_truth(scene() // 5, least_value=0.05)
+    assert likelihood.distances(learned, frame(scene() // 5), states([BOX_AT]))[0, 0] < 1e-3
+
+
+def test_a_box_outside_the_picture_cannot_be_learned():
+    with pytest.raises(InputError, match="frame 0: the box has no pixel of the image at 1/1 of its size"):
+        histogram(BOX).init(frame(scene()), states([(-100.0, 20.0)])[0])
+
+
+# --- frame and frame before
+
+DISTANCES = ["l2", "saturated_l1", "hausdorff"]
+SIZE = (40.0, 48.0)
+
+
+def texture(seed=0, width=WIDTH, height=HEIGHT, blur=2.5):
+    noise = np.random.default_rng(seed).normal(0, 1, (height, width)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), blur)
+    return 128 + smooth * (40 / smooth.std())
+
+
+def moved(grey, dx, dy):
+    size = grey.shape[1], grey.shape[0]
+    return cv2.warpAffine(
+        grey, np.array([[1, 0, dx], [0, 1.0, dy]]), size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+    )
+
+
+def scored(likelihood, before, now, x, parents):
+    parents = np.repeat(states(parents), len(np.atleast_2d(x)), axis=0)
+    return likelihood.score(likelihood.init(before, states([0, 0, 1.0])[0]), now, states(x), parents)[:, 0]
+
+
+place = st.floats(-60, 220, width=32)
+scale = st.one_of(st.floats(0.0, 3.0, width=32), st.sampled_from([1e-6, 1e3, -0.7]))
+
+
+@settings(max_examples=30)
+@given(
+    kind=st.sampled_from(DISTANCES),
+    boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=4),
+    parent=st.tuples(place, place, scale),
+    other=st.tuples(st.integers(0, 2), scale),
+    split=st.integers(0, 4),
+    size=st.tuples(st.floats(2, 200), st.floats(2, 200)),
+    grid=st.tuples(st.integers(1, 9), st.integers(1, 9)),
+    factor=st.sampled_from([1, 2, 8]),
+    picture=st.sampled_from([(1, 1), (1, 9), (7, 2), (37, 50), (96, 120)]),
+)
+def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size, grid, factor, picture):
+    rng = np.random.default_rng(picture[0] + factor)
+    whole = picture[1] * factor + 5 % factor, picture[0] * factor + 3 % factor
+    # in another place of the whole image than the one before, as a crop is
+    now, before = (rng.integers(0, 256, picture, dtype=np.uint8) for _ in range(2))
+    now_view, before_view = (0, 0, *whole), (2 * factor, 3 * factor, whole[0] + 2 * factor, whole[1] + 3 * factor)
+    x = np.array(boxes)
+    # rounding decides whether a point on the border lies within
+    for axis in (0, 1):
+        cells = size[axis] * ((np.arange(grid[axis]) + 0.5) / grid[axis] - 0.5)
+        rows = np.vstack([x, parent, np.add(parent, other[1] * (np.arange(3) == other[0]))])
+        borders = [-0.5, now_view[2 + axis] - 0.5, before_view[2 + axis] - 0.5]
+        points = rows[:, axis, None] + np.outer(rows[:, 2], cells)
+        assume(np.abs(points[..., None] - borders).min() > 1e-6)
+    # two parents that differ in one coordinate, with several children each
+    of = np.tile(parent, (len(x), 1))
+    of[split:, other[0]] += other[1]
+    out = np.full(len(x), np.nan)
+    how = (0.0 if kind == "l2" else 25.0), kind == "hausdorff", 1000.0
+    kernel.patch_distances(now, now_view, before, before_view, factor, x, of, size, *grid, *how, out)
+    for n in range(len(x)):
+        a = naive.patch(now, now_view, factor, x[n], size, *grid)
+        b = naive.patch(before, before_view, factor, of[n], size, *grid)
+        # float32 places a point to within 1e-5 pixels, over which grey levels differ by up to 255
+        assert out[n] == pytest.approx(naive.distance(a, b, kind, 25.0, 1000.0), rel=1e-3, abs=0.05)
+
+
+@pytest.mark.parametrize("kind", DISTANCES)
+def test_likelihood_is_the_formula_of_the_paper(kind):
+    before, now = grey(texture(0)), grey(texture(0) * 0.9 + 20)
+    likelihood = correlation(SIZE, kind, grid=(5, 4), sigma=60.0, saturation=15.0 if kind == "saturated_l1" else None)
+    x, parent = [[70.3, 50.2, 1.1], [20.0, 30.0, 0.5], [150.0, 60.0, 1.0]], [71.0, 49.0, 1.05]
+    factor = 8
+    assert likelihood.factor == factor, "40 / 5 pixels a step"
+    greys = [f.grey(factor, (0, 0, WIDTH, HEIGHT)) for f in (now, before)]
+    (a, b), view = [grey[0] for grey in greys], (0, 0, WIDTH, HEIGHT)
+    assert all(grey[1:] == (0, 0) for grey in greys)
+    for row, log_p in zip(x, scored(likelihood, before, now, x, parent), strict=True):
+        here = naive.patch(a, view, factor, row, SIZE, 5, 4)
+        there = naive.patch(b, view, factor, parent, SIZE, 5, 4)
+        outside = {"l2": OUTSIDE**2, "saturated_l1": 15.0, "hausdorff": OUTSIDE}[kind]
+        d = naive.distance(here, there, kind, 15.0, outside)
+        assert log_p == pytest.approx(-d / (2 * 60.0**2 if kind == "l2" else 60.0), rel=1e-3)
+
+
+def test_each_frame_takes_the_place_of_the_one_before():
+    frames = [grey(texture(0)), grey(texture(1)), grey(moved(texture(1), 2, 0))]
+    likelihood = correlation(SIZE)
+    x, x2 = states([[80.3, 60.1, 1.0], [75.2, 61.7, 0.83]]), states([[82.3, 60.1, 1.0], [77.2, 61.7, 0.83]])
+    learned = likelihood.init(frames[0], x[0])
+    np.testing.assert_array_equal(likelihood.score(learned, Frame(1, 0.0, frames[0].bgr), x, x), 0.0)
+    after = likelihood.learn(learned, frames[1], x[0])
+    assert after.frame is frames[1]
+    assert learned.frame is frames[0], "what was learned is a value"
+    assert likelihood.score(after, frames[2], x2, x).min() > likelihood.score(learned, frames[2], x2, x).max()
+
+
+@pytest.mark.parametrize("grid", [(16, 16), (60, 60)])
+def test_a_parent_is_looked_up_wherever_it_was(grid):
+    """Each frame is cut around the boxes that lie in it."""
+    still = texture(0, 500, 400)
+    before, now = grey(still), grey(moved(still, 2, 1))
+    likelihood = correlation((64.0, 64.0), grid=grid)
+    x, parent = [[420.0, 330.0, 1.0]], [60.0, 50.0, 1.4]
+    cut = scored(likelihood, before, now, x, parent)
+    whole = Frame(0, 0.0, before.bgr), Frame(1, 0.0, now.bgr)
+    for f in whole:
+        f.grey(likelihood.factor, (0, 0, 500, 400))
+    np.testing.assert_array_equal(cut, scored(likelihood, *whole, x, parent))
