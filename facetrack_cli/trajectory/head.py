@@ -308,47 +308,33 @@ RATES = dict.fromkeys(("horizontal", "vertical"), Rate(0.15, 0.07, 0.05, 0.12))
 RATES |= {"tilt": Rate(12.0, 5.0, 5.0, 0.2), "size": Rate(0.15, 0.07, 0.15, 0.3)}
 
 
-class Span(NamedTuple):
-    """Frames `first` to `last`, both within it, in which a target moved as `label` says."""
+@np.errstate(invalid="ignore", divide="ignore")
+def head_motion(parts: Sequence[Trajectory]) -> dict[str, list[tuple[int, int, str]]]:
+    """Of each kind that these parts of a target can tell its spans in the order of time: first frame, last, label.
 
-    kind: str
-    label: str
-    first: int
-    last: int
-
-
-class Pose(NamedTuple):
-    """How a target stands in each of T frames: `signals` (T,) of the kinds of RATES that can be told, nan where lost.
-
-    Only differences of their values mean something, and none across frames that `begins` marks.
+    A single point has neither angle nor size. `time_s` must be known and increase.
     """
-
-    frame: Whole
-    time_s: Array
-    signals: dict[str, Array]
-    begins: Mask
-
-
-def head_motion(parts: Sequence[Trajectory]) -> list[Span]:
-    """The spans of one target by the order of KINDS, then by time; `time_s` of its parts must be known and increase."""
-    pose = _pose(parts)
-    motions = [span for stretch in _stretches(pose) for span in _spans(pose, stretch)]
-    return sorted(motions, key=lambda span: (KINDS.index(span.kind), span.first))
+    frame, time_s, begins, signals = _signals(parts)
+    motions: dict[str, list[tuple[int, int, str]]] = {kind: [] for kind in KINDS if kind in signals or kind == "still"}
+    there = np.isfinite(signals["horizontal"] + signals["vertical"] + time_s)
+    for a, b in spans(there, (np.diff(time_s) > GAP_S) | begins[1:]):  # rows without a break, and not lost
+        if b - a > 2 and time_s[b - 1] - time_s[a] >= MIN_SPAN_S:
+            own = {kind: signal[a:b] for kind, signal in signals.items()}
+            for kind, first, last, label in _spans(time_s[a:b], own):
+                motions[kind].append((int(frame[a + first]), int(frame[a + last]), label))
+    return {kind: sorted(found) for kind, found in motions.items()}
 
 
-def kinds_of(parts: Sequence[Trajectory]) -> tuple[str, ...]:
-    """The kinds that can be measured of a target with these parts at all: a single point has neither angle nor size."""
-    signals = _pose(parts).signals
-    return tuple(kind for kind in KINDS if kind in signals or kind not in RATES)
+def _signals(parts: Sequence[Trajectory]) -> tuple[Whole, Array, Mask, dict[str, Array]]:
+    """(T,) frames, times, which rows begin again, and signals of the kinds of RATES that can be told, nan where lost.
 
-
-def _pose(parts: Sequence[Trajectory]) -> Pose:
-    """The signals of one target from its parts, which may have rows in different frames."""
+    Only differences of a signal's values mean something, and none across rows that begin again. Parts may have rows in
+    different frames.
+    """
     frame, columns = aligned([part.squared for part in parts], "x", "y", "w", "h", "angle", "status")
     seen = ~np.isin(columns.pop("status"), UNSEEN)
     x, y, w, h, angle = (np.where(seen, values, np.nan) for values in columns.values())
-    with np.errstate(invalid="ignore", divide="ignore"):
-        side = np.where((w > 0) & (h > 0), 0.5 * np.log(w * h), np.nan)
+    side = np.where((w > 0) & (h > 0), 0.5 * np.log(w * h), np.nan)
     if len(parts) == 1:
         sized = np.isfinite(side).any()
         size = side if sized and np.nanmax(side) > np.nanmin(side) else None
@@ -367,7 +353,7 @@ def _pose(parts: Sequence[Trajectory]) -> Pose:
         signals["tilt"] = _follow(departure, np.isfinite(departure))[0]
     if size is not None:
         signals["size"] = _follow(size, np.isfinite(size))[0]
-    return Pose(frame, joined(parts).times, signals, begins)
+    return frame, joined(parts).times, begins, signals
 
 
 def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
@@ -413,39 +399,23 @@ def _nanmedian(values: Array, axis: int) -> Array:
     return np.where(empty, np.nan, np.nanmedian(filled, axis=axis)) if filled.size else np.full(empty.shape, np.nan)
 
 
-def _stretches(pose: Pose) -> Iterator[Whole]:
-    """Rows without a break: not lost, no pause between them, long enough to say something of."""
-    rows = np.flatnonzero(np.isfinite(pose.signals["horizontal"] + pose.signals["vertical"] + pose.time_s))
-    if rows.size == 0:
-        return
-    broken = (np.diff(rows) > 1) | (np.diff(pose.time_s[rows]) > GAP_S) | pose.begins[rows[1:]]
-    for stretch in np.split(rows, 1 + np.flatnonzero(broken)):
-        if len(stretch) > 2 and pose.time_s[stretch[-1]] - pose.time_s[stretch[0]] >= MIN_SPAN_S:
-            yield stretch
-
-
-def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
-    """The spans of one stretch of rows, on a grid of equal steps in time."""
-    time_s = pose.time_s[rows]
+def _spans(time_s: Array, signals: Mapping[str, Array]) -> Iterator[tuple[str, int, int, str]]:
+    """Kind, first row, last, and label of the spans in rows without a break, on a grid of equal steps in time."""
     dt = float(np.median(np.diff(time_s)))
     grid = np.arange(time_s[0], time_s[-1] + dt / 2, dt)
 
-    def even(signal: Array) -> Array:
-        values = signal[rows]
-        finite = np.isfinite(values)  # of angle and size, pairs may be missing where points are not
-        return np.interp(grid, time_s[finite], values[finite]) if finite.any() else np.zeros(len(grid))
-
-    def of_kind(kind: str, label: str, begin: int, end: int) -> Iterator[Span]:
+    def of_kind(kind: str, label: str, begin: int, end: int) -> Iterator[tuple[str, int, int, str]]:
         # grid times are rounding errors away from the rows'; where rows are far apart, a span may hold none
         first = int(np.searchsorted(time_s, grid[begin] - dt / 4))
         after = int(np.searchsorted(time_s, grid[begin] + (end - begin - 0.25) * dt))
         if after > first:
-            yield Span(kind, label, int(pose.frame[rows[first]]), int(pose.frame[rows[after - 1]]))
+            yield kind, first, after - 1, label
 
     busy = np.zeros(len(grid), dtype=bool)
-    signals = {kind: even(signal) for kind, signal in pose.signals.items()}
     for kind, signal in signals.items():
-        for begin, end, label in _moving(signal, dt, RATES[kind], LABELS[kind]):
+        finite = np.isfinite(signal)  # of angle and size, pairs may be missing where points are not
+        even = np.interp(grid, time_s[finite], signal[finite]) if finite.any() else np.zeros(len(grid))
+        for begin, end, label in _moving(even, dt, RATES[kind], LABELS[kind]):
             busy[begin:end] = True
             yield from of_kind(kind, label, begin, end)
     for begin, end in spans(~busy):

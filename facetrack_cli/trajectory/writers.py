@@ -24,6 +24,9 @@ VERSION = 1
 Format: TypeAlias = Literal["csv", "json", "jsonl"]
 FORMATS: tuple[Format, ...] = ("csv", "json", "jsonl")
 Header: TypeAlias = Mapping[str, Any]  # JSON-ready: source, recipe, seed, init
+# what JSON says of a target, and of a part, in the order of its keys
+OF_TARGET = ("target", "particles", "identity", "identity_prob")
+OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", *SPREAD, "ess")
 
 
 @dataclass
@@ -145,14 +148,14 @@ def csv_frames(rows: Trajectory) -> Iterator[str]:
 
 def json_frames(rows: Trajectory) -> Iterator[str]:
     """The members of each frame's object; numbers have the digits of the CSV."""
-    for frame, which, cells in _frames(rows, (*_OF_TARGET, *_OF_PART, "time_s"), named=True):
+    for frame, which, cells in _frames(rows, (*OF_TARGET, *OF_PART, "time_s"), named=True):
         targets = []
         for target, group in groupby(zip(which, cells, strict=True), key=lambda row: rows.names[row[0]][0]):
             lines = [line for _, line in group]
-            head = list(filter(None, lines[0][: len(_OF_TARGET)]))
+            head = list(filter(None, lines[0][: len(OF_TARGET)]))
             if target in rows.diagnostics:
                 head += _reported(rows.diagnostics[target], frame)
-            parts = ["{" + ",".join(filter(None, line[len(_OF_TARGET) : -1])) + "}" for line in lines]
+            parts = ["{" + ",".join(filter(None, line[len(OF_TARGET) : -1])) + "}" for line in lines]
             targets.append("{" + ",".join(head) + ',"parts":[' + ",".join(parts) + "]}")
         time_s = cells[0][-1] or '"time_s":null'
         yield f'"frame":{frame},{time_s},"targets":[{",".join(targets)}]'
@@ -260,8 +263,6 @@ def _quoted(text: str) -> str:
 
 
 _key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
-_OF_TARGET = ("target", "particles", "identity", "identity_prob")
-_OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", *SPREAD, "ess")
 _SPECS = {"frame": ".0f", "particles": ".0f", **{name: f".{decimals}f" for name, decimals in DECIMALS.items()}}
 
 _BLOCK = 1_000  # frames that become text at a time

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from facetrack_cli.trajectory.head import KINDS, head_motion, kinds_of
+from facetrack_cli.trajectory.head import KINDS, head_motion
 from facetrack_cli.trajectory.trajectory import one_part
 
 POINTS = {"nose": (0, -30), "mouth_left": (-25, 8), "mouth_right": (25, 8), "lip_upper": (0, 0), "lip_lower": (0, 15)}
@@ -39,7 +39,10 @@ def box(time_s, x=0.0, y=0.0, side=100.0, noise=0.0, seed=0, **columns):
 
 
 def labels(parts, kind=None):
-    return [span.label for span in head_motion(parts) if span.label != "still" and kind in (None, span.kind)]
+    spans = sorted(
+        span for of, found in head_motion(parts).items() if of != "still" and kind in (None, of) for span in found
+    )
+    return [label for *_, label in spans]
 
 
 def clock(seconds, fps=25.0):
@@ -66,8 +69,8 @@ def test_noise_that_lasts_over_frames_gives_nothing():
 
 @MAKE
 def test_what_stands_still_is_still_throughout(make):
-    (span,) = head_motion(make(clock(10), noise=1.0))
-    assert span == ("still", "still", 0, 249)
+    moved = head_motion(make(clock(10), noise=1.0))
+    assert moved.pop("still") == [(0, 249, "still")] and not any(moved.values())
 
 
 @MAKE
@@ -77,9 +80,10 @@ def test_what_stands_still_is_still_throughout(make):
 def test_a_slow_pan_has_its_direction(make, axis, speed, label):
     t = clock(8)
     pan = speed * np.clip(t - 3, 0, 2)
-    spans = [s for s in head_motion(make(t, **{axis: pan}, noise=0.7)) if s.kind != "still"]
-    assert [s.label for s in spans] == [label]
-    assert spans[0].first / 25 == pytest.approx(3, abs=0.25) and spans[0].last / 25 == pytest.approx(5, abs=0.25)
+    parts = make(t, **{axis: pan}, noise=0.7)
+    assert labels(parts) == [label]
+    [(first, last, _)] = head_motion(parts)["horizontal" if axis == "x" else "vertical"]
+    assert first / 25 == pytest.approx(3, abs=0.25) and last / 25 == pytest.approx(5, abs=0.25)
 
 
 def test_tilt_turns_as_seen_in_the_picture_and_may_pass_180_degrees():
@@ -89,7 +93,7 @@ def test_tilt_turns_as_seen_in_the_picture_and_may_pass_180_degrees():
         assert labels(points(t, degrees=rate * turn, noise=0.5)) == [label]
     of_box = box(t, angle=(170 + 30 * turn + 180) % 360 - 180)
     assert labels(of_box) == ["clockwise"]
-    assert "tilt" in kinds_of(of_box) and "tilt" not in kinds_of(box(t))
+    assert "tilt" in head_motion(of_box) and "tilt" not in head_motion(box(t))
 
 
 @MAKE
@@ -118,15 +122,15 @@ def test_nothing_is_said_of_what_is_lost():
     t = clock(10)
     gone = dict.fromkeys(POINTS, slice(100, 150))
     rush = 2.0 * np.clip(t - 4.4, 0, 1)
-    spans = head_motion(points(t, x=rush, lost=gone))
-    assert [(s.label, s.first, s.last) for s in spans] == [("still", 0, 99), ("still", 150, 249)]
+    moved = head_motion(points(t, x=rush, lost=gone))
+    assert moved.pop("still") == [(0, 99, "still"), (150, 249, "still")] and not any(moved.values())
 
 
 def test_times_count_not_frames():
     """A clip of half the frames while it pans: the same span in seconds."""
     t = np.concatenate([np.arange(0, 3, 0.04), np.arange(3, 5, 0.08), np.arange(5, 8, 0.04)])
-    (span,) = [s for s in head_motion(points(t, x=0.3 * np.clip(t - 3, 0, 2))) if s.kind == "horizontal"]
-    assert t[span.first] == pytest.approx(3, abs=0.25) and t[span.last] == pytest.approx(5, abs=0.25)
+    [(first, last, _)] = head_motion(points(t, x=0.3 * np.clip(t - 3, 0, 2)))["horizontal"]
+    assert t[first] == pytest.approx(3, abs=0.25) and t[last] == pytest.approx(5, abs=0.25)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -136,23 +140,22 @@ def test_spans_of_a_kind_never_overlap(seed):
     t = clock(20)
     x, y = np.cumsum(rng.normal(0, 0.04, (2, len(t))), axis=1) + 0.1 * np.sin(rng.uniform(5, 25, (2, 1)) * t)
     lost = {name: rng.random(len(t)) < 0.05 for name in POINTS}
-    spans = head_motion(points(t, x=x, y=y, degrees=20 * np.sin(3 * t), scale=np.exp(0.3 * np.sin(2 * t)), lost=lost))
-    assert len(spans) > 5
-    for kind in KINDS:
-        mine = [span for span in spans if span.kind == kind]
-        assert all(one.last < other.first for one, other in pairwise(mine))
-        assert all(0 <= one.first <= one.last < len(t) for one in mine)
+    moved = head_motion(points(t, x=x, y=y, degrees=20 * np.sin(3 * t), scale=np.exp(0.3 * np.sin(2 * t)), lost=lost))
+    assert tuple(moved) == KINDS and sum(map(len, moved.values())) > 5
+    for spans in moved.values():
+        assert all(one[1] < other[0] for one, other in pairwise(spans))
+        assert all(0 <= first <= last < len(t) for first, last, _ in spans)
 
 
 def test_a_single_point_has_neither_tilt_nor_size_nor_speed():
     t = clock(6)
     point = [one_part("face", "nose", np.arange(len(t)), time_s=t, x=200 + 40 * np.clip(t - 2, 0, 1), y=t * 0)]
-    assert kinds_of(point) == ("horizontal", "vertical", "still")
-    assert head_motion(point) == []  # without a size, nobody knows how fast it is
+    # without a size, nobody knows how fast it is
+    assert head_motion(point) == {"horizontal": [], "vertical": [], "still": []}
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3])
 def test_few_rows_are_survived(rows):
     t = clock(10)[:rows]
-    assert head_motion(points(t)) == [] and head_motion(box(t)) == []
-    assert head_motion([part.take(slice(0, 0)) for part in points(t)]) == []
+    for parts in (points(t), box(t), [part.take(slice(0, 0)) for part in points(t)]):
+        assert not any(head_motion(parts).values())

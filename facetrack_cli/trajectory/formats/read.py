@@ -86,7 +86,7 @@ def recognise(path: Path) -> tuple[Path, str]:
         files = f"trajectory.csv, {', '.join(named)} or .pts files"
         raise InputError(f"{path}: is a folder without {files}; name the ground truth file")
     by_name = {".pts": "pts", ".bin": "vot"}.get(path.suffix.lower())
-    return path, by_name or _shape(Lines.with_frame(path))
+    return path, by_name or _shape(Lines.of(path))
 
 
 def _shape(lines: Lines) -> str:
@@ -98,7 +98,7 @@ def _shape(lines: Lines) -> str:
         return "cvat"
     if first.lower().startswith("version:"):
         return "pts"
-    cells = [cell.strip() for cell in first.split(delimiter(first))]
+    cells = [cell.strip() for cell in first.split(delimiter([first]))]
     count = len(cells)
     if cells[0][:1] in ("m", "M") and _is_number(cells[0][1:]):  # a mask
         return "vot"
