@@ -33,7 +33,7 @@ belong to a mouth also changes when it opens wide. Nods and shakes are told by t
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -339,7 +339,7 @@ def _signals(parts: Sequence[Trajectory]) -> tuple[Whole, Array, Mask, dict[str,
         sized = np.isfinite(side).any()
         size = side if sized and np.nanmax(side) > np.nanmin(side) else None
         turn = np.exp(1j * np.radians(angle)) if np.isfinite(angle).any() else None
-        unit = float(np.exp(np.nanmedian(side))) if sized else np.nan
+        unit = float(np.exp(nanmedian(side)))
     else:
         size, turn, unit = _of_pairs(np.stack([x, y], axis=2))
     if not unit > 0:  # nothing tells how large it is
@@ -365,7 +365,7 @@ def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
         first, second = np.arange(k), (np.arange(k) + k // 2) % k
     apart = xy[:, second] - xy[:, first]
     length = np.hypot(apart[..., 0], apart[..., 1])
-    typical = _nanmedian(length, axis=0)
+    typical = nanmedian(length, axis=0)
     largest = float(np.nanmax(typical)) if np.isfinite(typical).any() else np.nan
     far = typical >= 0.5 * largest  # directions between points close together are mostly noise
     apart, length = np.nan_to_num(apart[:, far]), np.where(length[:, far] > 0, length[:, far], np.nan)
@@ -380,22 +380,23 @@ def _follow(values: Array, good: Mask) -> tuple[Array, Mask]:
     that comes or goes makes none. Also whether each row begins again: it shares no good column with the row before.
     """
     values = np.where(good, values, np.nan)
-    departure = values - _nanmedian(values, axis=0)
-    level = _nanmedian(departure, axis=1)
+    departure = values - nanmedian(values, axis=0)
+    level = nanmedian(departure, axis=1)
     step = np.diff(level, prepend=np.nan)
     both = good[1:] & good[:-1]
     changed = 1 + np.flatnonzero((good[1:] != good[:-1]).any(axis=1) & both.any(axis=1))
     steps = np.where(both, np.diff(values, axis=0), np.nan)
-    step[changed] = _nanmedian(steps[changed - 1], axis=1)
+    step[changed] = nanmedian(steps[changed - 1], axis=1)
     begins = np.concatenate([[True], ~both.any(axis=1)])[: len(values)]
     step[begins] = 0.0  # each stretch is relative to its first row
     return np.where(good.any(axis=1), np.cumsum(np.nan_to_num(step)), np.nan), begins
 
 
-def _nanmedian(values: Array, axis: int) -> Array:
-    """numpy's nanmedian, nan without a warning where there is nothing."""
-    empty = ~np.isfinite(values).any(axis=axis)
-    filled = np.where(np.expand_dims(empty, axis), 0.0, values)
+def nanmedian(values: Array, axis: int | None = None) -> Any:
+    """The median of what is finite; nan, without a warning, where nothing is."""
+    finite = np.isfinite(values)
+    empty = ~finite.any(axis=axis)
+    filled = np.where(finite, values, np.where(finite.any(axis=axis, keepdims=True), np.nan, 0.0))
     return np.where(empty, np.nan, np.nanmedian(filled, axis=axis)) if filled.size else np.full(empty.shape, np.nan)
 
 

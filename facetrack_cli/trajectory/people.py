@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Final, Literal, TypeAlias
 
@@ -88,12 +87,11 @@ class People(_Record):
     @model_validator(mode="after")
     def _whole(self) -> People:
         spans = [span for person in self.people for span in person.intervals]
-        if any(first >= stop for first, stop in [*spans, *((track.first, track.stop) for track in self.tracks)]):
-            raise ValueError("a track or an interval has no frame")
-        if any(len(person.times) != len(person.intervals) for person in self.people):
-            raise ValueError("its times are not those of its intervals")
-        if sorted(self.names) != sorted({track.person for track in self.tracks}):
-            raise ValueError("its people are not those of its tracks, each once")
+        spans += [(track.first, track.stop) for track in self.tracks]
+        timed = all(len(person.times) == len(person.intervals) for person in self.people)
+        same = sorted(self.names) == sorted({track.person for track in self.tracks})
+        if not (all(first < stop for first, stop in spans) and timed and same):
+            raise ValueError("its people, tracks, intervals and times do not fit together")
         return self
 
     @property
@@ -108,15 +106,6 @@ class People(_Record):
 
     def text(self) -> bytes:
         return self.model_dump_json(indent=1).encode() + b"\n"
-
-    def seconds_together(self) -> Mapping[tuple[str, str], float]:
-        """How long two people are on the screen at the same time, where they ever are."""
-        together: dict[tuple[str, str], float] = {}
-        for a, b in combinations(self.people, 2):
-            seconds = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in a.times for y in b.times)
-            if seconds:
-                together[a.name, b.name] = round(seconds, 3)
-        return together
 
 
 def read_people(path: Path) -> People | None:
