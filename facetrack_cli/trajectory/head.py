@@ -137,23 +137,20 @@ def fit_pose(
     rows = np.flatnonzero(_deep(shape, seen))
     if rows.size:
         points = np.where(seen[rows, :, None], xy[rows], 0.0), cov[rows], seen[rows], shape, spread
-        rotation = _begin(points[0], seen[rows], shape)
-        mirrored = _completed(rotation[:, :2] * np.array([1, 1, -1]))  # the depth of all points reversed
-        first, other = _refined(rotation, *points), _refined(mirrored, *points)
+        start = _begin(points[0], seen[rows], shape)
+        # and with the depth of all points reversed
+        first, other = (_refined(euler(_completed(start * (1, 1, sign))), *points) for sign in (1, -1))
         better = other.cost < first.cost
-        best = _Fit(
-            *(np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a) for a, b in zip(first, other, strict=True))
-        )
-        cosine = (np.einsum("tij,tij->t", first.rotation, other.rotation) - 1) / 2
+        chosen = better.astype(int), np.arange(len(rows))
+        best = _Fit(*(np.stack(both)[chosen] for both in zip(first, other, strict=True)))
+        cosine = (np.einsum("tij,tij->t", rotation_of(first.angles), rotation_of(other.angles)) - 1) / 2
         turned = np.arccos(np.clip(cosine, -1, 1))
         ambiguous[rows] = (np.abs(first.cost - other.cost) < HARDLY) & (turned > np.radians(5))
-        radians = euler(best.rotation)
-        inverse = np.linalg.inv(_spins(radians))[:, None]
-        spread_ = np.degrees(np.degrees(inverse @ best.cov[..., :3, :3] @ inverse.swapaxes(2, 3)))
-        clear = np.diagonal(spread_[:, 0], axis1=1, axis2=2).max(axis=1) < MAX_SPREAD_DEG**2
+        spreads = np.degrees(np.degrees(best.cov[..., :3, :3]))
+        clear = np.diagonal(spreads[:, 0], axis1=1, axis2=2).max(axis=1) < MAX_SPREAD_DEG**2
         ambiguous[rows] &= clear
         rows, best = rows[clear], _Fit(*(values[clear] for values in best))
-        angles[rows], covariance[rows] = np.degrees(radians[clear]), spread_[clear]
+        angles[rows], covariance[rows] = np.degrees(euler(rotation_of(best.angles))), spreads[clear]
         scale[rows], origin[rows] = best.scale, best.origin
     return angles, covariance[:, 0], scale, origin, ambiguous, covariance[:, 1]
 
@@ -177,26 +174,30 @@ def euler(rotation: Array) -> Array:
 
 
 class _Fit(NamedTuple):
-    """Of T frames; `cov` (T, 2, 6, 6), all and of points alone, of a rotation about the camera's axes, log s and t."""
+    """Of T frames; `cov` (T, 2, 6, 6), all and of points alone, of pitch, yaw and roll (radians), log s and t."""
 
-    rotation: Array
+    angles: Array
     scale: Array
     origin: Array
     cov: Array
     cost: Array
 
 
-def _refined(rotation: Array, xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array) -> _Fit:
-    """The least squares near a rotation (T, 3, 3); the weights are those of the rotation that is reached."""
+def _refined(angles: Array, xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array) -> _Fit:
+    """The least squares near angles (T, 3) in radians; the weights are those of the angles that are reached."""
     weight = seen[..., None, None]
-    flat = rotation @ shape.T
+    flat = rotation_of(angles) @ shape.T
     scale, origin = _placed(flat[:, :2].swapaxes(1, 2), xy, seen)
     for _ in range(STEPS):
+        rotation = rotation_of(angles)
         turned = np.einsum("tij,kj->tki", rotation, shape)
         axes = rotation[:, None, :2] * spread[None, :, None]  # (T, K, 2, 3)
         precision = weight * np.linalg.inv(cov + (scale**2)[:, None, None, None] * (axes @ axes.swapaxes(2, 3)))
         residual = xy - scale[:, None, None] * turned[..., :2] - origin[:, None]
-        jacobian = _jacobian(turned, scale)
+        # (T, K, 2, 6): how the points move with pitch, yaw and roll, with log s and with t
+        ways = np.concatenate([np.cross(_axes(angles)[:, None], turned[:, :, None]), turned[:, :, None]], axis=2)
+        steps = scale[:, None, None, None] * ways[..., :2].swapaxes(2, 3)
+        jacobian = np.concatenate([steps, np.broadcast_to(np.eye(2), cov.shape)], axis=3)
         weighed = precision @ jacobian
         normal = np.einsum("tkia,tkib->tab", jacobian, weighed)
         slope = np.einsum("tkia,tki->ta", weighed, residual)
@@ -205,7 +206,7 @@ def _refined(rotation: Array, xy: Array, cov: Array, seen: Mask, shape: Array, s
         normal += 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(6)  # points that are one point
         step = np.linalg.solve(normal, slope[..., None])[..., 0]
         step *= np.minimum(1, 0.5 / np.maximum(np.linalg.norm(step[:, :4], axis=1), 1e-9))[:, None]
-        rotation = _turn(step[:, :3]) @ rotation
+        angles = angles + step[:, :3]
         scale, origin = scale * np.exp(step[:, 3]), origin + step[:, 4:]
         if np.abs(step[:, :4]).max() < 1e-7:
             break
@@ -213,25 +214,18 @@ def _refined(rotation: Array, xy: Array, cov: Array, seen: Mask, shape: Array, s
     cost = cost - np.where(seen, np.log(np.where(seen, np.linalg.det(precision), 1.0)), 0.0).sum(axis=1)
     inverse = np.linalg.inv(normal)
     own = inverse @ np.einsum("tkia,tkib->tab", weighed, cov @ weighed) @ inverse
-    return _Fit(rotation, scale, origin, np.stack([inverse, own], axis=1), cost)
-
-
-def _jacobian(turned: Array, scale: Array) -> Array:
-    """(T, K, 2, 6): how the points move with a rotation about the camera's axes, with log s and with t."""
-    x, y, z = np.moveaxis(turned, -1, 0) * scale[:, None]
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    return np.stack([np.stack([zero, z, -y, x, one, zero], -1), np.stack([-z, zero, x, y, zero, one], -1)], axis=-2)
+    return _Fit(angles, scale, origin, np.stack([inverse, own], axis=1), cost)
 
 
 def _begin(xy: Array, seen: Mask, shape: Array) -> Array:
-    """(T, 3, 3) the rotation nearest to the affine map of least squares, all points weighed alike."""
+    """(T, 2, 3) the rotation nearest to the affine map of least squares, all points weighed alike: its first rows."""
     weight = seen[..., None].astype(np.float64)
     count = weight.sum(axis=1)
     centred = weight * (shape - (weight * shape).sum(axis=1, keepdims=True) / count[:, None])
     moved = weight * (xy - (weight * xy).sum(axis=1, keepdims=True) / count[:, None])
     affine = moved.swapaxes(1, 2) @ np.linalg.pinv(centred.swapaxes(1, 2))
     u, _, v = np.linalg.svd(affine, full_matrices=False)
-    return _completed(u @ v)
+    return np.asarray(u @ v)
 
 
 def _placed(flat: Array, xy: Array, seen: Mask) -> tuple[Array, Array]:
@@ -249,22 +243,12 @@ def _completed(rows: Array) -> Array:
     return np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
 
 
-def _turn(by: Array) -> Array:
-    """(T, 3, 3) rotations by vectors (T, 3) (Rodrigues)."""
-    angle = np.linalg.norm(by, axis=1)[:, None, None]
-    x, y, z = by.T
-    zero = np.zeros_like(x)
-    cross = np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], axis=1)
-    whole, half = np.sinc(angle / np.pi), np.sinc(angle / 2 / np.pi)
-    return np.asarray(np.eye(3) + whole * cross + 0.5 * half**2 * (cross @ cross))
-
-
-def _spins(angles: Array) -> Array:
-    """(T, 3, 3): the rotation about the camera's axes that a change of pitch, yaw and roll makes, for each a column."""
+def _axes(angles: Array) -> Array:
+    """(T, 3, 3): for each of pitch, yaw and roll the axis, in the camera's, about which its change turns the head."""
     (pitch, yaw, _), zero = angles.T, np.zeros(len(angles))
     about_y = np.stack([zero, np.cos(pitch), np.sin(pitch)], -1)
     about_z = np.stack([np.sin(yaw), -np.sin(pitch) * np.cos(yaw), np.cos(pitch) * np.cos(yaw)], -1)
-    return np.stack([np.stack([zero + 1, zero, zero], -1), about_y, about_z], axis=-1)
+    return np.stack([np.stack([zero + 1, zero, zero], -1), about_y, about_z], axis=1)
 
 
 def _deep(shape: Array, seen: Mask) -> Mask:

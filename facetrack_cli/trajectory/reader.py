@@ -18,7 +18,7 @@ import pydantic
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.files import MAX_TABLE_BYTES, check_readable
 from facetrack_cli.core.types import Correction, Start, TargetStart, checked_name
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
@@ -64,18 +64,14 @@ def read_trajectory(path: Path | str) -> Trajectory:
     ------
     InputError : with the line where there is one, for a file that is none of them.
     """
-    path = Path(path)
+    path = table_in(Path(path))
     try:
-        path = table_in(path)
-        if not path.is_dir():
-            check_readable(path, MAX_TABLE_BYTES, "table of rows")
-        return read_table(path)
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder without a trajectory.csv or .json; name the file") from None
+        with reading(path, "name a trajectory or ground-truth file, or the folder of a run"):
+            if not path.is_dir():
+                check_readable(path, MAX_TABLE_BYTES, "table of rows")
+            return read_table(path)
     except UnicodeDecodeError as e:
         raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is CSV or JSON in UTF-8") from e
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
 
 
 def table_in(path: Path) -> Path:

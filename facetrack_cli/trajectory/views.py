@@ -77,11 +77,9 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     frame, columns = aligned(parts, "x", "y", "w", "h", "confidence", "status", "by_hand")
     x, y, w, h, confidence, status, by_hand = columns.values()
     left, top = x - (w - 1) / 2, y - (h - 1) / 2
-    finite = np.isfinite(left + top + w + h)
-    low = [np.where(finite, edge, np.inf).min(axis=1) for edge in (left, top)]
-    high = [np.where(finite, edge, -np.inf).max(axis=1) for edge in (left + w, top + h)]
-    left, top, right, bottom = (np.where(finite.any(axis=1), edge, np.nan) for edge in (*low, *high))
-    w, h = right - left, bottom - top
+    edges = np.where(np.isfinite(left + top + w + h), [left, top, left + w, top + h], np.nan)
+    left, top = np.fmin.reduce(edges[:2], axis=2)
+    w, h = np.fmax.reduce(edges[2:], axis=2) - (left, top)
     place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h, "confidence": mean(confidence)}
     about = {"status": _together(status), "by_hand": by_hand.any(axis=1), "time_s": joined(parts).times}
     return one_part(target, BOX, frame, **place, **about)

@@ -122,12 +122,10 @@ class Writer:
 
 def tail(form: Format, summary: RunSummary, frames: int) -> str:
     """How a file of so many frames ends."""
-    foot: dict[str, Any] = {"complete": summary.complete}
-    foot |= {"stopped": summary.stopped} if summary.stopped else {}
-    foot |= {"frames_tracked": frames, "variable_fps": summary.variable_fps}
-    foot |= {"lost_frames": dict(summary.lost_frames), "warnings": list(summary.warnings)}
-    foot |= {"evidence": {name: round(nats, 4) for name, nats in summary.evidence.items()}}
-    foot |= {"source_sha256": summary.source_sha256} if summary.source_sha256 else {}
+    evidence = {name: round(nats, 4) for name, nats in summary.evidence.items()}
+    whole = {"frames_tracked": frames, **vars(summary), "evidence": evidence}
+    names = ("complete", "stopped", "frames_tracked", *FOOTER[2:])
+    foot = {name: whole[name] for name in names if whole[name] or name not in ("stopped", "source_sha256")}
     if form == "json":
         return "\n],\n" + ",\n".join(_members(foot)) + "\n}\n"
     return "" if form == "csv" else dumps({"type": "footer", **foot}) + "\n"

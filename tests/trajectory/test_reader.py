@@ -84,7 +84,7 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, text, message):
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(InputError, match=r"none\.csv: cannot be read: No such file"):
         read_trajectory(tmp_path / "none.csv")
-    with pytest.raises(InputError, match=r"is a folder without a trajectory\.csv or \.json; name the file"):
+    with pytest.raises(InputError, match="cannot be read: Is a directory; name a trajectory or"):
         read_trajectory(tmp_path)
 
 

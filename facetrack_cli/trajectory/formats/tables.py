@@ -19,7 +19,7 @@ from datetime import datetime
 from functools import partial
 from html import escape
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -248,7 +248,6 @@ def write_boris(clips: Sequence[Clip], written: datetime) -> str:
 
 
 _WIDTH, _HEIGHT, _MEANS = 160, 24, 80  # of a line of confidence: pixels, and means that it shows
-_SHOWN: Final = 20  # rows of the table in a notebook
 
 
 def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"], *, measures: bool) -> DataFrame:
@@ -323,26 +322,21 @@ def html_table(table: Trajectory) -> str:
     """A small table: of each target its parts, frames, the share of rows that are seen, its events, and confidence."""
     events = Counter((event.target, event.value) for event in table.events)
     lines = []
-    for target in table.targets[:_SHOWN]:
+    for target in table.targets:
         parts = table.of_target(target)
         seen = np.concatenate([np.isin(part.status, SEEN) for part in parts])
         said = ", ".join(f"{n} {value}" for (of, value), n in sorted(events.items()) if of == target)
         share = f"{seen.mean():.0%}" if seen.size else ""
         cells = target or "-", len(parts), len(parts[0]), share, said, _confidence_line(parts[0].confidence)
         lines.append("<tr>" + "".join(f"<td>{td if i == 5 else escape(str(td))}</td>" for i, td in enumerate(cells)))
-    if (more := len(table.targets) - _SHOWN) > 0:
-        lines.append(f"<tr><td>and {more} more")
     heads = "".join(f"<th>{head}" for head in ("target", "parts", "frames", "seen", "events", "confidence"))
     return f"<table><tr>{heads}{''.join(lines)}</table>"
 
 
 def _confidence_line(values: Array) -> str:
     """Values from 0 to 1 over time as a picture."""
-    finite = np.nan_to_num(values)
-    if not len(finite):
-        return ""
-    means = [float(share.mean()) for share in np.array_split(finite, min(_MEANS, len(finite)))]
-    x = np.linspace(0, _WIDTH, len(means)) if len(means) > 1 else [_WIDTH / 2]
+    means = [float(share.mean()) for share in np.array_split(np.nan_to_num(values), _MEANS) if len(share)]
+    x = np.linspace(0, _WIDTH, len(means)).tolist()
     points = " ".join(f"{a:.1f},{_HEIGHT - 1 - v * (_HEIGHT - 2):.1f}" for a, v in zip(x, means, strict=True))
     line = f'<polyline points="{points}" fill="none" stroke="currentColor"/>'
     return f'<svg width="{_WIDTH}" height="{_HEIGHT}" role="img" aria-label="confidence over time">{line}</svg>'
