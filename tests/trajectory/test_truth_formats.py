@@ -109,7 +109,7 @@ def test_shift_is_added_to_every_frame(tmp_path, form):
         ("auto", b"1,2,3,4\n\xff\xfe", ":2: is not UTF-8 text; save it as UTF-8"),
         ("auto", "1,2,3,4\n".encode("utf-16"), "is not UTF-8 text; save it as UTF-8"),
         ("auto", "frame;x;y;w;h\n", ":1: 'frame;x;y;w;h' begins no ground truth.*; commas stand between columns"),
-        ("auto", "1,2,3\n", ":1: 3 values a line"),
+        ("auto", "1,2,3\n", ":1: '1,2,3' begins no ground truth"),
         ("auto", "1,5 2,5 3,5 4,5\n", ":1: .* decimals have a point"),
         ("auto", "1,2,3,4\n5,6,7\n", ":2: '5,6,7' is no line of left,top,width,height"),
         ("auto", "1,2,3,4\n1 2 3 4\n", ":2: '1 2 3 4' is no line of"),

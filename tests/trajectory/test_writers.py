@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import StreamSink, temporary_path
+from facetrack_cli.core.files import temporary_path
 from facetrack_cli.trajectory import reader
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, Trajectory, one_part
@@ -186,7 +186,7 @@ def test_json_is_one_object_with_a_line_a_frame(tmp_path):
         assert (data["warnings"], data["lost_frames"]) == (["cut"], {"face/lip": 2})
 
 
-# --- files and streams ---
+# --- files ---
 
 
 def test_a_file_appears_when_it_is_whole_or_not_at_all(tmp_path):
@@ -232,17 +232,3 @@ def test_a_full_disk_keeps_whole_frames(tmp_path, monkeypatch, form, room):
         indices = [frame["frame"] for frame in (records[1:-1] if records else data["frames"])]
         assert (data["complete"], data["frames_tracked"]) == (False, len(indices))
     assert indices == list(range(len(indices)))
-
-
-def test_a_stream_that_is_full_or_closed():
-    class Stream(io.BytesIO):
-        def __init__(self, error):
-            self.error = error
-
-        def write(self, data):
-            raise self.error
-
-    with pytest.raises(OutputError, match=r"standard output: the disk is full"):
-        StreamSink(Stream(OSError(errno.ENOSPC, "No space left on device"))).write("x")
-    with pytest.raises(BrokenPipeError):
-        StreamSink(Stream(BrokenPipeError())).write("x")
