@@ -8,7 +8,6 @@ face.TextGrid.
 
 import contextlib
 import json
-import math
 import os
 import shutil
 import sys
@@ -103,25 +102,13 @@ def coco(path):
     }
 
 
-def dlc(path, header):
-    """As DeepLabCut reads its own CSV."""
-    table = pd.read_csv(path, header=header, index_col=0)
+def dlc(table):
+    """A table of DeepLabCut."""
     return {
         "names": list(table.columns.names),
         "columns": [list(column) for column in table.columns],
         "index": table.index.tolist(),
         "kinds": sorted({str(kind) for kind in table.dtypes}),
-        "values": table.to_numpy().tolist(),
-    }
-
-
-def dlc_h5(path):
-    """As DeepLabCut reads its own HDF5."""
-    table = pd.read_hdf(path, key="df_with_missing")
-    return {
-        "names": list(table.columns.names),
-        "columns": [list(column) for column in table.columns],
-        "index": table.index.tolist(),
         "values": table.to_numpy().tolist(),
     }
 
@@ -190,15 +177,6 @@ def textgrid(path):
     return {tier.name: tier.get_all_intervals() for tier in pympi.Praat.TextGrid(str(path)).get_tiers()}
 
 
-def plain(value):
-    """Without NaN, which JSON has no word for: null."""
-    if isinstance(value, dict):
-        return {key: plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
 def main():
     folder = Path(sys.argv[1])
     found = {
@@ -210,10 +188,11 @@ def main():
         "got10k": boxes(folder / "track.got10k.txt"),
         "vot": vot(folder / "track.vot.txt"),
         "coco": coco(folder / "track.coco.json"),
-        "dlc": dlc(folder / "track.dlc.csv", [0, 1, 2]),
-        "dlc_of_two": dlc(folder / "two.dlc.csv", [0, 1, 2, 3]),
-        "dlc_h5": dlc_h5(folder / "track.dlc.h5"),
-        "dlc_h5_of_two": dlc_h5(folder / "two.dlc.h5"),
+        # as DeepLabCut reads its own files
+        "dlc": dlc(pd.read_csv(folder / "track.dlc.csv", header=[0, 1, 2], index_col=0)),
+        "dlc_of_two": dlc(pd.read_csv(folder / "two.dlc.csv", header=[0, 1, 2, 3], index_col=0)),
+        "dlc_h5": dlc(pd.read_hdf(folder / "track.dlc.h5", key="df_with_missing")),
+        "dlc_h5_of_two": dlc(pd.read_hdf(folder / "two.dlc.h5", key="df_with_missing")),
         "wide": wide(folder / "track.wide.csv"),
         "openface": openface(folder / "track.openface.csv"),
         "eaf": eaf(folder / "track.eaf"),
@@ -221,7 +200,7 @@ def main():
         "session": eaf(folder / "session.eaf"),
         "textgrid": textgrid(folder / "face.TextGrid"),
     }
-    sys.stdout.write(json.dumps(plain(found)))
+    sys.stdout.write(json.dumps(found))
 
 
 if __name__ == "__main__":
