@@ -328,9 +328,10 @@ class StartRecord(BaseModel):
 
 def to_record(start: Start) -> dict[str, Any]:
     """What `StartRecord` reads, for JSON; members without a value are left out."""
-    targets = {}
-    for name, target in start.targets.items():
-        targets[name] = _members(box=target.box, points=dict(target.points), windows=dict(target.windows))
+    targets = {
+        name: _members(box=target.box, points=dict(target.points), windows=dict(target.windows))
+        for name, target in start.targets.items()
+    }
     measured = _members(detector=start.detector, placed=start.placed)
     return {"frame": start.frame, "targets": targets, **measured, **corrections_record(start.corrections)}
 

@@ -103,10 +103,8 @@ def _together(status: Texts) -> list[str]:
     for row in status.tolist():
         states = set(filter(None, row))
         of_tracker = bool(states & {"tracked", "init", "lost"})
-        if of_tracker:
-            states.discard("absent")
-        if states == {*UNSEEN}:
-            states.discard("lost")
+        states -= {"absent"} if of_tracker else set()
+        states = {"hidden"} if states == {*UNSEEN} else states
         together.append(states.pop() if len(states) == 1 else "tracked" if of_tracker else "visible" if states else "")
     return together
 

@@ -107,14 +107,11 @@ class Writer:
 
     def write(self, rows: Trajectory) -> None:
         for frame in csv_frames(rows) if self._form == "csv" else json_frames(rows):
-            if self._form == "csv":
-                self._sink.write(frame)
-            elif self._form == "json":
+            record = frame if self._form == "csv" else '{"type":"frame",' + frame + "}\n"
+            if self._form == "json":
                 # the comma goes with the record that follows it: a file cut back to whole records still closes
-                self._sink.write(self._between + "{" + frame + "}")
-                self._between = ",\n"
-            else:
-                self._sink.write('{"type":"frame",' + frame + "}\n")
+                record, self._between = self._between + "{" + frame + "}", ",\n"
+            self._sink.write(record)
 
     def close(self, summary: RunSummary) -> None:
         self._sink.finish(lambda records: tail(self._form, summary, records - 1))

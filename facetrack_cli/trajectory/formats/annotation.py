@@ -275,24 +275,19 @@ def _frames_of(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:
     return numbers, frames[first]
 
 
-class _Place(NamedTuple):
-    """A rectangle in a frame of Label Studio, in percent of the image."""
-
-    frame: int
-    enabled: bool
-    auto: bool
-    time: float | None
-    sides: tuple[float, ...]
-    rotation: float
-
-
-def _place(record: Mapping[str, Any]) -> _Place:
-    """Raises KeyError, TypeError or ValueError for what is none."""
+def _rectangle(where: str, record: Mapping[str, Any], size: tuple[int, int]) -> tuple[int, float | None, _Mark]:
+    """The frame, from 1, the time and the mark of a place. KeyError, TypeError or ValueError for what is none."""
     if type(frame := record["frame"]) is not int or not 1 <= frame <= MAX_FRAME:
         raise ValueError(f"{frame!r} is no frame")
-    sides, time = tuple(float(record[name]) for name in ("x", "y", "width", "height")), record.get("time")
-    enabled, auto = bool(record.get("enabled", True)), bool(record.get("auto"))
-    return _Place(frame, enabled, auto, None if time is None else float(time), sides, float(record.get("rotation", 0)))
+    x, w = (float(record[name]) * size[0] / 100 for name in ("x", "width"))
+    y, h = (float(record[name]) * size[1] / 100 for name in ("y", "height"))
+    turn, time = math.radians(float(record.get("rotation", 0))), record.get("time")
+    # a rectangle is turned about its left top corner: the upright one of its size has the same centre
+    left = x + (w * math.cos(turn) - h * math.sin(turn) - w) / 2
+    top = y + (w * math.sin(turn) + h * math.cos(turn) - h) / 2
+    about = {"status": "visible" if record.get("enabled", True) else "absent", "by_hand": not record.get("auto")}
+    mark = _box(f"{where}, frame {frame}", left, top, w, h, **about)
+    return frame, None if time is None else float(time), mark
 
 
 def read_labelstudio(
@@ -314,7 +309,7 @@ def read_labelstudio(
     ------
     InputError : for more than one task or annotation, regions without a label, or two of one label in a frame.
     """
-    sequences: dict[str, dict[int, tuple[str, _Place]]] = {}
+    sequences: dict[str, dict[int, tuple[float | None, _Mark]]] = {}
     try:
         content = json.loads(read_text(path))
         tasks = content if isinstance(content, list) else [content]
@@ -327,31 +322,33 @@ def read_labelstudio(
             if len(labels) != 1:
                 raise InputError(f"{path}: region {ident} has {len(labels)} labels; give it one")
             sequence = sequences.setdefault(labels[0], {})
-            for place in map(_place, region["value"]["sequence"]):
-                where = f"{path}: region {ident} ({labels[0]}), frame {place.frame}"
-                if place.frame in sequence:
-                    raise InputError(
-                        f"{where}: is there twice, here or in another region of the same label; remove one"
-                    )
-                sequence[place.frame] = where, place
+            where = f"{path}: region {ident} ({labels[0]})"
+            for record in region["value"]["sequence"]:
+                frame, time, mark = _rectangle(where, record, size)
+                if frame in sequence:
+                    why = "is there twice, here or in another region of the same label; remove one"
+                    raise InputError(f"{where}, frame {frame}: {why}")
+                sequence[frame] = time, mark
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as e:
         why = f"it has no {e}" if isinstance(e, KeyError) else f"{e!s:.60}"
         raise InputError(f"{path}: is not Label Studio's JSON of a video ({why}); export it again, as JSON") from None
-    picture = _pictures([place for sequence in sequences.values() for _, place in sequence.values()], clock, fps)
+    by_hand = ((n, time) for own in sequences.values() for n, (time, mark) in own.items() if mark.by_hand)
+    picture = _pictures(sorted((n, time) for n, time in by_hand if time is not None), clock, fps)
     marks: _Marks = {}
     for name, sequence in sequences.items():
         own = marks.setdefault(_named(name), {})
-        for frame, (where, place) in sorted(sequence.items()):
-            if not place.auto or picture(frame) not in own:
-                own[picture(frame)] = _placed(where, place, size)
+        for n, (_, mark) in sorted(sequence.items()):
+            if mark.by_hand or picture(n) not in own:
+                own[picture(n)] = mark
     return _trajectory(path, marks, "Label Studio: frames from 1, percent of the image")
 
 
-def _pictures(places: Sequence[_Place], clock: tuple[Whole, Array] | None, fps: float) -> Callable[[int], int]:
-    """The picture that is shown in a frame of Label Studio, by the framerate that the times of these places tell."""
+def _pictures(
+    timed: Sequence[tuple[int, float]], clock: tuple[Whole, Array] | None, fps: float
+) -> Callable[[int], int]:
+    """The picture that is shown in a frame of Label Studio, by the framerate that `timed` frames with times tell."""
     if clock is None:
         return lambda frame: frame - 1
-    timed = sorted((place.frame, place.time) for place in places if place.time is not None and not place.auto)
     if timed and timed[0][1] < timed[-1][1]:
         (first, first_s), (last, last_s) = timed[0], timed[-1]
         rate = (last - first) / (last_s - first_s)
@@ -360,12 +357,3 @@ def _pictures(places: Sequence[_Place], clock: tuple[Whole, Array] | None, fps: 
             fps = rate
     numbers, pictures = _frames_of(*clock, fps)
     return lambda frame: int(pictures[max(int(np.searchsorted(numbers, frame, side="right")) - 1, 0)])
-
-
-def _placed(where: str, place: _Place, size: tuple[int, int]) -> _Mark:
-    (width, height), turn = size, math.radians(place.rotation)
-    x, y, w, h = (np.array(place.sides) * [width, height, width, height] / 100).tolist()
-    # a rectangle is turned about its left top corner: the upright one of its size has the same centre
-    left = x + (w * math.cos(turn) - h * math.sin(turn) - w) / 2
-    top = y + (w * math.sin(turn) + h * math.cos(turn) - h) / 2
-    return _box(where, left, top, w, h, status="visible" if place.enabled else "absent", by_hand=not place.auto)
