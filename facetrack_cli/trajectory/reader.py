@@ -115,12 +115,10 @@ def _read_csv(path: Path) -> Trajectory:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file)
             header = [name.strip() for name in next(lines, [])]
-            if not any(header):
-                raise InputError(f"{path}: is empty; a trajectory begins with the header {','.join(COLUMNS)}")
-            if missing := ", ".join(name for name in REQUIRED if name not in header):
-                raise InputError(f"{path}:1: the header has no column {missing}; it should read {','.join(COLUMNS)}")
-            if twice := sorted(name for name in (*COLUMNS, "hidden") if header.count(name) > 1):
-                raise InputError(f"{path}:1: column {twice[0]} is there twice; keep one of them")
+            counts = {name: header.count(name) for name in (*COLUMNS, "hidden")}
+            if wrong := [name for name, n in counts.items() if n > 1 or (n < 1 and name in REQUIRED)]:
+                why = f"the header has no column, or two, called {', '.join(wrong)}"
+                raise InputError(f"{path}:1: {why}; it should read {','.join(COLUMNS)}")
             rows = _rows(path, lines, len(header))
             while block := list(itertools.islice(rows, _BLOCK)):
                 numbers, texts = zip(*block, strict=True)
@@ -153,12 +151,6 @@ def _number(cell: str) -> float:
     return float(cell or "nan")
 
 
-def _frame(cell: str) -> int:
-    if int(cell) > MAX_FRAME:
-        raise ValueError
-    return int(cell)
-
-
 def _name(cell: str) -> str:
     if not cell:
         raise ValueError
@@ -171,7 +163,7 @@ _CELLS: Final[Mapping[str, tuple[Callable[[str], Any], re.Pattern[str], str]]] =
     **dict.fromkeys(FLOATS, (_number, re.compile(r"[-+.0-9eE]*"), "finite number")),
     **dict.fromkeys(TEXTS, (str, re.compile(r"(?s).*"), "name")),
     **dict.fromkeys(("target", "part"), (_name, re.compile(r"(?s).*"), "name")),
-    "frame": (_frame, re.compile(r"[0-9]*"), f"whole number from 0 to {MAX_FRAME}"),
+    "frame": (np.int64, re.compile(r"[0-9]*"), "whole number from 0 up"),
     "particles": (_number, re.compile(r"[0-9]*"), "whole number from 0 up"),
     "hidden": (lambda cell: _HIDDEN[cell.lower()], re.compile(r"(?s).*"), "0, 1, true or false"),
 }
@@ -181,7 +173,7 @@ def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int])
     """The values of a column's cells; InputError, with the line, for the first that it cannot have."""
     value, characters, what = _CELLS[name]
     cells = list(map(str.strip, cells))
-    with suppress(ValueError, KeyError):
+    with suppress(ValueError, KeyError, OverflowError):
         if characters.fullmatch("".join(cells)):
             return np.array(list(map(value, cells)))
     if len(cells) > 1:  # each alone, to name the line

@@ -72,8 +72,7 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
         parts = [replace(part, w=np.ones(len(part)), h=np.ones(len(part))) for part in parts]
     parts = list(filter(has_windows, parts)) or parts
     for part in parts:
-        if (sizeless := part.frame[np.isfinite(part.x) & ~np.isfinite(part.w + part.h)]).size:
-            raise InputError(f"{part.name}: frame {sizeless[0]} has no w and h; enclose the points with --box points")
+        check_sized(part, "enclose the points with --box points")
     frame, columns = aligned(parts, "x", "y", "w", "h", "confidence", "status", "by_hand")
     x, y, w, h, confidence, status, by_hand = columns.values()
     left, top = x - (w - 1) / 2, y - (h - 1) / 2
@@ -83,6 +82,12 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h, "confidence": mean(confidence)}
     about = {"status": _together(status), "by_hand": by_hand.any(axis=1), "time_s": joined(parts).times}
     return one_part(target, BOX, frame, **place, **about)
+
+
+def check_sized(part: Trajectory, remedy: str) -> None:
+    """InputError for a place without a size."""
+    if (sizeless := part.frame[np.isfinite(part.x) & ~np.isfinite(part.w + part.h)]).size:
+        raise InputError(f"{part.name}: frame {sizeless[0]} has no w and h; {remedy}")
 
 
 def has_windows(part: Trajectory) -> bool:

@@ -64,11 +64,11 @@ HEAD = "frame,target,part,x,y"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("\n", r"truth\.csv: is empty; .*header"),
+        ("\n", r":1: the header has no column, or two, called frame, target, part, x, y; it should read frame,"),
         (f"{HEAD},hidden\n0,f,p,1,2,0\n1,f,p,1,2,yes\n", ":3: column hidden: 'yes' is no 0, 1, true or false; correct"),
-        (f"{HEAD},hidden,hidden\n", r":1: column hidden is there twice"),
-        ("a,b\n1,2\n", r":1: the header has no column frame, target, part, x, y; it should read frame,"),
-        (f"{HEAD},x\n", r":1: column x is there twice"),
+        (f"{HEAD},hidden,hidden\n", ":1: the header has no column, or two, called hidden; it"),
+        ("a,b\n1,2\n", ":1: the header has no column, or two, called frame"),
+        (f"{HEAD},x\n", ":1: the header has no column, or two, called x; it"),
         (f"{HEAD}\n0,f,p,1\n0,f,p,1,2\n", r":2: 4 values under 5 columns; .*empty between"),
         (f"{HEAD}\n0,f,p,1\n", r":2: 4 values under 5 columns; .*cut short"),
         (f"{HEAD}\n0,f,p,1_0,2\n", r":2: column x: '1_0' is no finite number; "),

@@ -145,7 +145,7 @@ def test_shift_is_added_to_every_frame(tmp_path, form):
         ("pts", PTS.replace("3 4.5\n", ""), "1 points between the braces, and n_points says 2; was the file cut"),
         ("pts", PTS + "1 2\n", "2 points between the braces, and n_points says 2"),
         ("pts", "version: 1\nn_points: 0\n{\n}\n", "0 points between the braces"),
-        ("facetrack", "1,2,3,4\n", ":1: the header has no column frame"),
+        ("facetrack", "1,2,3,4\n", ":1: the header has no column, or two, called frame"),
     ],
 )
 def test_what_is_broken_is_said_in_one_line(tmp_path, form, text, message):
@@ -296,7 +296,7 @@ def test_what_has_no_room_in_a_format():
     with pytest.raises(InputError, match="head/box: no row between frames 5 and 9"):
         write_otb(part)
     assert write_vot(part) == "0\n0\n0\n0\n1\n4,4,3,3\n0\n0\n0\n4,4,3,3\n"
-    with pytest.raises(InputError, match="frame 1000000000 is too far on for VOT text, which has a line a frame"):
+    with pytest.raises(InputError, match="frames 0 to 1000000000 have no room in VOT text"):
         write_vot(track([0, 10**9], [(9.0, 9.0, 3.0, 3.0, None)] * 2))
     point = one_part("face", "nose", [3], x=[1.0], y=[2.0])
     for writes in (write_otb, write_vot, lambda part: write_mot([part])):

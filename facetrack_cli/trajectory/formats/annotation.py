@@ -36,7 +36,7 @@ from facetrack_cli.trajectory.formats.boxes import read_text
 from facetrack_cli.trajectory.formats.eaf import clean
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, build, joined
-from facetrack_cli.trajectory.views import every_frame, has_windows
+from facetrack_cli.trajectory.views import check_sized, every_frame, has_windows
 
 _HALF_PIXEL = 0.5  # the centre of the first pixel is 0 here and 0.5 in the tools
 _REGION = "videorectangle"
@@ -140,8 +140,8 @@ def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> st
             track.part == BOX,
         )
         boxes = track.boxes
-        if is_box and not np.isfinite(boxes).all():
-            raise InputError(f"{label}: a box without w and h has no room in CVAT; fill those columns")
+        if is_box:
+            check_sized(track, "CVAT has no room for such a box: fill those columns")
         edges = np.concatenate([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], axis=1)
         places = edges if is_box else np.stack([track.x, track.y], axis=1) + _HALF_PIXEL
         columns = (track.frame.tolist(), track.status.tolist(), places.tolist(), track.angle.tolist())
@@ -180,10 +180,8 @@ def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
         root = ET.fromstring(text)
     except ET.ParseError as e:
         raise InputError(f"{path}:{e.position[0]}: is no XML ({e}); export the file from CVAT again") from None
-    if root.tag != "annotations":
-        raise InputError(f"{path}: is XML, but not CVAT's: it begins with {root.tag}, not with annotations")
-    if root.find("track") is None and root.find("image") is not None:
-        raise InputError(f'{path}: is "CVAT for images", without tracks; export it as "CVAT for video 1.1"')
+    if root.tag != "annotations" or (root.find("track") is None and root.find("image") is not None):
+        raise InputError(f'{path}: is XML, but not of CVAT\'s tracks; export it as "CVAT for video 1.1"')
     marks: _Marks = {}
     for track in root.iter("track"):
         label = str(track.get("label", ""))
@@ -248,10 +246,8 @@ def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, name
     scale = 100 / np.array([*size, *size], dtype=np.float64)
     results: list[dict[str, Any]] = []
     for label, track in _tracks(joined(list(filter(has_windows, table.parts)) or table.parts)):
+        check_sized(track, "Label Studio's video has rectangles alone: export to cvat")
         boxes = track.boxes * scale
-        if (sizeless := np.flatnonzero(~np.isfinite(boxes).all(axis=1))).size:
-            why = "has no w and h, and Label Studio's video has rectangles alone; export to cvat"
-            raise InputError(f"{label}: frame {track.frame[sizeless[0]]} {why}")
         sequence = []
         for picture, state, box in zip(track.frame.tolist(), track.status.tolist(), boxes.tolist(), strict=True):
             if (frame := shown.get(picture)) is not None:

@@ -37,6 +37,7 @@ from facetrack_cli.core.files import MAX_TABLE_BYTES, read_bounded
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import MAX_ROWS, SEEN, Trajectory, build
+from facetrack_cli.trajectory.views import check_sized
 
 FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # boxes (..., 4) that count pixels from 1, minus boxes that count from 0
 BOX_COLUMNS = ("frame", "x", "y", "w", "h")
@@ -333,10 +334,8 @@ def write_vot(part: Trajectory) -> str:
     size, and for a frame below 0.
     """
     first, last = int(part.frame[0]), int(part.frame[-1])
-    if first < 0:
-        raise InputError(f"{part.name}: frame {first} is before the clip's first; VOT text begins at frame 0")
-    if last >= MAX_ROWS:
-        raise InputError(f"{part.name}: frame {last} is too far on for VOT text, which has a line a frame")
+    if first < 0 or last >= MAX_ROWS:
+        raise InputError(f"{part.name}: frames {first} to {last} have no room in VOT text, a line a frame from frame 0")
     lines = ["0"] * (last + 1)
     corners = np.full((len(part), 8), np.nan) if part.corners is None else part.corners.reshape(-1, 8)
     for frame, box, polygon in zip(part.frame.tolist(), _known_boxes(part).tolist(), corners.tolist(), strict=True):
@@ -373,11 +372,8 @@ def write_mot(parts: Sequence[Trajectory]) -> str:
 
 def _known_boxes(part: Trajectory) -> Array:
     """(T, 4) left, top, width, height from 0; nan where the place is not known. InputError for a place without size."""
-    boxes = part.boxes
-    if (sizeless := np.flatnonzero(np.isnan(boxes).any(axis=1) & ~np.isnan(part.x))).size:
-        why = "has no w and h, and these formats hold boxes; export points to coco or dlc"
-        raise InputError(f"{part.name}: frame {part.frame[sizeless[0]]} {why}")
-    return boxes
+    check_sized(part, "these formats hold boxes: export points to coco or dlc")
+    return part.boxes
 
 
 def _decimal(value: float) -> str:
