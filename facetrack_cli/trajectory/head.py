@@ -137,9 +137,9 @@ def fit_pose(
     rows = np.flatnonzero(_deep(shape, seen))
     if rows.size:
         points = np.where(seen[rows, :, None], xy[rows], 0.0), cov[rows], seen[rows], shape, spread
-        start = _begin(points[0], seen[rows], shape)
+        start, size = _begin(points[0], seen[rows], shape)
         # and with the depth of all points reversed
-        first, other = (_refined(euler(_completed(start * (1, 1, sign))), *points) for sign in (1, -1))
+        first, other = (_refined(euler(_completed(start * (1, 1, sign))), size, *points) for sign in (1, -1))
         better = other.cost < first.cost
         chosen = better.astype(int), np.arange(len(rows))
         best = _Fit(*(np.stack(both)[chosen] for both in zip(first, other, strict=True)))
@@ -183,11 +183,11 @@ class _Fit(NamedTuple):
     cost: Array
 
 
-def _refined(angles: Array, xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array) -> _Fit:
-    """The least squares near angles (T, 3) in radians; the weights are those of the angles that are reached."""
+def _refined(angles: Array, scale: Array, xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array) -> _Fit:
+    """The least squares near angles (T, 3) in radians and a scale (T,); the weights are those of what is reached."""
     weight = seen[..., None, None]
-    flat = rotation_of(angles) @ shape.T
-    scale, origin = _placed(flat[:, :2].swapaxes(1, 2), xy, seen)
+    apart = xy - scale[:, None, None] * (rotation_of(angles) @ shape.T)[:, :2].swapaxes(1, 2)
+    origin = (seen[..., None] * apart).sum(axis=1) / seen.sum(axis=1)[:, None]
     for _ in range(STEPS):
         rotation = rotation_of(angles)
         turned = np.einsum("tij,kj->tki", rotation, shape)
@@ -217,25 +217,18 @@ def _refined(angles: Array, xy: Array, cov: Array, seen: Mask, shape: Array, spr
     return _Fit(angles, scale, origin, np.stack([inverse, own], axis=1), cost)
 
 
-def _begin(xy: Array, seen: Mask, shape: Array) -> Array:
-    """(T, 2, 3) the rotation nearest to the affine map of least squares, all points weighed alike: its first rows."""
+def _begin(xy: Array, seen: Mask, shape: Array) -> tuple[Array, Array]:
+    """The first rows (T, 2, 3) of the rotation nearest to the affine map of least squares, and the scale (T,) of that.
+
+    All points are weighed alike.
+    """
     weight = seen[..., None].astype(np.float64)
     count = weight.sum(axis=1)
     centred = weight * (shape - (weight * shape).sum(axis=1, keepdims=True) / count[:, None])
     moved = weight * (xy - (weight * xy).sum(axis=1, keepdims=True) / count[:, None])
     affine = moved.swapaxes(1, 2) @ np.linalg.pinv(centred.swapaxes(1, 2))
-    u, _, v = np.linalg.svd(affine, full_matrices=False)
-    return np.asarray(u @ v)
-
-
-def _placed(flat: Array, xy: Array, seen: Mask) -> tuple[Array, Array]:
-    """The scale (T,) and origin (T, 2) of points xy (T, K, 2) that are at `flat` (T, K, 2) in the face, turned."""
-    weight = seen[..., None] / seen.sum(axis=1)[:, None, None]
-    middle, place = (weight * flat).sum(axis=1), (weight * xy).sum(axis=1)
-    apart = flat - middle[:, None]
-    scale = (weight * apart * (xy - place[:, None])).sum(axis=(1, 2)) / (weight * apart**2).sum(axis=(1, 2))
-    scale = np.maximum(scale, 1e-3)
-    return scale, place - scale[:, None] * middle
+    u, scales, v = np.linalg.svd(affine, full_matrices=False)
+    return np.asarray(u @ v), np.maximum(scales.mean(axis=1), 1e-3)
 
 
 def _completed(rows: Array) -> Array:

@@ -87,7 +87,7 @@ def read_table(path: Path) -> Trajectory:
     return _read_json(path) if first == b"{" else _read_csv(path)
 
 
-def not_as_written(path: Path, error: Any, *above: str) -> InputError:
+def not_as_written(path: Path, error: Any, *above: object) -> InputError:
     """The first error of a pydantic.ValidationError, in the key that is `above` what was validated."""
     first = error.errors()[0]
     key = ".".join(map(str, (*above, *first["loc"])))
@@ -123,7 +123,7 @@ def _read_csv(path: Path) -> Trajectory:
             while block := list(itertools.islice(rows, _BLOCK)):
                 numbers, texts = zip(*block, strict=True)
                 cells = dict(zip(header, zip(*texts, strict=True), strict=True))
-                read = {
+                read: dict[str, Any] = {
                     name: _column(path, name, cells.get(name, ("",) * len(block)), numbers)
                     for name in (*COLUMNS, "hidden")
                 }
