@@ -68,8 +68,7 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     if len(parts) == 1:
         return parts[0].renamed(target, BOX)
     if around == "points":
-        parts = [part for part in parts if part.part != BOX]
-        parts = [replace(part, w=np.ones(len(part)), h=np.ones(len(part))) for part in parts]
+        parts = [replace(p, w=np.ones(len(p)), h=np.ones(len(p))) for p in parts if p.part != BOX]
     parts = list(filter(has_windows, parts)) or parts
     for part in parts:
         check_sized(part, "enclose the points with --box points")
