@@ -38,9 +38,9 @@ _BOUNDS: Final = {
 # the JSON of a frame
 _Number: TypeAlias = Annotated[float, Field(strict=True)] | None
 _Word: TypeAlias = Annotated[str, Field(min_length=1)]
-_own: dict[str, Any] = {"part": (_Word, ...), "status": (str, ""), "by_hand": (pydantic.StrictBool, False)}
-_own = {**dict.fromkeys(OF_PART, (_Number, None)), **_own}
-_PART: Any = pydantic.create_model("_PART", __config__=ConfigDict(extra="forbid", defer_build=True), **_own)
+_OWN: dict[str, Any] = {**dict.fromkeys(OF_PART, (_Number, None)), "part": (_Word, ...), "status": (str, "")}
+_OWN["by_hand"] = (pydantic.StrictBool, False)
+_PART: Any = pydantic.create_model("_PART", __config__=ConfigDict(extra="forbid", defer_build=True), **_OWN)
 _TARGET: Any = pydantic.create_model(
     "_TARGET", __config__=ConfigDict(extra="allow", defer_build=True), target=(_Word, ...), particles=(_Number, None),
     identity=(str | None, None), identity_prob=(_Number, None), parts=(list[_PART], ...),

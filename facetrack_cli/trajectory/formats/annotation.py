@@ -135,11 +135,8 @@ def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> st
         fill(ET.SubElement(task, "original_size"), width=size[0], height=size[1])
     fill(task, source=name)
     for ident, (label, track) in enumerate(tracks):
-        element, is_box = (
-            ET.SubElement(root, "track", id=str(ident), label=clean(label), source="file"),
-            track.part == BOX,
-        )
-        boxes = track.boxes
+        element = ET.SubElement(root, "track", id=str(ident), label=clean(label), source="file")
+        is_box, boxes = track.part == BOX, track.boxes
         if is_box:
             check_sized(track, "CVAT has no room for such a box: fill those columns")
         edges = np.concatenate([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], axis=1)

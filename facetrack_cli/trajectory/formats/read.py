@@ -3,7 +3,6 @@
 Frames and pixels of the table are counted from 0 whatever the file's own counting is.
 """
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,9 +93,10 @@ def _shape(lines: Lines) -> str:
     for begin, shape in (("{", "facetrack"), ("<", "cvat"), ("version:", "pts")):
         if first.lower().startswith(begin):
             return shape
-    names = {name.strip().lower() for name in next(csv.reader([first]))}
-    if {"target", "part"} <= names or set(BOX_COLUMNS) <= names:
-        return "facetrack" if "target" in names else "boxes"
+    names = {name.strip().strip('"').lower() for name in first.split(",")}
+    for own, shape in ((("target", "part"), "facetrack"), (BOX_COLUMNS, "boxes")):
+        if names.issuperset(own):
+            return shape
     cells = [cell.strip() for cell in first.split(delimiter([first]))]
     if cells[0][:1] in ("m", "M") and _is_number(cells[0][1:]):  # a mask
         return "vot"

@@ -272,9 +272,9 @@ def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"], *
         pandas.DataFrame({"target": target, "measure": name, "unit": line.unit, **{k: getattr(line, k) for k in names}})
         for target, name, line in each
     ]
-    return (
-        pandas.concat(frames, ignore_index=True) if frames else pandas.DataFrame(columns=["target", "measure", *names])
-    )
+    if not frames:
+        return pandas.DataFrame(columns=["target", "measure", *names])
+    return pandas.concat(frames, ignore_index=True)
 
 
 def dataset(table: Trajectory) -> Dataset:
