@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import groupby, islice
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from facetrack_cli.core import __version__
+from facetrack_cli.core.files import BytesSink, FileSink
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, KNOWN, Diagnostics
@@ -78,13 +79,6 @@ def summary_of(rows: Trajectory, **ended: Any) -> RunSummary:
     return summary
 
 
-class Sink(Protocol):
-    """Where records go. `write` takes a whole record: a sink that runs full keeps whole records only."""
-
-    def write(self, record: str) -> None: ...
-    def finish(self, tail: Callable[[int], str]) -> None: ...
-
-
 class Writer:
     """A trajectory being written in a `form`, some frames at a time. `close` ends it properly, whatever ended the run.
 
@@ -92,7 +86,7 @@ class Writer:
     one to a line, so that neither writing nor `grep` holds them all. jsonl is for programs that read meanwhile.
     """
 
-    def __init__(self, form: Format, sink: Sink, header: Header, *, resumed: bool = False) -> None:
+    def __init__(self, form: Format, sink: FileSink | BytesSink, header: Header, *, resumed: bool = False) -> None:
         """`resumed`: the sink holds the header and some frames already."""
         self._form, self._sink, self._between = form, sink, ",\n" * resumed
         if resumed:
