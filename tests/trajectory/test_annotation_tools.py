@@ -145,7 +145,7 @@ def test_label_studio_s_frames_are_those_of_the_player_s_clock(tmp_path, time_s,
 def test_a_keyframe_while_a_picture_stays_is_of_that_picture(tmp_path):
     task, value, path = in_label_studio(at_times(PHONE), 25.0, tmp_path)
     own = next(one for one in value["sequence"] if one["frame"] == 81)
-    value["sequence"] += [own | {"frame": 83, "time": 83 / 25, "x": 50}, own | {"frame": 82, "x": 30, "auto": True}]
+    value["sequence"] += [own | {"frame": 82, "time": 82 / 25, "x": 50}, own | {"frame": 83, "x": 30, "auto": True}]
     path.write_text(json.dumps([task]))
     (found,) = read_labelstudio(path, SIZE, every_frame(at_times(PHONE)), fps=25.0).parts
     assert found.boxes[60, 0] == pytest.approx(320) and found.frame[60] == 60 and found.by_hand[60]

@@ -44,6 +44,7 @@ def refused(path, form, message):
         ("1,2,3,4,5,6,7,8\n", "vot"),
         ("m1,2,3,4,5\n", "vot"),
         ("frame,h,w,y,x,note\n0,1,2,3,4,a\n", "boxes"),
+        ("frame,x,y,w,h,target\n0,1,2,3,4,a\n", "boxes"),
         (",".join(COLUMNS), "facetrack"),
         ('{"schema": 1}', "facetrack"),
         (MOT_GT, "mot"),
@@ -278,15 +279,16 @@ def test_frames_pixels_and_what_is_absent(tmp_path, form, text, frames, first, s
 
 
 def test_got10k_has_labels_beside_it(tmp_path):
-    path = write(tmp_path, "1,2,3,4\n" * 3, "groundtruth.txt")
-    write(tmp_path, "0\n1\n0\n", "absence.label")
-    write(tmp_path, "8\n0\n0\n", "cover.label")
+    path = write(tmp_path, "1,2,3,4\n" * 3 + "-1,-1,-1,-1\n", "groundtruth.txt")
+    write(tmp_path, "0\n1\n0\n0\n", "absence.label")
+    write(tmp_path, "8\n0\n0\n0\n", "cover.label")
     assert recognise(tmp_path) == (path, "got10k")
     table = read_truth(tmp_path)
-    assert table.status.tolist() == ["visible", "absent", "hidden"] and np.isnan(table.x).tolist() == [0, 1, 0]
+    assert table.status.tolist() == ["visible", "absent", "hidden", "absent"]
+    assert np.isnan(table.x).tolist() == [0, 1, 0, 1]
     assert "absence.label and cover.label" in table.header["read_as"]
     write(tmp_path, "0\n1\n", "absence.label")
-    with pytest.raises(InputError, match=r"absence.label: has 2 lines, groundtruth.txt beside it 3"):
+    with pytest.raises(InputError, match=r"absence.label: has 2 lines, groundtruth.txt beside it 4"):
         read_truth(tmp_path)
     refused(write(tmp_path, "-1,-1,-1,-1\n"), "otb", ":1: that is no box")
 
