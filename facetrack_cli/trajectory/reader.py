@@ -147,35 +147,43 @@ def _rows(path: Path, lines: Any, width: int) -> Iterator[tuple[int, list[str]]]
             yield lines.line_num, cells
 
 
-def _number(cell: str) -> float:
-    return float(cell or "nan")
+def _numbers(cells: list[str]) -> list[float]:
+    return [float(cell or "nan") for cell in cells]
 
 
-def _name(cell: str) -> str:
-    if not cell:
+def _names(cells: list[str]) -> list[str]:
+    if "" in cells:
         raise ValueError
-    return cell
+    return cells
+
+
+def _frames(cells: list[str]) -> NDArray[np.int64]:
+    return np.array(list(map(int, cells)), np.int64)
+
+
+def _hidden(cells: list[str]) -> list[bool]:
+    return [_HIDDEN[cell.lower()] for cell in cells]
 
 
 _HIDDEN: Final = {"": False, "0": False, "false": False, "1": True, "true": True}
-# of the cells of a column: the value, the characters that stand in them, and what they are
-_CELLS: Final[Mapping[str, tuple[Callable[[str], Any], re.Pattern[str], str]]] = {
-    **dict.fromkeys(FLOATS, (_number, re.compile(r"[-+.0-9eE]*"), "finite number")),
-    **dict.fromkeys(TEXTS, (str, re.compile(r"(?s).*"), "name")),
-    **dict.fromkeys(("target", "part"), (_name, re.compile(r"(?s).*"), "name")),
-    "frame": (np.int64, re.compile(r"[0-9]*"), "whole number from 0 up"),
-    "particles": (_number, re.compile(r"[0-9]*"), "whole number from 0 up"),
-    "hidden": (lambda cell: _HIDDEN[cell.lower()], re.compile(r"(?s).*"), "0, 1, true or false"),
+# of the cells of a column: their values, the characters that stand in them, and what they are
+_CELLS: Final[Mapping[str, tuple[Callable[[list[str]], Any], re.Pattern[str], str]]] = {
+    **dict.fromkeys(FLOATS, (_numbers, re.compile(r"[-+.0-9eE]*"), "finite number")),
+    **dict.fromkeys(TEXTS, (list, re.compile(r"(?s).*"), "name")),
+    **dict.fromkeys(("target", "part"), (_names, re.compile(r"(?s).*"), "name")),
+    "frame": (_frames, re.compile(r"[0-9]*"), "whole number from 0 up"),
+    "particles": (_numbers, re.compile(r"[0-9]*"), "whole number from 0 up"),
+    "hidden": (_hidden, re.compile(r"(?s).*"), "0, 1, true or false"),
 }
 
 
 def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int]) -> NDArray[Any]:
     """The values of a column's cells; InputError, with the line, for the first that it cannot have."""
-    value, characters, what = _CELLS[name]
+    values, characters, what = _CELLS[name]
     cells = list(map(str.strip, cells))
     with suppress(ValueError, KeyError, OverflowError):
         if characters.fullmatch("".join(cells)):
-            return np.array(list(map(value, cells)))
+            return np.array(values(cells))
     if len(cells) > 1:  # each alone, to name the line
         return np.concatenate([_column(path, name, [cell], [at]) for cell, at in zip(cells, numbers, strict=True)])
     raise InputError(f"{path}:{numbers[0]}: column {name}: {cells[0]!r} is no {what}; correct it")
