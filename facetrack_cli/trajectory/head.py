@@ -33,7 +33,7 @@ belong to a mouth also changes when it opens wide. Nods and shakes are told by t
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -137,23 +137,20 @@ def fit_pose(
     rows = np.flatnonzero(_deep(shape, seen))
     if rows.size:
         points = np.where(seen[rows, :, None], xy[rows], 0.0), cov[rows], seen[rows], shape, spread
-        rotation = _begin(points[0], seen[rows], shape)
-        mirrored = _completed(rotation[:, :2] * np.array([1, 1, -1]))  # the depth of all points reversed
-        first, other = _refined(rotation, *points), _refined(mirrored, *points)
+        start, size = _begin(points[0], seen[rows], shape)
+        # and with the depth of all points reversed
+        first, other = (_refined(euler(_completed(start * (1, 1, sign))), size, *points) for sign in (1, -1))
         better = other.cost < first.cost
-        best = _Fit(
-            *(np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a) for a, b in zip(first, other, strict=True))
-        )
-        cosine = (np.einsum("tij,tij->t", first.rotation, other.rotation) - 1) / 2
+        chosen = better.astype(int), np.arange(len(rows))
+        best = _Fit(*(np.stack(both)[chosen] for both in zip(first, other, strict=True)))
+        cosine = (np.einsum("tij,tij->t", rotation_of(first.angles), rotation_of(other.angles)) - 1) / 2
         turned = np.arccos(np.clip(cosine, -1, 1))
         ambiguous[rows] = (np.abs(first.cost - other.cost) < HARDLY) & (turned > np.radians(5))
-        radians = euler(best.rotation)
-        inverse = np.linalg.inv(_spins(radians))[:, None]
-        spread_ = np.degrees(np.degrees(inverse @ best.cov[..., :3, :3] @ inverse.swapaxes(2, 3)))
-        clear = np.diagonal(spread_[:, 0], axis1=1, axis2=2).max(axis=1) < MAX_SPREAD_DEG**2
+        spreads = np.degrees(np.degrees(best.cov[..., :3, :3]))
+        clear = np.diagonal(spreads[:, 0], axis1=1, axis2=2).max(axis=1) < MAX_SPREAD_DEG**2
         ambiguous[rows] &= clear
         rows, best = rows[clear], _Fit(*(values[clear] for values in best))
-        angles[rows], covariance[rows] = np.degrees(radians[clear]), spread_[clear]
+        angles[rows], covariance[rows] = np.degrees(euler(rotation_of(best.angles))), spreads[clear]
         scale[rows], origin[rows] = best.scale, best.origin
     return angles, covariance[:, 0], scale, origin, ambiguous, covariance[:, 1]
 
@@ -177,26 +174,30 @@ def euler(rotation: Array) -> Array:
 
 
 class _Fit(NamedTuple):
-    """Of T frames; `cov` (T, 2, 6, 6), all and of points alone, of a rotation about the camera's axes, log s and t."""
+    """Of T frames; `cov` (T, 2, 6, 6), all and of points alone, of pitch, yaw and roll (radians), log s and t."""
 
-    rotation: Array
+    angles: Array
     scale: Array
     origin: Array
     cov: Array
     cost: Array
 
 
-def _refined(rotation: Array, xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array) -> _Fit:
-    """The least squares near a rotation (T, 3, 3); the weights are those of the rotation that is reached."""
+def _refined(angles: Array, scale: Array, xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array) -> _Fit:
+    """The least squares near angles (T, 3) in radians and a scale (T,); the weights are those of what is reached."""
     weight = seen[..., None, None]
-    flat = rotation @ shape.T
-    scale, origin = _placed(flat[:, :2].swapaxes(1, 2), xy, seen)
+    apart = xy - scale[:, None, None] * (rotation_of(angles) @ shape.T)[:, :2].swapaxes(1, 2)
+    origin = (seen[..., None] * apart).sum(axis=1) / seen.sum(axis=1)[:, None]
     for _ in range(STEPS):
+        rotation = rotation_of(angles)
         turned = np.einsum("tij,kj->tki", rotation, shape)
         axes = rotation[:, None, :2] * spread[None, :, None]  # (T, K, 2, 3)
         precision = weight * np.linalg.inv(cov + (scale**2)[:, None, None, None] * (axes @ axes.swapaxes(2, 3)))
         residual = xy - scale[:, None, None] * turned[..., :2] - origin[:, None]
-        jacobian = _jacobian(turned, scale)
+        # (T, K, 2, 6): how the points move with pitch, yaw and roll, with log s and with t
+        ways = np.concatenate([np.cross(_axes(angles)[:, None], turned[:, :, None]), turned[:, :, None]], axis=2)
+        steps = scale[:, None, None, None] * ways[..., :2].swapaxes(2, 3)
+        jacobian = np.concatenate([steps, np.broadcast_to(np.eye(2), cov.shape)], axis=3)
         weighed = precision @ jacobian
         normal = np.einsum("tkia,tkib->tab", jacobian, weighed)
         slope = np.einsum("tkia,tki->ta", weighed, residual)
@@ -205,7 +206,7 @@ def _refined(rotation: Array, xy: Array, cov: Array, seen: Mask, shape: Array, s
         normal += 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(6)  # points that are one point
         step = np.linalg.solve(normal, slope[..., None])[..., 0]
         step *= np.minimum(1, 0.5 / np.maximum(np.linalg.norm(step[:, :4], axis=1), 1e-9))[:, None]
-        rotation = _turn(step[:, :3]) @ rotation
+        angles = angles + step[:, :3]
         scale, origin = scale * np.exp(step[:, 3]), origin + step[:, 4:]
         if np.abs(step[:, :4]).max() < 1e-7:
             break
@@ -213,35 +214,21 @@ def _refined(rotation: Array, xy: Array, cov: Array, seen: Mask, shape: Array, s
     cost = cost - np.where(seen, np.log(np.where(seen, np.linalg.det(precision), 1.0)), 0.0).sum(axis=1)
     inverse = np.linalg.inv(normal)
     own = inverse @ np.einsum("tkia,tkib->tab", weighed, cov @ weighed) @ inverse
-    return _Fit(rotation, scale, origin, np.stack([inverse, own], axis=1), cost)
+    return _Fit(angles, scale, origin, np.stack([inverse, own], axis=1), cost)
 
 
-def _jacobian(turned: Array, scale: Array) -> Array:
-    """(T, K, 2, 6): how the points move with a rotation about the camera's axes, with log s and with t."""
-    x, y, z = np.moveaxis(turned, -1, 0) * scale[:, None]
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    return np.stack([np.stack([zero, z, -y, x, one, zero], -1), np.stack([-z, zero, x, y, zero, one], -1)], axis=-2)
+def _begin(xy: Array, seen: Mask, shape: Array) -> tuple[Array, Array]:
+    """The first rows (T, 2, 3) of the rotation nearest to the affine map of least squares, and the scale (T,) of that.
 
-
-def _begin(xy: Array, seen: Mask, shape: Array) -> Array:
-    """(T, 3, 3) the rotation nearest to the affine map of least squares, all points weighed alike."""
+    All points are weighed alike.
+    """
     weight = seen[..., None].astype(np.float64)
     count = weight.sum(axis=1)
     centred = weight * (shape - (weight * shape).sum(axis=1, keepdims=True) / count[:, None])
     moved = weight * (xy - (weight * xy).sum(axis=1, keepdims=True) / count[:, None])
     affine = moved.swapaxes(1, 2) @ np.linalg.pinv(centred.swapaxes(1, 2))
-    u, _, v = np.linalg.svd(affine, full_matrices=False)
-    return _completed(u @ v)
-
-
-def _placed(flat: Array, xy: Array, seen: Mask) -> tuple[Array, Array]:
-    """The scale (T,) and origin (T, 2) of points xy (T, K, 2) that are at `flat` (T, K, 2) in the face, turned."""
-    weight = seen[..., None] / seen.sum(axis=1)[:, None, None]
-    middle, place = (weight * flat).sum(axis=1), (weight * xy).sum(axis=1)
-    apart = flat - middle[:, None]
-    scale = (weight * apart * (xy - place[:, None])).sum(axis=(1, 2)) / (weight * apart**2).sum(axis=(1, 2))
-    scale = np.maximum(scale, 1e-3)
-    return scale, place - scale[:, None] * middle
+    u, scales, v = np.linalg.svd(affine, full_matrices=False)
+    return np.asarray(u @ v), np.maximum(scales.mean(axis=1), 1e-3)
 
 
 def _completed(rows: Array) -> Array:
@@ -249,22 +236,12 @@ def _completed(rows: Array) -> Array:
     return np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
 
 
-def _turn(by: Array) -> Array:
-    """(T, 3, 3) rotations by vectors (T, 3) (Rodrigues)."""
-    angle = np.linalg.norm(by, axis=1)[:, None, None]
-    x, y, z = by.T
-    zero = np.zeros_like(x)
-    cross = np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], axis=1)
-    whole, half = np.sinc(angle / np.pi), np.sinc(angle / 2 / np.pi)
-    return np.asarray(np.eye(3) + whole * cross + 0.5 * half**2 * (cross @ cross))
-
-
-def _spins(angles: Array) -> Array:
-    """(T, 3, 3): the rotation about the camera's axes that a change of pitch, yaw and roll makes, for each a column."""
+def _axes(angles: Array) -> Array:
+    """(T, 3, 3): for each of pitch, yaw and roll the axis, in the camera's, about which its change turns the head."""
     (pitch, yaw, _), zero = angles.T, np.zeros(len(angles))
     about_y = np.stack([zero, np.cos(pitch), np.sin(pitch)], -1)
     about_z = np.stack([np.sin(yaw), -np.sin(pitch) * np.cos(yaw), np.cos(pitch) * np.cos(yaw)], -1)
-    return np.stack([np.stack([zero + 1, zero, zero], -1), about_y, about_z], axis=-1)
+    return np.stack([np.stack([zero + 1, zero, zero], -1), about_y, about_z], axis=1)
 
 
 def _deep(shape: Array, seen: Mask) -> Mask:
@@ -308,52 +285,38 @@ RATES = dict.fromkeys(("horizontal", "vertical"), Rate(0.15, 0.07, 0.05, 0.12))
 RATES |= {"tilt": Rate(12.0, 5.0, 5.0, 0.2), "size": Rate(0.15, 0.07, 0.15, 0.3)}
 
 
-class Span(NamedTuple):
-    """Frames `first` to `last`, both within it, in which a target moved as `label` says."""
+@np.errstate(invalid="ignore", divide="ignore")
+def head_motion(parts: Sequence[Trajectory]) -> dict[str, list[tuple[int, int, str]]]:
+    """Of each kind that these parts of a target can tell its spans in the order of time: first frame, last, label.
 
-    kind: str
-    label: str
-    first: int
-    last: int
-
-
-class Pose(NamedTuple):
-    """How a target stands in each of T frames: `signals` (T,) of the kinds of RATES that can be told, nan where lost.
-
-    Only differences of their values mean something, and none across frames that `begins` marks.
+    A single point has neither angle nor size. `time_s` must be known and increase.
     """
-
-    frame: Whole
-    time_s: Array
-    signals: dict[str, Array]
-    begins: Mask
-
-
-def head_motion(parts: Sequence[Trajectory]) -> list[Span]:
-    """The spans of one target by the order of KINDS, then by time; `time_s` of its parts must be known and increase."""
-    pose = _pose(parts)
-    motions = [span for stretch in _stretches(pose) for span in _spans(pose, stretch)]
-    return sorted(motions, key=lambda span: (KINDS.index(span.kind), span.first))
+    frame, time_s, begins, signals = _signals(parts)
+    motions: dict[str, list[tuple[int, int, str]]] = {kind: [] for kind in KINDS if kind in signals or kind == "still"}
+    there = np.isfinite(signals["horizontal"] + signals["vertical"] + time_s)
+    for a, b in spans(there, (np.diff(time_s) > GAP_S) | begins[1:]):  # rows without a break, and not lost
+        if b - a > 2 and time_s[b - 1] - time_s[a] >= MIN_SPAN_S:
+            own = {kind: signal[a:b] for kind, signal in signals.items()}
+            for kind, first, last, label in _spans(time_s[a:b], own):
+                motions[kind].append((int(frame[a + first]), int(frame[a + last]), label))
+    return {kind: sorted(found) for kind, found in motions.items()}
 
 
-def kinds_of(parts: Sequence[Trajectory]) -> tuple[str, ...]:
-    """The kinds that can be measured of a target with these parts at all: a single point has neither angle nor size."""
-    signals = _pose(parts).signals
-    return tuple(kind for kind in KINDS if kind in signals or kind not in RATES)
+def _signals(parts: Sequence[Trajectory]) -> tuple[Whole, Array, Mask, dict[str, Array]]:
+    """(T,) frames, times, which rows begin again, and signals of the kinds of RATES that can be told, nan where lost.
 
-
-def _pose(parts: Sequence[Trajectory]) -> Pose:
-    """The signals of one target from its parts, which may have rows in different frames."""
+    Only differences of a signal's values mean something, and none across rows that begin again. Parts may have rows in
+    different frames.
+    """
     frame, columns = aligned([part.squared for part in parts], "x", "y", "w", "h", "angle", "status")
     seen = ~np.isin(columns.pop("status"), UNSEEN)
     x, y, w, h, angle = (np.where(seen, values, np.nan) for values in columns.values())
-    with np.errstate(invalid="ignore", divide="ignore"):
-        side = np.where((w > 0) & (h > 0), 0.5 * np.log(w * h), np.nan)
+    side = np.where((w > 0) & (h > 0), 0.5 * np.log(w * h), np.nan)
     if len(parts) == 1:
         sized = np.isfinite(side).any()
         size = side if sized and np.nanmax(side) > np.nanmin(side) else None
         turn = np.exp(1j * np.radians(angle)) if np.isfinite(angle).any() else None
-        unit = float(np.exp(np.nanmedian(side))) if sized else np.nan
+        unit = float(np.exp(nanmedian(side)))
     else:
         size, turn, unit = _of_pairs(np.stack([x, y], axis=2))
     if not unit > 0:  # nothing tells how large it is
@@ -367,7 +330,7 @@ def _pose(parts: Sequence[Trajectory]) -> Pose:
         signals["tilt"] = _follow(departure, np.isfinite(departure))[0]
     if size is not None:
         signals["size"] = _follow(size, np.isfinite(size))[0]
-    return Pose(frame, joined(parts).times, signals, begins)
+    return frame, joined(parts).times, begins, signals
 
 
 def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
@@ -379,7 +342,7 @@ def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
         first, second = np.arange(k), (np.arange(k) + k // 2) % k
     apart = xy[:, second] - xy[:, first]
     length = np.hypot(apart[..., 0], apart[..., 1])
-    typical = _nanmedian(length, axis=0)
+    typical = nanmedian(length, axis=0)
     largest = float(np.nanmax(typical)) if np.isfinite(typical).any() else np.nan
     far = typical >= 0.5 * largest  # directions between points close together are mostly noise
     apart, length = np.nan_to_num(apart[:, far]), np.where(length[:, far] > 0, length[:, far], np.nan)
@@ -394,58 +357,43 @@ def _follow(values: Array, good: Mask) -> tuple[Array, Mask]:
     that comes or goes makes none. Also whether each row begins again: it shares no good column with the row before.
     """
     values = np.where(good, values, np.nan)
-    departure = values - _nanmedian(values, axis=0)
-    level = _nanmedian(departure, axis=1)
+    departure = values - nanmedian(values, axis=0)
+    level = nanmedian(departure, axis=1)
     step = np.diff(level, prepend=np.nan)
     both = good[1:] & good[:-1]
     changed = 1 + np.flatnonzero((good[1:] != good[:-1]).any(axis=1) & both.any(axis=1))
     steps = np.where(both, np.diff(values, axis=0), np.nan)
-    step[changed] = _nanmedian(steps[changed - 1], axis=1)
+    step[changed] = nanmedian(steps[changed - 1], axis=1)
     begins = np.concatenate([[True], ~both.any(axis=1)])[: len(values)]
     step[begins] = 0.0  # each stretch is relative to its first row
     return np.where(good.any(axis=1), np.cumsum(np.nan_to_num(step)), np.nan), begins
 
 
-def _nanmedian(values: Array, axis: int) -> Array:
-    """numpy's nanmedian, nan without a warning where there is nothing."""
-    empty = ~np.isfinite(values).any(axis=axis)
-    filled = np.where(np.expand_dims(empty, axis), 0.0, values)
+def nanmedian(values: Array, axis: int | None = None) -> Any:
+    """The median of what is finite; nan, without a warning, where nothing is."""
+    finite = np.isfinite(values)
+    empty = ~finite.any(axis=axis)
+    filled = np.where(finite, values, np.where(finite.any(axis=axis, keepdims=True), np.nan, 0.0))
     return np.where(empty, np.nan, np.nanmedian(filled, axis=axis)) if filled.size else np.full(empty.shape, np.nan)
 
 
-def _stretches(pose: Pose) -> Iterator[Whole]:
-    """Rows without a break: not lost, no pause between them, long enough to say something of."""
-    rows = np.flatnonzero(np.isfinite(pose.signals["horizontal"] + pose.signals["vertical"] + pose.time_s))
-    if rows.size == 0:
-        return
-    broken = (np.diff(rows) > 1) | (np.diff(pose.time_s[rows]) > GAP_S) | pose.begins[rows[1:]]
-    for stretch in np.split(rows, 1 + np.flatnonzero(broken)):
-        if len(stretch) > 2 and pose.time_s[stretch[-1]] - pose.time_s[stretch[0]] >= MIN_SPAN_S:
-            yield stretch
-
-
-def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
-    """The spans of one stretch of rows, on a grid of equal steps in time."""
-    time_s = pose.time_s[rows]
+def _spans(time_s: Array, signals: Mapping[str, Array]) -> Iterator[tuple[str, int, int, str]]:
+    """Kind, first row, last, and label of the spans in rows without a break, on a grid of equal steps in time."""
     dt = float(np.median(np.diff(time_s)))
     grid = np.arange(time_s[0], time_s[-1] + dt / 2, dt)
 
-    def even(signal: Array) -> Array:
-        values = signal[rows]
-        finite = np.isfinite(values)  # of angle and size, pairs may be missing where points are not
-        return np.interp(grid, time_s[finite], values[finite]) if finite.any() else np.zeros(len(grid))
-
-    def of_kind(kind: str, label: str, begin: int, end: int) -> Iterator[Span]:
+    def of_kind(kind: str, label: str, begin: int, end: int) -> Iterator[tuple[str, int, int, str]]:
         # grid times are rounding errors away from the rows'; where rows are far apart, a span may hold none
         first = int(np.searchsorted(time_s, grid[begin] - dt / 4))
         after = int(np.searchsorted(time_s, grid[begin] + (end - begin - 0.25) * dt))
         if after > first:
-            yield Span(kind, label, int(pose.frame[rows[first]]), int(pose.frame[rows[after - 1]]))
+            yield kind, first, after - 1, label
 
     busy = np.zeros(len(grid), dtype=bool)
-    signals = {kind: even(signal) for kind, signal in pose.signals.items()}
     for kind, signal in signals.items():
-        for begin, end, label in _moving(signal, dt, RATES[kind], LABELS[kind]):
+        finite = np.isfinite(signal)  # of angle and size, pairs may be missing where points are not
+        even = np.interp(grid, time_s[finite], signal[finite]) if finite.any() else np.zeros(len(grid))
+        for begin, end, label in _moving(even, dt, RATES[kind], LABELS[kind]):
             busy[begin:end] = True
             yield from of_kind(kind, label, begin, end)
     for begin, end in spans(~busy):

@@ -46,6 +46,7 @@ from facetrack_cli.trajectory.head import (
     SHAPE,
     gauss,
     head_pose,
+    nanmedian,
     noise_of,
     rotation_of,
     turning_points,
@@ -231,7 +232,7 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
     if BOX in names:
         size = np.sqrt(np.prod([one[names.index(BOX)] for one in (x, y)], axis=0))
         of_size = np.hypot(*(spread[BOX][i] / one[names.index(BOX)] for i, one in enumerate((x, y)))) / 2
-        values["thrust"] = np.stack([size / _median(size) - 1, size / _median(size) * of_size])
+        values["thrust"] = np.stack([size / nanmedian(size) - 1, size / nanmedian(size) * of_size])
         away.append((np.log(size) / NEARER, 1.0))
     moved = np.zeros(len(frame))
     for a, b in stretches(time_s):
@@ -244,7 +245,7 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
             values[name] = np.where(np.abs(both) < 1e6, both, np.nan)  # the face may have no size
         if name in values and (of or np.isfinite(values[name]).any()):
             value, std = values[name]
-            if unit == DEGREES or not _median(std) > MOST_STD:
+            if unit == DEGREES or not nanmedian(std) > MOST_STD:
                 # what of a spread is no offset: a share, and all of it, with that of the unit, where the head has moved
                 doubt = np.hypot(SHARE * std, moved * np.hypot(std, UNIT * value))
                 measures[name] = Measured(name, unit, frame, time_s, value, std, doubt)
@@ -268,15 +269,9 @@ def _talking(mouth: Measured) -> Array:
     return talks
 
 
-def _median(values: Array) -> float:
-    """Of what is known; nan if that is nothing."""
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if finite.size else np.nan
-
-
 def _moved(pose: Array, time_s: Array, by: float) -> Array:
     """(T,) how far a pose is from its median and, times `by`, moves within a second before and after, squared."""
-    off = np.nan_to_num(pose - _median(pose))
+    off = np.nan_to_num(pose - nanmedian(pose))
     around = round(1 / max(float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0, 0.002))
     near = np.lib.stride_tricks.sliding_window_view(np.pad(off, around, mode="edge"), 2 * around + 1)
     return np.asarray(off**2 + (by * (near.max(axis=1) - near.min(axis=1)) / 2) ** 2)
@@ -323,7 +318,7 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
     frame, columns = aligned(parts, "status", "x", "y", "w", "h", "std_x", "std_y")
     seen = np.isin(columns["status"], SEEN)
     x, y, w, h, *spreads = (np.where(seen, columns[key], np.nan) for key in ("x", "y", "w", "h", "std_x", "std_y"))
-    size = float(np.nanmedian(np.sqrt(w[:, -1] * h[:, -1]))) if np.isfinite(w[:, -1]).any() else np.nan
+    size = float(nanmedian(np.sqrt(w[:, -1] * h[:, -1])))
     time_s = joined(parts).times
     if not size > 0 or len(frame) < 2 or not np.isfinite(time_s).all():
         return {}

@@ -88,12 +88,11 @@ class People(_Record):
     @model_validator(mode="after")
     def _whole(self) -> People:
         spans = [span for person in self.people for span in person.intervals]
-        if any(first >= stop for first, stop in [*spans, *((track.first, track.stop) for track in self.tracks)]):
-            raise ValueError("a track or an interval has no frame")
-        if any(len(person.times) != len(person.intervals) for person in self.people):
-            raise ValueError("its times are not those of its intervals")
-        if sorted(self.names) != sorted({track.person for track in self.tracks}):
-            raise ValueError("its people are not those of its tracks, each once")
+        spans += [(track.first, track.stop) for track in self.tracks]
+        timed = all(len(person.times) == len(person.intervals) for person in self.people)
+        same = sorted(self.names) == sorted({track.person for track in self.tracks})
+        if not (all(first < stop for first, stop in spans) and timed and same):
+            raise ValueError("its people, tracks, intervals and times do not fit together")
         return self
 
     @property

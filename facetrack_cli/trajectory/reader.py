@@ -7,29 +7,48 @@ as files hold it: starts are in init files, in the header of a trajectory, and i
 import csv
 import itertools
 import json
-import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
+import pydantic
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.files import MAX_TABLE_BYTES, check_readable
 from facetrack_cli.core.types import Correction, Start, TargetStart, checked_name
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
-from facetrack_cli.trajectory.trajectory import COLUMNS, FLOATS, SPREAD, TEXTS, Trajectory, build, header_value
-from facetrack_cli.trajectory.writers import SCHEMA, VERSION
+from facetrack_cli.trajectory.trajectory import COLUMNS, FLOATS, TEXTS, Trajectory, build, header_value
+from facetrack_cli.trajectory.writers import OF_PART, OF_TARGET, SCHEMA, VERSION
 
 REQUIRED: Final = ("frame", "target", "part", "x", "y")
 MAX_PIXELS: Final = 1e6  # no image is larger: what is beyond is a slip, or no pixel
 MAX_FRAME: Final = 10**9
-_DIGITS: Final = 18  # of a whole number: more do not fit into 64 bits
-_STDS: Final = tuple(name for name in SPREAD if name.startswith("std"))
+FrameNumber: TypeAlias = Annotated[int, Field(strict=True, ge=0, le=MAX_FRAME)]
 _BLOCK: Final = 1_000  # lines that become columns at a time: few enough to stay in the processor's cache
+_BOUNDS: Final = {
+    **dict.fromkeys(("x", "y"), (-MAX_PIXELS, MAX_PIXELS)),
+    **dict.fromkeys(("w", "h", "std_x", "std_y", "std_w", "std_h"), (0.0, MAX_PIXELS)),
+    "identity_prob": (0.0, 1.0),
+}
+# the JSON of a frame
+_Number: TypeAlias = Annotated[float, Field(strict=True)] | None
+_Word: TypeAlias = Annotated[str, Field(min_length=1)]
+_OWN: dict[str, Any] = {**dict.fromkeys(OF_PART, (_Number, None)), "part": (_Word, ...), "status": (str, "")}
+_OWN["by_hand"] = (pydantic.StrictBool, False)
+_PART: Any = pydantic.create_model("_PART", __config__=ConfigDict(extra="forbid", defer_build=True), **_OWN)
+_TARGET: Any = pydantic.create_model(
+    "_TARGET", __config__=ConfigDict(extra="allow", defer_build=True), target=(_Word, ...), particles=(_Number, None),
+    identity=(str | None, None), identity_prob=(_Number, None), parts=(list[_PART], ...),
+)  # fmt: skip
+_FRAME: Any = pydantic.create_model(
+    "_FRAME", __config__=ConfigDict(defer_build=True), frame=(FrameNumber, ...), time_s=(_Number, None),
+    targets=(list[_TARGET], ...),
+)  # fmt: skip
 
 
 def read_trajectory(path: Path | str) -> Trajectory:
@@ -45,18 +64,14 @@ def read_trajectory(path: Path | str) -> Trajectory:
     ------
     InputError : with the line where there is one, for a file that is none of them.
     """
-    path = Path(path)
+    path = table_in(Path(path))
     try:
-        path = table_in(path)
-        if not path.is_dir():
-            check_readable(path, MAX_TABLE_BYTES, "table of rows")
-        return read_table(path)
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder without a trajectory.csv or .json; name the file") from None
+        with reading(path, "name a trajectory or ground-truth file, or the folder of a run"):
+            if not path.is_dir():
+                check_readable(path, MAX_TABLE_BYTES, "table of rows")
+            return read_table(path)
     except UnicodeDecodeError as e:
         raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is CSV or JSON in UTF-8") from e
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
 
 
 def table_in(path: Path) -> Path:
@@ -72,7 +87,7 @@ def read_table(path: Path) -> Trajectory:
     return _read_json(path) if first == b"{" else _read_csv(path)
 
 
-def not_as_written(path: Path, error: Any, *above: str) -> InputError:
+def not_as_written(path: Path, error: Any, *above: object) -> InputError:
     """The first error of a pydantic.ValidationError, in the key that is `above` what was validated."""
     first = error.errors()[0]
     key = ".".join(map(str, (*above, *first["loc"])))
@@ -80,60 +95,46 @@ def not_as_written(path: Path, error: Any, *above: str) -> InputError:
     return InputError(f"{path}: {problem} ({first['msg'].lower()}); make the run again")
 
 
-def _build(path: Path, targets: list[str], parts: list[str], columns: dict[str, Any], **others: Any) -> Trajectory:
-    """The trajectory of columns whose rows are of these targets and parts; InputError for numbers that cannot be."""
-    if not targets:
+def _build(path: Path, names: Mapping[tuple[str, str], int], columns: dict[str, Any], **others: Any) -> Trajectory:
+    """The trajectory of columns, `which` among them; InputError for numbers that cannot be."""
+    if not names:
         raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
-    numbers: dict[tuple[str, str], int] = {}
-    which = [numbers.setdefault(pair, len(numbers)) for pair in zip(targets, parts, strict=True)]
     for name in FLOATS:
-        values = columns[name]
-        with np.errstate(invalid="ignore"):
-            checks = [(np.isinf(values), "is no finite number")]
-            if name in ("x", "y", "w", "h", *_STDS):
-                checks.append((np.abs(values) > MAX_PIXELS, "is farther out than any image"))
-            if name in ("w", "h", *_STDS):
-                checks.append((values < 0, "is negative"))
-            if name == "identity_prob":
-                checks.append(((values < 0) | (values > 1), "is no probability"))
-        for wrong, why in checks:
-            if wrong.any():
-                row = int(np.flatnonzero(wrong)[0])
-                place = f"{path}: frame {columns['frame'][row]}, {targets[row]}/{parts[row]}"
-                raise InputError(f"{place}: {name} {values[row]:.15g} {why}; correct it, or leave it empty")
-    return build(tuple(numbers), which, path=path, **columns, **others)
+        values, (least, most) = columns[name], _BOUNDS.get(name, (-1e300, 1e300))
+        if (wrong := np.flatnonzero((values < least) | (values > most))).size:
+            frame, part = columns["frame"][wrong[0]], "/".join(list(names)[columns["which"][wrong[0]]])
+            why = f"{name} {values[wrong[0]]:.15g} is no number from {least:g} to {most:g}"
+            raise InputError(f"{path}: frame {frame}, {part}: {why}; correct it, or leave it empty")
+    return build(tuple(names), path=path, **columns, **others)
 
 
 def _read_csv(path: Path) -> Trajectory:
     blocks: list[dict[str, Any]] = []
-    names: dict[str, list[str]] = {"target": [], "part": []}
+    names: dict[tuple[str, str], int] = {}
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file)
             header = [name.strip() for name in next(lines, [])]
-            if not any(header):
-                raise InputError(f"{path}: is empty; a trajectory begins with the header {','.join(COLUMNS)}")
-            if missing := ", ".join(name for name in REQUIRED if name not in header):
-                raise InputError(f"{path}:1: the header has no column {missing}; it should read {','.join(COLUMNS)}")
-            if twice := sorted(name for name in (*COLUMNS, "hidden") if header.count(name) > 1):
-                raise InputError(f"{path}:1: column {twice[0]} is there twice; keep one of them")
+            counts = {name: header.count(name) for name in (*COLUMNS, "hidden")}
+            if wrong := [name for name, n in counts.items() if n > 1 or (n < 1 and name in REQUIRED)]:
+                why = f"the header has no column, or two, called {', '.join(wrong)}"
+                raise InputError(f"{path}:1: {why}; it should read {','.join(COLUMNS)}")
             rows = _rows(path, lines, len(header))
             while block := list(itertools.islice(rows, _BLOCK)):
-                numbers = [number for number, _ in block]
-                cells = dict(zip(header, zip(*(row for _, row in block), strict=True), strict=True))
-                columns = {name: list(map(str.strip, cells.get(name, [""] * len(block)))) for name in COLUMNS}
-                if "hidden" in cells:
-                    columns["status"] = _hidden(path, cells["hidden"], columns["status"], numbers)
-                for name in names:
-                    if "" in columns[name]:
-                        place = f"{path}:{numbers[columns[name].index('')]}"
-                        raise InputError(f"{place}: column {name} is empty; name the {name}")
-                    names[name] += columns.pop(name)
-                blocks.append({name: _column(path, name, texts, numbers) for name, texts in columns.items()})
+                numbers, texts = zip(*block, strict=True)
+                cells = dict(zip(header, zip(*texts, strict=True), strict=True))
+                read: dict[str, Any] = {
+                    name: _column(path, name, cells.get(name, ("",) * len(block)), numbers)
+                    for name in (*COLUMNS, "hidden")
+                }
+                read["status"] = np.where((read["status"] == "") & read.pop("hidden"), "hidden", read["status"])
+                pairs = zip(read.pop("target").tolist(), read.pop("part").tolist(), strict=True)
+                read["which"] = [names.setdefault(pair, len(names)) for pair in pairs]
+                blocks.append(read)
     except csv.Error as e:
         raise InputError(f"{path}:{lines.line_num}: is not CSV: {e}") from e
     whole = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]} if blocks else {}
-    return _build(path, names["target"], names["part"], whole)
+    return _build(path, names, whole)
 
 
 def _rows(path: Path, lines: Any, width: int) -> Iterator[tuple[int, list[str]]]:
@@ -146,113 +147,90 @@ def _rows(path: Path, lines: Any, width: int) -> Iterator[tuple[int, list[str]]]
             yield lines.line_num, cells
 
 
-def _hidden(path: Path, cells: Sequence[str], status: Sequence[str], numbers: Sequence[int]) -> list[str]:
-    """The `status`, and where it is empty what a column of 0 and 1, or false and true, says of it."""
-    statuses = {"": "", "0": "", "false": "", "1": "hidden", "true": "hidden"}
-    for number, cell in zip(numbers, cells, strict=True):
-        if cell.strip().lower() not in statuses:
-            why = "is none of 0, 1, true and false; correct it or leave it empty"
-            raise InputError(f"{path}:{number}: column hidden: {cell.strip()!r} {why}")
-    return [text or statuses[cell.strip().lower()] for text, cell in zip(status, cells, strict=True)]
+def _numbers(cells: list[str]) -> list[float]:
+    return [float(cell or "nan") for cell in cells]
+
+
+def _names(cells: list[str]) -> list[str]:
+    if "" in cells:
+        raise ValueError
+    return cells
+
+
+def _frames(cells: list[str]) -> NDArray[np.int64]:
+    return np.array(list(map(int, cells)), np.int64)
+
+
+def _hidden(cells: list[str]) -> list[bool]:
+    return [_HIDDEN[cell.lower()] for cell in cells]
+
+
+_HIDDEN: Final = {"": False, "0": False, "false": False, "1": True, "true": True}
+# of the cells of a column: their values, the characters that stand in them, and what they are
+_CELLS: Final[Mapping[str, tuple[Callable[[list[str]], Any], re.Pattern[str], str]]] = {
+    **dict.fromkeys(FLOATS, (_numbers, re.compile(r"[-+.0-9eE]*"), "finite number")),
+    **dict.fromkeys(TEXTS, (list, re.compile(r"(?s).*"), "name")),
+    **dict.fromkeys(("target", "part"), (_names, re.compile(r"(?s).*"), "name")),
+    "frame": (_frames, re.compile(r"[0-9]*"), "whole number from 0 up"),
+    "particles": (_numbers, re.compile(r"[0-9]*"), "whole number from 0 up"),
+    "hidden": (_hidden, re.compile(r"(?s).*"), "0, 1, true or false"),
+}
 
 
 def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int]) -> NDArray[Any]:
-    """The values of a column's cells without blanks; InputError, with the line, for the first that is none."""
-    if name in TEXTS:
-        return np.array(cells, dtype=np.str_)
-    whole = name in ("frame", "particles")
-
-    def is_number(cell: str) -> bool:
-        if whole or not cell:
-            return cell.isascii() and cell.isdigit() and len(cell) <= _DIGITS if cell else name != "frame"
-        try:
-            return math.isfinite(float(cell)) and "_" not in cell  # float() takes 1_0 for 10
-        except ValueError:
-            return False
-
-    if not whole and "_" not in "".join(cells):  # as below, and faster
-        with suppress(ValueError):
-            values = np.array([float(cell) if cell else math.nan for cell in cells])
-            if np.isfinite(values).sum() == len(cells) - cells.count(""):
-                return values
-    for line, cell in zip(numbers, cells, strict=True):
-        if not is_number(cell):
-            why = "whole number from 0 up; correct it" if whole else "finite number; correct it or leave it empty"
-            raise InputError(f"{path}:{line}: column {name}: {cell!r} is no {why}")
-    return np.array([int(cell) if cell else math.nan for cell in cells], dtype=np.int64 if name == "frame" else float)
-
-
-_SHARED: Final = ("frame", "time_s", "target", "particles", "identity", "identity_prob")
-_OWN: Final = {"status": "", "by_hand": False, **{name: None for name in FLOATS if name not in _SHARED}}
-_KEYS: Final = frozenset(("part", *_OWN))
-_KINDS: Final[Mapping[str, tuple[Callable[[Any], bool], str]]] = {
-    **dict.fromkeys(
-        FLOATS, (lambda v: v is None or type(v) is float or (type(v) is int and abs(v) < 10**300), "no number")
-    ),
-    **dict.fromkeys(("target", "part"), (lambda v: type(v) is str and v != "", "no name")),
-    **dict.fromkeys(TEXTS, (lambda v: type(v) is str, "no name")),
-    "frame": (lambda v: type(v) is int and 0 <= v < 10**_DIGITS, "no whole number from 0 up"),
-    "by_hand": (lambda v: type(v) is bool, "neither true nor false"),
-}
+    """The values of a column's cells; InputError, with the line, for the first that it cannot have."""
+    values, characters, what = _CELLS[name]
+    cells = list(map(str.strip, cells))
+    with suppress(ValueError, KeyError, OverflowError):
+        if characters.fullmatch("".join(cells)):
+            return np.array(values(cells))
+    if len(cells) > 1:  # each alone, to name the line
+        return np.concatenate([_column(path, name, [cell], [at]) for cell, at in zip(cells, numbers, strict=True)])
+    raise InputError(f"{path}:{numbers[0]}: column {name}: {cells[0]!r} is no {what}; correct it")
 
 
 def _read_json(path: Path) -> Trajectory:
     header, records = _records(path)
-    columns: dict[str, list[Any]] = {name: [] for name in (*_SHARED, "part", *_OWN)}
-    row_of: list[int] = []  # the record of each row
+    columns: dict[str, list[Any]] = {name: [] for name in ("which", "frame", "time_s", *OF_TARGET[1:], *OF_PART[1:])}
+    names: dict[tuple[str, str], int] = {}
     reported: dict[str, dict[int, Mapping[str, Any]]] = {}
     declared = _declared(path, header)
-
-    def unlike(at: int, why: object) -> InputError:
-        return InputError(f"{path}: record {at} of frames is not as facetrack writes it: {why}")
-
     for at, record in enumerate(records):
         try:
-            for target in record["targets"]:
-                parts, about = target["parts"], {"particles": None, "identity_prob": None, **target}
-                about |= {"frame": record["frame"], "time_s": record.get("time_s")}
-                about["identity"] = "" if about.get("identity") is None else about["identity"]
-                for key in _SHARED:
-                    columns[key] += [about[key]] * len(parts)
-                if unknown := sorted({key for part in parts for key in part.keys() - _KEYS}):
-                    raise ValueError(f"unknown key {unknown[0]!r}")
-                columns["part"] += [part["part"] for part in parts]
-                for key, missing in _OWN.items():
-                    columns[key] += [part.get(key, missing) for part in parts]
-                row_of += [at] * len(parts)
-                if not declared.keys().isdisjoint(target):
-                    reported.setdefault(about["target"], {}).setdefault(about["frame"], target)
-        except (KeyError, TypeError, ValueError, AttributeError) as e:
-            raise unlike(at, e) from None
-    for name, values in columns.items():
-        is_one, what = _KINDS[name]
-        if (row := next((i for i, value in enumerate(values) if not is_one(value)), None)) is not None:
-            raise unlike(row_of[row], f"{name} {values[row]!r:.60} is {what}")
-    targets, names = columns.pop("target"), columns.pop("part")
+            frame = _FRAME.model_validate(record)
+        except ValidationError as e:
+            raise not_as_written(path, e, "frames", at) from None
+        for target in frame.targets:
+            columns["which"] += [names.setdefault((target.target, part.part), len(names)) for part in target.parts]
+            for name in ("frame", "time_s"):
+                columns[name] += [getattr(frame, name)] * len(target.parts)
+            for name in OF_TARGET[1:]:
+                columns[name] += [getattr(target, name)] * len(target.parts)
+            for name in OF_PART[1:]:
+                columns[name] += [getattr(part, name) for part in target.parts]
+            if not declared.keys().isdisjoint(target.model_extra):
+                reported.setdefault(target.target, {}).setdefault(frame.frame, target.model_extra)
+    columns["identity"] = [name or "" for name in columns["identity"]]
     arrays = {name: np.array(values, np.float64 if name in FLOATS else None) for name, values in columns.items()}
     diagnostics = {}
-    for target, by_diagnostic in reported.items():
-        frames = sorted(by_diagnostic)
-        chosen = [kind for name, kind in declared.items() if any(name in each for each in by_diagnostic.values())]
+    for name, by_frame in reported.items():
+        frames = sorted(by_frame)
+        chosen = [kind for kind in declared.values() if any(kind.name in each for each in by_frame.values())]
         try:
-            diagnostics[target] = Diagnostics.of(chosen, frames, [by_diagnostic[frame] for frame in frames])
+            diagnostics[name] = Diagnostics.of(chosen, frames, [by_frame[number] for number in frames])
         except ValueError as e:
             at, why = e.args
-            raise InputError(f"{path}: frame {frames[at]}, {target}: {why}; correct it, or leave it out") from None
-    return _build(path, targets, names, arrays, header=header, diagnostics=diagnostics)
+            raise InputError(f"{path}: frame {frames[at]}, {name}: {why}; correct it, or leave it out") from None
+    return _build(path, names, arrays, header=header, diagnostics=diagnostics)
 
 
 def _declared(path: Path, header: Mapping[str, Any]) -> dict[str, Diagnostic]:
     """The diagnostics that every version knows, then those that a header declares."""
-    if "diagnostics" not in header:
-        return dict(KNOWN)
-    from pydantic import TypeAdapter, ValidationError
-
     try:
-        listed = TypeAdapter(list[Diagnostic]).validate_python(header["diagnostics"])
+        listed = pydantic.TypeAdapter(list[Diagnostic]).validate_python(header.get("diagnostics", []))
     except ValidationError as e:
         raise not_as_written(path, e, "diagnostics") from None
-    return {**KNOWN, **{diagnostic.name: diagnostic for diagnostic in listed if diagnostic.name not in KNOWN}}
+    return {**KNOWN, **{diagnostic.name: diagnostic for diagnostic in listed}, **KNOWN}
 
 
 def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
@@ -274,19 +252,12 @@ def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
     except (ValueError, RecursionError) as e:  # also a number of thousands of digits
         why = f"is not JSON: {e!s:.60}; was the run cut short? of a .jsonl remove this line"
         raise InputError(f"{path}:{number or 1}: {why}") from None
-    check_schema(path, header)
-    if not isinstance(frames, list):
-        raise InputError(f'{path}: has no list "frames"; it is no trajectory of facetrack')
-    return header, frames
-
-
-def check_schema(path: Path, header: Any) -> None:
-    """InputError if a header is not that of a trajectory, or of a version to come."""
-    if not isinstance(header, dict) or header.get("schema") != SCHEMA:
-        raise InputError(f'{path}: does not say "schema": "{SCHEMA}"; it is no trajectory of facetrack')
-    version = header.get("version", VERSION)
-    if type(version) is not int or version > VERSION:
+    if header.get("schema") != SCHEMA or not isinstance(frames, list):
+        why = f'does not say "schema": "{SCHEMA}", or has no list "frames"'
+        raise InputError(f"{path}: {why}; it is no trajectory of facetrack")
+    if type(version := header.get("version", VERSION)) is not int or version > VERSION:
         raise InputError(f"{path}: is of version {version!r}, and this facetrack reads {VERSION}; update facetrack")
+    return header, frames
 
 
 CORRECTED: Final = "corrected.init.yaml"
@@ -295,7 +266,6 @@ PEOPLE: Final = "people.json"
 STILLS: Final = "people"  # the folder of the pictures of people, in that of a run
 Pixels: TypeAlias = Annotated[float, Field(strict=True, ge=-MAX_PIXELS, le=MAX_PIXELS, allow_inf_nan=False)]
 Side: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=MAX_PIXELS, allow_inf_nan=False)]
-FrameNumber: TypeAlias = Annotated[int, Field(strict=True, ge=0, le=MAX_FRAME)]
 Name: TypeAlias = Annotated[str, AfterValidator(lambda name: checked_name(name, "target or part"))]
 _Positive: TypeAlias = Annotated[int, Field(gt=0)]
 _Parts: TypeAlias = Annotated[
@@ -358,9 +328,10 @@ class StartRecord(BaseModel):
 
 def to_record(start: Start) -> dict[str, Any]:
     """What `StartRecord` reads, for JSON; members without a value are left out."""
-    targets = {}
-    for name, target in start.targets.items():
-        targets[name] = _members(box=target.box, points=dict(target.points), windows=dict(target.windows))
+    targets = {
+        name: _members(box=target.box, points=dict(target.points), windows=dict(target.windows))
+        for name, target in start.targets.items()
+    }
     measured = _members(detector=start.detector, placed=start.placed)
     return {"frame": start.frame, "targets": targets, **measured, **corrections_record(start.corrections)}
 

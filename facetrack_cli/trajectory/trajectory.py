@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -333,7 +333,9 @@ def header_value(table: Trajectory, group: str, key: str) -> Any:
     return members.get(key) if isinstance(members, dict) else None
 
 
-_ARRAYS = tuple(f.name for f in fields(Trajectory) if str(f.type).startswith(("Whole", "Array", "Texts", "Mask")))
+_UNKNOWN: Final[Mapping[str, Any]] = {**dict.fromkeys(FLOATS, np.nan), **dict.fromkeys(TEXTS, ""), "by_hand": False}
+_KINDS: Final[Mapping[str, Any]] = {name: type(value) for name, value in _UNKNOWN.items()}
+_ARRAYS: Final = ("which", "frame", *_UNKNOWN, "corners")
 
 
 def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: Any) -> Trajectory:
@@ -356,7 +358,7 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
         raise InputError(f"{about.get('path', Path())}: {why}")
     columns = {name: values for name, values in others.items() if values is not None}
     for name, values in columns.items():
-        columns[name] = np.asarray(values, dtype=_TYPES.get(name, np.float64))[order]
+        columns[name] = np.asarray(values, dtype=_KINDS.get(name, float))[order]
     columns = {**_unknown(len(frame)), **columns, "which": which, "frame": frame}
     return Trajectory(tuple(names), **columns, **about)
 
@@ -371,7 +373,7 @@ def of_frame(
     """
     rows, values_of = len(names), dict(_unknown(len(names)))
     values_of |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
-    values_of |= {name: np.asarray(values, dtype=_TYPES.get(name, np.float64)) for name, values in columns.items()}
+    values_of |= {name: np.asarray(values, dtype=_KINDS.get(name, float)) for name, values in columns.items()}
     values_of["angle"] = shown_angle(values_of["angle"], frame.aspect)
     (x, y), (width, height) = (values_of["x"], values_of["y"]), frame.size
     beyond = (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
@@ -380,15 +382,10 @@ def of_frame(
     return Trajectory(names, **values_of, diagnostics=diagnostics)
 
 
-_TYPES: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.str_), "by_hand": np.bool_}
-_UNKNOWN: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.array("", "<U8")), "by_hand": np.array(False)}
-
-
 @lru_cache
 def _unknown(rows: int) -> dict[str, Any]:
     """Columns of which nothing is known: read-only, and one value each in memory."""
-    values = {name: _UNKNOWN.get(name, np.array(np.nan)) for name in _ARRAYS[2:] if name != "corners"}
-    return {name: np.broadcast_to(value, rows) for name, value in values.items()}
+    return {name: np.broadcast_to(np.array(value, _KINDS[name]), rows) for name, value in _UNKNOWN.items()}
 
 
 def one_part(target: str, part: str, frame: Any, **columns: Any) -> Trajectory:
@@ -424,7 +421,7 @@ def aligned(parts: Sequence[Trajectory], *columns: str, frame: Whole | None = No
         frame = np.unique(np.concatenate([part.frame for part in parts]))
     values = {}
     for name in columns:
-        values[name] = np.full((len(frame), len(parts)), _UNKNOWN.get(name, np.nan))
+        values[name] = np.full((len(frame), len(parts)), _UNKNOWN[name], "<U8" if name in TEXTS else None)
         for k, part in enumerate(parts):
             values[name][np.searchsorted(frame, part.frame), k] = getattr(part, name)
     return frame, values

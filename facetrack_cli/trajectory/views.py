@@ -68,23 +68,25 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     if len(parts) == 1:
         return parts[0].renamed(target, BOX)
     if around == "points":
-        parts = [part for part in parts if part.part != BOX]
-        parts = [replace(part, w=np.ones(len(part)), h=np.ones(len(part))) for part in parts]
+        parts = [replace(p, w=np.ones(len(p)), h=np.ones(len(p))) for p in parts if p.part != BOX]
     parts = list(filter(has_windows, parts)) or parts
     for part in parts:
-        if (sizeless := part.frame[np.isfinite(part.x) & ~np.isfinite(part.w + part.h)]).size:
-            raise InputError(f"{part.name}: frame {sizeless[0]} has no w and h; enclose the points with --box points")
+        check_sized(part, "enclose the points with --box points")
     frame, columns = aligned(parts, "x", "y", "w", "h", "confidence", "status", "by_hand")
     x, y, w, h, confidence, status, by_hand = columns.values()
     left, top = x - (w - 1) / 2, y - (h - 1) / 2
-    finite = np.isfinite(left + top + w + h)
-    low = [np.where(finite, edge, np.inf).min(axis=1) for edge in (left, top)]
-    high = [np.where(finite, edge, -np.inf).max(axis=1) for edge in (left + w, top + h)]
-    left, top, right, bottom = (np.where(finite.any(axis=1), edge, np.nan) for edge in (*low, *high))
-    w, h = right - left, bottom - top
+    edges = np.where(np.isfinite(left + top + w + h), [left, top, left + w, top + h], np.nan)
+    left, top = np.fmin.reduce(edges[:2], axis=2)
+    w, h = np.fmax.reduce(edges[2:], axis=2) - (left, top)
     place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h, "confidence": mean(confidence)}
     about = {"status": _together(status), "by_hand": by_hand.any(axis=1), "time_s": joined(parts).times}
     return one_part(target, BOX, frame, **place, **about)
+
+
+def check_sized(part: Trajectory, remedy: str) -> None:
+    """InputError for a place without a size."""
+    if (sizeless := part.frame[np.isfinite(part.x) & ~np.isfinite(part.w + part.h)]).size:
+        raise InputError(f"{part.name}: frame {sizeless[0]} has no w and h; {remedy}")
 
 
 def has_windows(part: Trajectory) -> bool:
@@ -105,10 +107,8 @@ def _together(status: Texts) -> list[str]:
     for row in status.tolist():
         states = set(filter(None, row))
         of_tracker = bool(states & {"tracked", "init", "lost"})
-        if of_tracker:
-            states.discard("absent")
-        if states == {*UNSEEN}:
-            states.discard("lost")
+        states -= {"absent"} if of_tracker else set()
+        states = {"hidden"} if states == {*UNSEEN} else states
         together.append(states.pop() if len(states) == 1 else "tracked" if of_tracker else "visible" if states else "")
     return together
 

@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import groupby, islice
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from facetrack_cli.core import __version__
+from facetrack_cli.core.files import BytesSink, FileSink
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, KNOWN, Diagnostics
@@ -24,6 +25,9 @@ VERSION = 1
 Format: TypeAlias = Literal["csv", "json", "jsonl"]
 FORMATS: tuple[Format, ...] = ("csv", "json", "jsonl")
 Header: TypeAlias = Mapping[str, Any]  # JSON-ready: source, recipe, seed, init
+# what JSON says of a target, and of a part, in the order of its keys
+OF_TARGET = ("target", "particles", "identity", "identity_prob")
+OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", *SPREAD, "ess")
 
 
 @dataclass
@@ -75,13 +79,6 @@ def summary_of(rows: Trajectory, **ended: Any) -> RunSummary:
     return summary
 
 
-class Sink(Protocol):
-    """Where records go. `write` takes a whole record: a sink that runs full keeps whole records only."""
-
-    def write(self, record: str) -> None: ...
-    def finish(self, tail: Callable[[int], str]) -> None: ...
-
-
 class Writer:
     """A trajectory being written in a `form`, some frames at a time. `close` ends it properly, whatever ended the run.
 
@@ -89,7 +86,7 @@ class Writer:
     one to a line, so that neither writing nor `grep` holds them all. jsonl is for programs that read meanwhile.
     """
 
-    def __init__(self, form: Format, sink: Sink, header: Header, *, resumed: bool = False) -> None:
+    def __init__(self, form: Format, sink: FileSink | BytesSink, header: Header, *, resumed: bool = False) -> None:
         """`resumed`: the sink holds the header and some frames already."""
         self._form, self._sink, self._between = form, sink, ",\n" * resumed
         if resumed:
@@ -104,14 +101,11 @@ class Writer:
 
     def write(self, rows: Trajectory) -> None:
         for frame in csv_frames(rows) if self._form == "csv" else json_frames(rows):
-            if self._form == "csv":
-                self._sink.write(frame)
-            elif self._form == "json":
+            record = frame if self._form == "csv" else '{"type":"frame",' + frame + "}\n"
+            if self._form == "json":
                 # the comma goes with the record that follows it: a file cut back to whole records still closes
-                self._sink.write(self._between + "{" + frame + "}")
-                self._between = ",\n"
-            else:
-                self._sink.write('{"type":"frame",' + frame + "}\n")
+                record, self._between = self._between + "{" + frame + "}", ",\n"
+            self._sink.write(record)
 
     def close(self, summary: RunSummary) -> None:
         self._sink.finish(lambda records: tail(self._form, summary, records - 1))
@@ -119,12 +113,10 @@ class Writer:
 
 def tail(form: Format, summary: RunSummary, frames: int) -> str:
     """How a file of so many frames ends."""
-    foot: dict[str, Any] = {"complete": summary.complete}
-    foot |= {"stopped": summary.stopped} if summary.stopped else {}
-    foot |= {"frames_tracked": frames, "variable_fps": summary.variable_fps}
-    foot |= {"lost_frames": dict(summary.lost_frames), "warnings": list(summary.warnings)}
-    foot |= {"evidence": {name: round(nats, 4) for name, nats in summary.evidence.items()}}
-    foot |= {"source_sha256": summary.source_sha256} if summary.source_sha256 else {}
+    evidence = {name: round(nats, 4) for name, nats in summary.evidence.items()}
+    whole = {"frames_tracked": frames, **vars(summary), "evidence": evidence}
+    names = ("complete", "stopped", "frames_tracked", *FOOTER[2:])
+    foot = {name: whole[name] for name in names if whole[name] or name not in ("stopped", "source_sha256")}
     if form == "json":
         return "\n],\n" + ",\n".join(_members(foot)) + "\n}\n"
     return "" if form == "csv" else dumps({"type": "footer", **foot}) + "\n"
@@ -145,14 +137,14 @@ def csv_frames(rows: Trajectory) -> Iterator[str]:
 
 def json_frames(rows: Trajectory) -> Iterator[str]:
     """The members of each frame's object; numbers have the digits of the CSV."""
-    for frame, which, cells in _frames(rows, (*_OF_TARGET, *_OF_PART, "time_s"), named=True):
+    for frame, which, cells in _frames(rows, (*OF_TARGET, *OF_PART, "time_s"), named=True):
         targets = []
         for target, group in groupby(zip(which, cells, strict=True), key=lambda row: rows.names[row[0]][0]):
             lines = [line for _, line in group]
-            head = list(filter(None, lines[0][: len(_OF_TARGET)]))
+            head = list(filter(None, lines[0][: len(OF_TARGET)]))
             if target in rows.diagnostics:
                 head += _reported(rows.diagnostics[target], frame)
-            parts = ["{" + ",".join(filter(None, line[len(_OF_TARGET) : -1])) + "}" for line in lines]
+            parts = ["{" + ",".join(filter(None, line[len(OF_TARGET) : -1])) + "}" for line in lines]
             targets.append("{" + ",".join(head) + ',"parts":[' + ",".join(parts) + "]}")
         time_s = cells[0][-1] or '"time_s":null'
         yield f'"frame":{frame},{time_s},"targets":[{",".join(targets)}]'
@@ -260,8 +252,6 @@ def _quoted(text: str) -> str:
 
 
 _key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
-_OF_TARGET = ("target", "particles", "identity", "identity_prob")
-_OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", *SPREAD, "ess")
 _SPECS = {"frame": ".0f", "particles": ".0f", **{name: f".{decimals}f" for name, decimals in DECIMALS.items()}}
 
 _BLOCK = 1_000  # frames that become text at a time

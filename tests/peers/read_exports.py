@@ -8,7 +8,6 @@ face.TextGrid.
 
 import contextlib
 import json
-import math
 import os
 import shutil
 import sys
@@ -44,16 +43,6 @@ from vot.region import Special  # noqa: E402
 from vot.region.io import read_trajectory  # noqa: E402
 
 
-def mot(path):
-    """frame, id (both from 1), left, top (from 0, as motmetrics has it), width, height, confidence."""
-    return motmetrics.io.loadtxt(str(path), fmt="mot15-2D").reset_index().iloc[:, :7].to_numpy().tolist()
-
-
-def mot_truth(path):
-    """Of ground truth: frame, id, left and top from 0, width, height, flag, class, visibility."""
-    return motmetrics.io.loadtxt(str(path), fmt="mot16", min_confidence=1).reset_index().to_numpy().tolist()
-
-
 def track_eval(truth, result):
     """TrackEval's figures of a result against ground truth, both files of MOTChallenge."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(sys.stderr):
@@ -74,21 +63,6 @@ def track_eval(truth, result):
     return {**numbers, "IDF1": float(found["Identity"]["IDF1"]), "HOTA": float(found["HOTA"]["HOTA"].mean())}
 
 
-def average_overlap(path, truth):
-    """GOT-10k's, of the rows after the first."""
-    return float(np.mean(rect_iou(np.loadtxt(path, delimiter=",")[1:], np.loadtxt(truth, delimiter=",")[1:])))
-
-
-def boxes(path):
-    """As got10k's ExperimentOTB.report and ExperimentGOT10k.report read results."""
-    return np.loadtxt(path, delimiter=",").tolist()
-
-
-def vot(path):
-    regions = read_trajectory(str(path))
-    return [one.code if isinstance(one, Special) else [one.x, one.y, one.width, one.height] for one in regions]
-
-
 def coco(path):
     with contextlib.redirect_stdout(None):
         truth = COCO(str(path))
@@ -103,9 +77,8 @@ def coco(path):
     }
 
 
-def dlc(path, header):
-    """As DeepLabCut reads its own CSV."""
-    table = pd.read_csv(path, header=header, index_col=0)
+def dlc(table):
+    """A table of DeepLabCut."""
     return {
         "names": list(table.columns.names),
         "columns": [list(column) for column in table.columns],
@@ -113,23 +86,6 @@ def dlc(path, header):
         "kinds": sorted({str(kind) for kind in table.dtypes}),
         "values": table.to_numpy().tolist(),
     }
-
-
-def dlc_h5(path):
-    """As DeepLabCut reads its own HDF5."""
-    table = pd.read_hdf(path, key="df_with_missing")
-    return {
-        "names": list(table.columns.names),
-        "columns": [list(column) for column in table.columns],
-        "index": table.index.tolist(),
-        "values": table.to_numpy().tolist(),
-    }
-
-
-def wide(path):
-    """The rate that Kinetics Toolkit sees, nan if it is not constant, and the times."""
-    series = kineticstoolkit.TimeSeries.from_dataframe(pd.read_csv(path).set_index("time_s")[["frame"]])
-    return {"rate": float(series.get_sample_rate()), "times": series.time.tolist()}
 
 
 def other_eaf(path):
@@ -157,11 +113,6 @@ def other_eaf(path):
     }
 
 
-def openface(path):
-    found = exploface.get_feature_time_series(str(path))
-    return {"info": exploface.get_info(str(path)), "rows": found.dropna(axis=1, how="all").to_dict(orient="list")}
-
-
 def eaf(path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # an unknown version of the format
@@ -185,43 +136,44 @@ def eaf(path):
     }
 
 
-def textgrid(path):
-    """Of each tier its intervals, those without text too."""
-    return {tier.name: tier.get_all_intervals() for tier in pympi.Praat.TextGrid(str(path)).get_tiers()}
-
-
-def plain(value):
-    """Without NaN, which JSON has no word for: null."""
-    if isinstance(value, dict):
-        return {key: plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
 def main():
     folder = Path(sys.argv[1])
+    otb, got10k, dropped = (
+        np.loadtxt(folder / name, delimiter=",") for name in ("track.otb.txt", "track.got10k.txt", "dropped.got10k.txt")
+    )
+    results, truth = folder / "track.mot.txt", folder / "truth.mot.txt"
+    series = pd.read_csv(folder / "track.wide.csv").set_index("time_s")[["frame"]]
+    series = kineticstoolkit.TimeSeries.from_dataframe(series)
+    openface = str(folder / "track.openface.csv")
+    landmarks = exploface.get_feature_time_series(openface).dropna(axis=1, how="all")
+    tiers = pympi.Praat.TextGrid(str(folder / "face.TextGrid")).get_tiers()
     found = {
-        "mot": mot(folder / "track.mot.txt"),
-        "mot_truth": mot_truth(folder / "truth.mot.txt"),
-        "track_eval": track_eval(folder / "truth.mot.txt", folder / "same.mot.txt"),
-        "average_overlap": average_overlap(folder / "dropped.got10k.txt", folder / "track.got10k.txt"),
-        "otb": boxes(folder / "track.otb.txt"),
-        "got10k": boxes(folder / "track.got10k.txt"),
-        "vot": vot(folder / "track.vot.txt"),
+        # frame, id (both from 1), left, top (from 0, as motmetrics has it), width, height, confidence
+        "mot": motmetrics.io.loadtxt(str(results), fmt="mot15-2D").reset_index().iloc[:, :7].to_numpy().tolist(),
+        # the same with flag, class, visibility
+        "mot_truth": motmetrics.io.loadtxt(str(truth), fmt="mot16", min_confidence=1).reset_index().to_numpy().tolist(),
+        "track_eval": track_eval(truth, folder / "same.mot.txt"),
+        "average_overlap": float(np.mean(rect_iou(dropped[1:], got10k[1:]))),  # of the rows after the first
+        "otb": otb.tolist(),
+        "got10k": got10k.tolist(),
+        "vot": [
+            one.code if isinstance(one, Special) else [one.x, one.y, one.width, one.height]
+            for one in read_trajectory(str(folder / "track.vot.txt"))
+        ],
         "coco": coco(folder / "track.coco.json"),
-        "dlc": dlc(folder / "track.dlc.csv", [0, 1, 2]),
-        "dlc_of_two": dlc(folder / "two.dlc.csv", [0, 1, 2, 3]),
-        "dlc_h5": dlc_h5(folder / "track.dlc.h5"),
-        "dlc_h5_of_two": dlc_h5(folder / "two.dlc.h5"),
-        "wide": wide(folder / "track.wide.csv"),
-        "openface": openface(folder / "track.openface.csv"),
+        # as DeepLabCut reads its own files
+        "dlc": dlc(pd.read_csv(folder / "track.dlc.csv", header=[0, 1, 2], index_col=0)),
+        "dlc_of_two": dlc(pd.read_csv(folder / "two.dlc.csv", header=[0, 1, 2, 3], index_col=0)),
+        "dlc_h5": dlc(pd.read_hdf(folder / "track.dlc.h5", key="df_with_missing")),
+        "dlc_h5_of_two": dlc(pd.read_hdf(folder / "two.dlc.h5", key="df_with_missing")),
+        "wide": {"rate": float(series.get_sample_rate()), "times": series.time.tolist()},  # nan: it is not constant
+        "openface": {"info": exploface.get_info(openface), "rows": landmarks.to_dict(orient="list")},
         "eaf": eaf(folder / "track.eaf"),
         "other_eaf": other_eaf(folder / "quoted.eaf"),
         "session": eaf(folder / "session.eaf"),
-        "textgrid": textgrid(folder / "face.TextGrid"),
+        "textgrid": {tier.name: tier.get_all_intervals() for tier in tiers},  # also those without text
     }
-    sys.stdout.write(json.dumps(plain(found)))
+    sys.stdout.write(json.dumps(found))
 
 
 if __name__ == "__main__":

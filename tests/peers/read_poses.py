@@ -5,7 +5,6 @@ Run by the Python that has them (pose.txt); imports nothing of ours.
 
 import contextlib
 import json
-import math
 import sys
 
 with contextlib.redirect_stdout(sys.stderr):
@@ -36,18 +35,10 @@ def moseq(path):
     }
 
 
-def plain(value):
-    if isinstance(value, dict):
-        return {key: plain(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [plain(one) for one in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
 def main():
     with contextlib.redirect_stdout(sys.stderr):
         found = {path: {"movement": movement(path), "moseq": moseq(path)} for path in sys.argv[1:]}
-    sys.stdout.write(json.dumps(plain(found)))
+    sys.stdout.write(json.dumps(found))
 
 
 if __name__ == "__main__":

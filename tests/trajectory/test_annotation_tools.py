@@ -83,7 +83,7 @@ def test_label_studio_s_numbers():
     assert [one["frame"] for one in value["sequence"]] == list(range(3, 9))
     assert [one["enabled"] for one in value["sequence"]] == [True, True, False, False, False, True]
     assert value["sequence"][0]["time"] == 0.12
-    with pytest.raises(InputError, match=r"face/nose: frame 0 has no w and h, and .* rectangles alone"):
+    with pytest.raises(InputError, match=r"face/nose: frame 0 has no w and h; .* rectangles alone"):
         write_labelstudio(one_part("face", "nose", [0], x=[1.0], y=[2.0]), SIZE, 25.0, "c.mp4")
     eye = one_part("hand", "eye", table().frames, x=np.ones(len(table().frames)), y=np.ones(len(table().frames)))
     (both,) = json.loads(write_labelstudio(joined([*table().parts, eye]), SIZE, 25.0, "clip.mp4"))
@@ -145,7 +145,7 @@ def test_label_studio_s_frames_are_those_of_the_player_s_clock(tmp_path, time_s,
 def test_a_keyframe_while_a_picture_stays_is_of_that_picture(tmp_path):
     task, value, path = in_label_studio(at_times(PHONE), 25.0, tmp_path)
     own = next(one for one in value["sequence"] if one["frame"] == 81)
-    value["sequence"] += [own | {"frame": 83, "time": 83 / 25, "x": 50}, own | {"frame": 82, "x": 30, "auto": True}]
+    value["sequence"] += [own | {"frame": 82, "time": 82 / 25, "x": 50}, own | {"frame": 83, "x": 30, "auto": True}]
     path.write_text(json.dumps([task]))
     (found,) = read_labelstudio(path, SIZE, every_frame(at_times(PHONE)), fps=25.0).parts
     assert found.boxes[60, 0] == pytest.approx(320) and found.frame[60] == 60 and found.by_hand[60]
@@ -212,7 +212,7 @@ BOX = "<box frame='3' xtl='0' ytl='0' xbr='{}' ybr='9'/>"
         (TRACK.format("<points frame='3' points='1,2;3'/>"), "points are written x,y;x,y"),
         (TRACK.format(""), "has no track of a box or a point"),
         ("<annotations><image id='0'/></annotations>", 'export it as "CVAT for video 1.1"'),
-        ("<html></html>", "is XML, but not CVAT's"),
+        ("<html></html>", "is XML, but not of CVAT's tracks"),
         ("<annotations>", "annotations.xml:1: is no XML"),
         ("<!DOCTYPE a [<!ENTITY b 'c'>]><annotations/>", "declares a document type"),
         ("PK\x03\x04....", r"is a ZIP archive; unpack it, and name the annotations\.xml"),

@@ -7,18 +7,17 @@ pose.txt: movement and keypoint-moseq.
 
 import json
 import os
-import shutil
 import site
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import av
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from facetrack_cli.cli.app import cli
+from facetrack_cli import export
 from facetrack_cli.trajectory.formats.annotation import write_cvat, write_labelstudio
 from facetrack_cli.trajectory.formats.boxes import write_mot
 from facetrack_cli.trajectory.formats.keypoints import write_dlc, write_dlc_h5
@@ -51,65 +50,57 @@ CLIP = "Fräulein #1 & 100%.mp4"
 PARTS = ("nose", "mouth_left", "lip & chin")
 
 
-def rows(target, parts, frames=20):
+def head(target, parts, frames=20):
     """A head that moves right from frame 8 on; the second part is lost in 3 to 5, the last has no place in 7."""
-    for frame in range(frames):
-        for k, part in enumerate(parts):
-            x, y = 60.125 + 30 * k + 2.5 * max(0, frame - 8), 50.25 + 17 * k
-            status = "init" if frame == 0 else "lost" if k == 1 and 3 <= frame <= 5 else "tracked"
-            place = "," if k == len(parts) - 1 > 0 and frame == 7 else f"{x:.3f},{y:.3f}"
-            confidence = 0.125 if status == "lost" else 0.9
-            yield f"{frame},{frame / 25:.4f},{target},{part},{place},21.000,11.500,,{confidence},{status},,,,,,\n"
+    t = np.arange(frames)
+    for k, part in enumerate(parts):
+        lost = (k == 1) & (t >= 3) & (t <= 5)
+        x = np.where((t == 7) & (k == len(parts) - 1 > 0), np.nan, 60.125 + 30 * k + 2.5 * np.maximum(0, t - 8))
+        about = {"w": np.full(frames, 21.0), "h": np.full(frames, 11.5), "confidence": np.where(lost, 0.125, 0.9)}
+        status = np.where(t == 0, "init", np.where(lost, "lost", "tracked"))
+        yield one_part(target, part, t, time_s=t / 25, x=x, y=x * 0 + 50.25 + 17 * k, status=status, **about)
 
 
-HEADER = "frame,time_s,target,part,x,y,w,h,angle,confidence,status,std_x,std_y,particles,ess,identity,identity_prob\n"
+def box(target, frame, left, rate, lost):
+    """One that goes right by a pixel a frame."""
+    t = len(frame)
+    place = {"x": left + frame.astype(float), "y": np.full(t, 80.0), "w": np.full(t, 40.0), "h": np.full(t, 50.0)}
+    status = np.where(np.isin(frame, lost), "lost", "tracked")
+    return one_part(target, "box", frame, time_s=frame / rate, **place, confidence=np.full(t, 0.9), status=status)
 
 
 @pytest.fixture(scope="module")
 def read(tmp_path_factory):
     folder = tmp_path_factory.mktemp("exports")
-    (folder / CLIP).touch()
+    clip = folder / CLIP
+    clip.touch()
     (folder / "frames").mkdir()
     for frame in range(20):
         cv2.imwrite(str(folder / f"frames/{frame}.png"), np.zeros((240, 320, 3), np.uint8))
-    (folder / "track.csv").write_text(HEADER + "".join(rows("face", PARTS)), encoding="utf-8")
-    (folder / "two.csv").write_text(HEADER + "".join(rows("face", PARTS)) + "".join(rows("hand", ("box",), 12)))
-
-    states = ["hidden" if frame in (8, 9) else "visible" for frame in range(20)]
-    truth = (
-        f"{frame},{frame / 25},1,box,{100 + frame},80,40,50,,,{state},,,,,,\n" for frame, state in enumerate(states)
-    )
-    (folder / "truth.csv").write_text(HEADER + "".join(truth))
-    # a head that comes late, at 29.97 frames/s, and is lost for a while
-    late = (f"{frame},{frame * 1.001 / 30:.4f},head,box,{90 + frame},80,40,50,,.9,"
-            f"{'lost' if 30 <= frame < 35 else 'tracked'}{',' * 6}\n" for frame in range(12, 120))  # fmt: skip
-    (folder / "late.csv").write_text(HEADER + "".join(late))
-    quoted = "".join(rows("O'Brien", PARTS, 60)) + "".join(rows("hand", ("box",), 60))
-    (folder / "quoted.csv").write_text(HEADER + quoted)
-
-    def export(name, form, *more):
-        result = CliRunner().invoke(cli, ["export", str(folder / name), "--to", form, *more])
-        assert result.exit_code == 0, result.output
-
-    for form in ("otb", "got10k", "vot", "dlc", "dlc-h5", "openface"):
-        export("track.csv", form)
-    for form in ("dlc", "dlc-h5"):
-        export("two.csv", form)
-    export("late.csv", "csv-wide", "-o", str(folder / "track.wide.csv"))
-    export("truth.csv", "mot")
-    same = (folder / "truth.csv").read_text().replace("visible", "tracked").replace("hidden", "lost")
-    (folder / "same.csv").write_text(same)
-    export("same.csv", "mot")
-    lost = (folder / "track.csv").read_text(encoding="utf-8").splitlines()
-    lost = [line.replace(",tracked,", ",lost,") if line.split(",")[0] in ("5", "6") else line for line in lost]
-    (folder / "dropped.csv").write_text("\n".join(lost), encoding="utf-8")
-    export("dropped.csv", "got10k", "--drop-lost")
-    export("quoted.csv", "eaf", "--media", str(folder / CLIP))
-    export("two.csv", "mot", "-o", str(folder / "track.mot.txt"))
-    export("two.csv", "coco", "-o", str(folder / "track.coco.json"), "--media", str(folder / "frames"))
-    export("track.csv", "eaf", "--media", str(folder / CLIP))
-    shutil.copy(folder / "track.eaf", folder / "session.eaf")
-    export("track.csv", "eaf", "--media", str(folder / CLIP), "--into", str(folder / "session.eaf"), "--overwrite")
+    track = joined(head("face", PARTS))
+    two = joined([*track.parts, *head("hand", ("box",), 12)])
+    same = box("1", np.arange(20), 100, 25, (8, 9))
+    gone = np.isin(track.frame, (5, 6)) & (track.status == "tracked")
+    dropped = replace(track, status=np.where(gone, "lost", track.status))
+    for rows, form, name, more in (
+        *((track, form, f"track.{form}.txt", {}) for form in ("otb", "got10k", "vot")),
+        (track, "dlc", "track.dlc.csv", {}),
+        (track, "dlc-h5", "track.dlc.h5", {}),
+        (track, "openface", "track.openface.csv", {}),
+        (two, "dlc", "two.dlc.csv", {}),
+        (two, "dlc-h5", "two.dlc.h5", {}),
+        # a head that comes late, at 29.97 frames/s, and is lost for a while
+        (box("head", np.arange(12, 120), 90, 30 / 1.001, range(30, 35)), "csv-wide", "track.wide.csv", {}),
+        (replace(same, status=np.where(same.unseen, "hidden", "visible")), "mot", "truth.mot.txt", {}),
+        (same, "mot", "same.mot.txt", {}),
+        (dropped, "got10k", "dropped.got10k.txt", {"drop_lost": True}),
+        (joined([*head("O'Brien", PARTS, 60), *head("hand", ("box",), 60)]), "eaf", "quoted.eaf", {"media": clip}),
+        (two, "mot", "track.mot.txt", {}),
+        (two, "coco", "track.coco.json", {"media": folder / "frames"}),
+        (track, "eaf", "track.eaf", {"media": clip}),
+        (track, "eaf", "session.eaf", {"media": clip, "into": folder / "track.eaf"}),
+    ):
+        export(rows, form, folder / name, **more)
     (folder / "face.TextGrid").write_text(write_textgrid(face('O"Brien')), encoding="utf-8")
     return folder, read_by(PEERS, "read_exports.py", folder)
 
@@ -204,7 +195,7 @@ def test_pandas_reads_deeplabcut_s_headers(read):
     assert found["columns"] == [["facetrack", part, c] for part in PARTS for c in ("x", "y", "likelihood")]
     assert found["index"] == list(range(20)) and found["kinds"] == ["float64"]
     assert found["values"][4] == [60.125, 50.25, 0.9, 90.125, 67.25, 0.125, 120.125, 84.25, 0.9]
-    assert found["values"][7][6:] == [None, None, None]
+    assert np.isnan(found["values"][7][6:]).all()
 
 
 @exports
@@ -214,15 +205,14 @@ def test_pandas_reads_individuals(read):
     assert [column[1:3] for column in found["columns"][::3]] == [
         [target, part] for target in ("face", "hand") for part in (*PARTS, "box")
     ]
-    assert found["values"][3][9:21] == [None] * 12 and found["values"][3][21:] == [60.125, 50.25, 0.9]
-    assert found["values"][15][21:] == [None] * 3  # the hand has no rows any more
+    assert np.isnan(found["values"][3][9:21]).all() and found["values"][3][21:] == [60.125, 50.25, 0.9]
+    assert np.isnan(found["values"][15][21:]).all(), "the hand has no rows any more"
 
 
 @exports
 def test_hdf5_holds_what_the_csv_holds(read):
     for form in ("dlc", "dlc_of_two"):
-        text, file = read[1][form], read[1][form.replace("dlc", "dlc_h5")]
-        assert all(file[name] == text[name] for name in ("names", "columns", "index", "values"))
+        np.testing.assert_equal(read[1][form.replace("dlc", "dlc_h5")], read[1][form])
 
 
 @exports

@@ -21,6 +21,7 @@ interpolated: nobody has put them there.
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 from xml.etree import ElementTree as ET
@@ -30,30 +31,15 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import BOX, Array, Texts, Whole
+from facetrack_cli.core.types import BOX, Array, Whole
 from facetrack_cli.trajectory.formats.boxes import read_text
 from facetrack_cli.trajectory.formats.eaf import clean
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
-from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, joined, one_part
-from facetrack_cli.trajectory.views import every_frame, has_windows
+from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, build, joined
+from facetrack_cli.trajectory.views import check_sized, every_frame, has_windows
 
 _HALF_PIXEL = 0.5  # the centre of the first pixel is 0 here and 0.5 in the tools
 _REGION = "videorectangle"
-
-
-class _Track(NamedTuple):
-    """One part over consecutive frames: centre `xy` (T, 2), `ltwh` (T, 4) and `state` (T,): `seen`, `lost` or `gone`.
-
-    A part that is gone keeps its last place. `ltwh` of a point may be nan.
-    """
-
-    label: str
-    is_box: bool
-    frame: Whole
-    xy: Array
-    ltwh: Array
-    angle: Array
-    state: Texts
 
 
 class _Mark(NamedTuple):
@@ -71,21 +57,23 @@ class _Mark(NamedTuple):
 _Marks: TypeAlias = dict[tuple[str, str], dict[int, _Mark]]  # by (target, part), then by frame
 
 
-def _tracks(table: Trajectory) -> Iterator[_Track]:
-    """Each part from its first place to the last frame of the table; where there is no row, it is gone."""
+def _tracks(table: Trajectory) -> Iterator[tuple[str, Trajectory]]:
+    """The label and the rows of each part, in all frames from its first place to the last one of the table.
+
+    `status` is seen, lost, or gone where there is no row, which has the last place.
+    """
     last = int(table.frames[-1])
     for part in table.parts:
         rows = np.flatnonzero(np.isfinite(part.x) & np.isfinite(part.y))
-        if not rows.size:
-            continue
-        frame = np.arange(part.frame[rows[0]], last + 1)
-        at = rows[np.searchsorted(part.frame[rows], frame, side="right") - 1]  # the last row that has a place
-        seen = np.where(np.isin(part.status[at], SEEN), "seen", "lost")
-        name, is_box = part.target or "target", part.part == BOX
-        xy = np.stack([part.x[at], part.y[at]], axis=1)
-        angle = shown_angle(part.angle[at], 1 / part.pixel_aspect)  # tools show the pixels of the file as squares
-        label, state = name if is_box else f"{name}/{part.part}", np.where(part.frame[at] == frame, seen, "gone")
-        yield _Track(label, is_box, frame, xy, part.boxes[at], angle, state)
+        if rows.size:
+            frame = np.arange(part.frame[rows[0]], last + 1)
+            at = rows[np.searchsorted(part.frame[rows], frame, side="right") - 1]  # the last row that has a place
+            seen = np.where(np.isin(part.status[at], SEEN), "seen", "lost")
+            state = np.where(part.frame[at] == frame, seen, "gone")
+            angle = shown_angle(part.angle[at], 1 / part.pixel_aspect)  # tools show the pixels of the file as squares
+            name = part.target or "target"
+            label = name if part.part == BOX else f"{name}/{part.part}"
+            yield label, replace(part.take(at), frame=frame, status=state, angle=angle)
 
 
 def _named(label: str) -> tuple[str, str]:
@@ -114,17 +102,14 @@ def _pixels(place: str, *texts: Any) -> list[float]:
 
 def _trajectory(path: Path, marks: _Marks, read_as: str, shift: int = 0) -> Trajectory:
     """The marks as a trajectory, without places where something is absent."""
-    parts = []
-    for (target, part), by_frame in marks.items():
-        frames = sorted(by_frame)
-        x, y, w, h, status, by_hand, angle = map(np.array, zip(*(by_frame[frame] for frame in frames), strict=True))
-        gone = status == "absent"
-        place = {"x": x, "y": y, "w": w, "h": h, "angle": angle}
-        place = {name: np.where(gone, np.nan, values) for name, values in place.items()}
-        parts.append(one_part(target, part, np.array(frames) + shift, **place, status=status, by_hand=by_hand))
-    if not parts:
+    rows = [(k, frame + shift, mark) for k, own in enumerate(marks.values()) for frame, mark in own.items()]
+    if not rows:
         raise InputError(f"{path}: has no track of a box or a point; there is nothing in it to read")
-    return joined(parts, header={"read_as": read_as}, path=path)
+    which, frame, each = zip(*rows, strict=True)
+    columns: dict[str, Any] = dict(zip(_Mark._fields, map(np.array, zip(*each, strict=True)), strict=True))
+    for name in ("x", "y", "w", "h", "angle"):
+        columns[name] = np.where(columns["status"] == "absent", np.nan, columns[name])
+    return build([*marks], which, frame, **columns, header={"read_as": read_as}, path=path)
 
 
 def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> str:
@@ -133,37 +118,40 @@ def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> st
     InputError for boxes without a size.
     """
     root = ET.Element("annotations")
-    ET.SubElement(root, "version").text = "1.1"
     tracks, last = list(_tracks(table)), int(table.frames[-1])
+
+    def fill(parent: ET.Element, **members: Any) -> None:
+        for tag, value in members.items():
+            ET.SubElement(parent, tag).text = clean(str(value))
+
+    fill(root, version="1.1")
     task = ET.SubElement(ET.SubElement(root, "meta"), "task")
-    about = {"name": name or "facetrack", "size": last + 1, "mode": "interpolation", "overlap": 0}
-    for tag, value in {**about, "start_frame": 0, "stop_frame": last}.items():
-        ET.SubElement(task, tag).text = clean(str(value))
+    fill(task, name=name or "facetrack", size=last + 1, mode="interpolation", overlap=0, start_frame=0, stop_frame=last)
     labels = ET.SubElement(task, "labels")
-    for track in tracks:
-        label = ET.SubElement(labels, "label")
-        ET.SubElement(label, "name").text = clean(track.label)
-        ET.SubElement(label, "type").text = "rectangle" if track.is_box else "points"
-        ET.SubElement(label, "attributes")
+    for label, track in tracks:
+        about = ET.SubElement(labels, "label")
+        fill(about, name=label, type="rectangle" if track.part == BOX else "points", attributes="")
     if size is not None:
-        original = ET.SubElement(task, "original_size")
-        ET.SubElement(original, "width").text, ET.SubElement(original, "height").text = map(str, size)
-    ET.SubElement(task, "source").text = clean(name)
-    for ident, track in enumerate(tracks):
-        element = ET.SubElement(root, "track", id=str(ident), label=clean(track.label), source="file")
-        corners = np.concatenate([track.ltwh[:, :2], track.ltwh[:, :2] + track.ltwh[:, 2:]], axis=1)
-        if track.is_box and not np.isfinite(corners).all():
-            raise InputError(f"{track.label}: a box without w and h has no room in CVAT; fill those columns")
-        columns = (track.frame, track.state, corners, track.xy + _HALF_PIXEL, track.angle)
-        for frame, state, edges, xy, angle in zip(*(column.tolist() for column in columns), strict=True):
+        fill(ET.SubElement(task, "original_size"), width=size[0], height=size[1])
+    fill(task, source=name)
+    for ident, (label, track) in enumerate(tracks):
+        element = ET.SubElement(root, "track", id=str(ident), label=clean(label), source="file")
+        is_box, boxes = track.part == BOX, track.boxes
+        if is_box:
+            check_sized(track, "CVAT has no room for such a box: fill those columns")
+        edges = np.concatenate([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], axis=1)
+        places = edges if is_box else np.stack([track.x, track.y], axis=1) + _HALF_PIXEL
+        columns = (track.frame.tolist(), track.status.tolist(), places.tolist(), track.angle.tolist())
+        for frame, state, place, angle in zip(*columns, strict=True):
             shape = {"frame": str(frame), "keyframe": "1"}
             shape |= {"outside": str(int(state == "gone")), "occluded": str(int(state == "lost"))}
-            if track.is_box:
-                shape |= {tag: f"{value:.2f}" for tag, value in zip(("xtl", "ytl", "xbr", "ybr"), edges, strict=True)}
+            values = [f"{value:.2f}" for value in place]
+            if is_box:
+                shape |= dict(zip(("xtl", "ytl", "xbr", "ybr"), values, strict=True))
                 shape |= {"rotation": f"{angle % 360:.2f}"} if angle == angle else {}  # not nan
             else:
-                shape["points"] = f"{xy[0]:.2f},{xy[1]:.2f}"
-            ET.SubElement(element, "box" if track.is_box else "points", shape, z_order="0")
+                shape["points"] = ",".join(values)
+            ET.SubElement(element, "box" if is_box else "points", shape, z_order="0")
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
@@ -189,10 +177,8 @@ def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
         root = ET.fromstring(text)
     except ET.ParseError as e:
         raise InputError(f"{path}:{e.position[0]}: is no XML ({e}); export the file from CVAT again") from None
-    if root.tag != "annotations":
-        raise InputError(f"{path}: is XML, but not CVAT's: it begins with {root.tag}, not with annotations")
-    if root.find("track") is None and root.find("image") is not None:
-        raise InputError(f'{path}: is "CVAT for images", without tracks; export it as "CVAT for video 1.1"')
+    if root.tag != "annotations" or (root.find("track") is None and root.find("image") is not None):
+        raise InputError(f'{path}: is XML, but not of CVAT\'s tracks; export it as "CVAT for video 1.1"')
     marks: _Marks = {}
     for track in root.iter("track"):
         label = str(track.get("label", ""))
@@ -215,9 +201,8 @@ def _shape_marks(place: str, label: str, shape: ET.Element) -> Iterator[tuple[tu
     """The parts of a shape of CVAT, each with its mark."""
 
     def about(element: ET.Element) -> dict[str, Any]:
-        status = (
-            "absent" if element.get("outside") == "1" else "hidden" if element.get("occluded") == "1" else "visible"
-        )
+        status = "hidden" if element.get("occluded") == "1" else "visible"
+        status = "absent" if element.get("outside") == "1" else status
         return {"status": status, "by_hand": element.get("keyframe") != "0"}
 
     def points(element: ET.Element, state: ET.Element) -> list[_Mark]:
@@ -257,17 +242,16 @@ def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, name
     shown, count = dict(zip(pictures.tolist(), numbers.tolist(), strict=True)), int(numbers[-1])
     scale = 100 / np.array([*size, *size], dtype=np.float64)
     results: list[dict[str, Any]] = []
-    for track in _tracks(joined(list(filter(has_windows, table.parts)) or table.parts)):
-        if (sizeless := np.flatnonzero(~np.isfinite(track.ltwh).all(axis=1))).size:
-            why = "has no w and h, and Label Studio's video has rectangles alone; export to cvat"
-            raise InputError(f"{track.label}: frame {track.frame[sizeless[0]]} {why}")
+    for label, track in _tracks(joined(list(filter(has_windows, table.parts)) or table.parts)):
+        check_sized(track, "Label Studio's video has rectangles alone: export to cvat")
+        boxes = track.boxes * scale
         sequence = []
-        for picture, state, box in zip(track.frame.tolist(), track.state.tolist(), track.ltwh * scale, strict=True):
+        for picture, state, box in zip(track.frame.tolist(), track.status.tolist(), boxes.tolist(), strict=True):
             if (frame := shown.get(picture)) is not None:
-                x, y, w, h = (round(value, 5) for value in box.tolist())
+                x, y, w, h = (round(value, 5) for value in box)
                 timed = {"frame": frame, "time": round(frame / fps, 5), "enabled": state == "seen"}
                 sequence.append({**timed, "x": x, "y": y, "width": w, "height": h, "rotation": 0})
-        value = {"framesCount": count, "duration": round(count / fps, 5), "sequence": sequence, "labels": [track.label]}
+        value = {"framesCount": count, "duration": round(count / fps, 5), "sequence": sequence, "labels": [label]}
         about = {"from_name": "box", "to_name": "video", "type": _REGION, "origin": "manual"}
         results.append({"id": f"facetrack{len(results) + 1}", **about, "value": value})
     return dumps([{"data": {"video": name}, "annotations": [{"result": results}]}]) + "\n"
@@ -284,24 +268,19 @@ def _frames_of(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:
     return numbers, frames[first]
 
 
-class _Place(NamedTuple):
-    """A rectangle in a frame of Label Studio, in percent of the image."""
-
-    frame: int
-    enabled: bool
-    auto: bool
-    time: float | None
-    sides: tuple[float, ...]
-    rotation: float
-
-
-def _place(record: Mapping[str, Any]) -> _Place:
-    """Raises KeyError, TypeError or ValueError for what is none."""
+def _rectangle(where: str, record: Mapping[str, Any], size: tuple[int, int]) -> tuple[int, float | None, _Mark]:
+    """The frame, from 1, the time and the mark of a place. KeyError, TypeError or ValueError for what is none."""
     if type(frame := record["frame"]) is not int or not 1 <= frame <= MAX_FRAME:
         raise ValueError(f"{frame!r} is no frame")
-    sides, time = tuple(float(record[name]) for name in ("x", "y", "width", "height")), record.get("time")
-    enabled, auto = bool(record.get("enabled", True)), bool(record.get("auto"))
-    return _Place(frame, enabled, auto, None if time is None else float(time), sides, float(record.get("rotation", 0)))
+    x, w = (float(record[name]) * size[0] / 100 for name in ("x", "width"))
+    y, h = (float(record[name]) * size[1] / 100 for name in ("y", "height"))
+    turn, time = math.radians(float(record.get("rotation", 0))), record.get("time")
+    # a rectangle is turned about its left top corner: the upright one of its size has the same centre
+    left = x + (w * math.cos(turn) - h * math.sin(turn) - w) / 2
+    top = y + (w * math.sin(turn) + h * math.cos(turn) - h) / 2
+    about = {"status": "visible" if record.get("enabled", True) else "absent", "by_hand": not record.get("auto")}
+    mark = _box(f"{where}, frame {frame}", left, top, w, h, **about)
+    return frame, None if time is None else float(time), mark
 
 
 def read_labelstudio(
@@ -323,7 +302,7 @@ def read_labelstudio(
     ------
     InputError : for more than one task or annotation, regions without a label, or two of one label in a frame.
     """
-    sequences: dict[str, dict[int, tuple[str, _Place]]] = {}
+    sequences: dict[str, dict[int, tuple[float | None, _Mark]]] = {}
     try:
         content = json.loads(read_text(path))
         tasks = content if isinstance(content, list) else [content]
@@ -336,31 +315,33 @@ def read_labelstudio(
             if len(labels) != 1:
                 raise InputError(f"{path}: region {ident} has {len(labels)} labels; give it one")
             sequence = sequences.setdefault(labels[0], {})
-            for place in map(_place, region["value"]["sequence"]):
-                where = f"{path}: region {ident} ({labels[0]}), frame {place.frame}"
-                if place.frame in sequence:
-                    raise InputError(
-                        f"{where}: is there twice, here or in another region of the same label; remove one"
-                    )
-                sequence[place.frame] = where, place
+            where = f"{path}: region {ident} ({labels[0]})"
+            for record in region["value"]["sequence"]:
+                frame, time, mark = _rectangle(where, record, size)
+                if frame in sequence:
+                    why = "is there twice, here or in another region of the same label; remove one"
+                    raise InputError(f"{where}, frame {frame}: {why}")
+                sequence[frame] = time, mark
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as e:
         why = f"it has no {e}" if isinstance(e, KeyError) else f"{e!s:.60}"
         raise InputError(f"{path}: is not Label Studio's JSON of a video ({why}); export it again, as JSON") from None
-    picture = _pictures([place for sequence in sequences.values() for _, place in sequence.values()], clock, fps)
+    by_hand = ((n, time) for own in sequences.values() for n, (time, mark) in own.items() if mark.by_hand)
+    picture = _pictures(sorted((n, time) for n, time in by_hand if time is not None), clock, fps)
     marks: _Marks = {}
     for name, sequence in sequences.items():
         own = marks.setdefault(_named(name), {})
-        for frame, (where, place) in sorted(sequence.items()):
-            if not place.auto or picture(frame) not in own:
-                own[picture(frame)] = _placed(where, place, size)
+        for n, (_, mark) in sorted(sequence.items()):
+            if mark.by_hand or picture(n) not in own:
+                own[picture(n)] = mark
     return _trajectory(path, marks, "Label Studio: frames from 1, percent of the image")
 
 
-def _pictures(places: Sequence[_Place], clock: tuple[Whole, Array] | None, fps: float) -> Callable[[int], int]:
-    """The picture that is shown in a frame of Label Studio, by the framerate that the times of these places tell."""
+def _pictures(
+    timed: Sequence[tuple[int, float]], clock: tuple[Whole, Array] | None, fps: float
+) -> Callable[[int], int]:
+    """The picture that is shown in a frame of Label Studio, by the framerate that `timed` frames with times tell."""
     if clock is None:
         return lambda frame: frame - 1
-    timed = sorted((place.frame, place.time) for place in places if place.time is not None and not place.auto)
     if timed and timed[0][1] < timed[-1][1]:
         (first, first_s), (last, last_s) = timed[0], timed[-1]
         rate = (last - first) / (last_s - first_s)
@@ -369,12 +350,3 @@ def _pictures(places: Sequence[_Place], clock: tuple[Whole, Array] | None, fps: 
             fps = rate
     numbers, pictures = _frames_of(*clock, fps)
     return lambda frame: int(pictures[max(int(np.searchsorted(numbers, frame, side="right")) - 1, 0)])
-
-
-def _placed(where: str, place: _Place, size: tuple[int, int]) -> _Mark:
-    (width, height), turn = size, math.radians(place.rotation)
-    x, y, w, h = (np.array(place.sides) * [width, height, width, height] / 100).tolist()
-    # a rectangle is turned about its left top corner: the upright one of its size has the same centre
-    left = x + (w * math.cos(turn) - h * math.sin(turn) - w) / 2
-    top = y + (w * math.sin(turn) + h * math.cos(turn) - h) / 2
-    return _box(where, left, top, w, h, status="visible" if place.enabled else "absent", by_hand=not place.auto)

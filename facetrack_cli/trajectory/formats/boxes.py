@@ -37,6 +37,7 @@ from facetrack_cli.core.files import MAX_TABLE_BYTES, read_bounded
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import MAX_ROWS, SEEN, Trajectory, build
+from facetrack_cli.trajectory.views import check_sized
 
 FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # boxes (..., 4) that count pixels from 1, minus boxes that count from 0
 BOX_COLUMNS = ("frame", "x", "y", "w", "h")
@@ -65,9 +66,9 @@ def read_text(path: Path) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def delimiter(line: str) -> str | None:
+def delimiter(texts: Sequence[str]) -> str | None:
     """What stands between the numbers: a comma where there is one, else tabs or blanks (None, as for str.split)."""
-    return "," if "," in line else None
+    return "," if any("," in text for text in texts) else None
 
 
 @dataclass(frozen=True)
@@ -79,23 +80,17 @@ class Lines:
     places: list[int]
 
     @classmethod
-    def by_frame(cls, path: Path) -> Lines:
-        """The lines of a file in which line i is frame i. A blank line is an error, but not at the end."""
-        texts = [text.strip() for text in read_text(path).rstrip().split("\n")]
-        lines = cls(path, texts, list(range(1, len(texts) + 1)))
-        lines.refuse([not t for t in texts], "is blank, and each line is a frame; for none write nan,nan,nan,nan")
-        return lines
+    def of(cls, path: Path, text: str | None = None, first: int = 1, *, by_frame: bool = False) -> Lines:
+        """The lines of a file, or of a `text` of it whose first line is its line `first`, without the blank ones.
 
-    @classmethod
-    def with_frame(cls, path: Path) -> Lines:
-        """The lines of a file in which each line names its frame, without blank lines."""
-        return cls.numbered(path, read_text(path).split("\n"))
-
-    @classmethod
-    def numbered(cls, path: Path, texts: Sequence[str], first: int = 1) -> Lines:
-        """These lines without the blank ones; `first` is the place of the first one in the file."""
-        lines = [(text.strip(), place) for place, text in enumerate(texts, first) if text.strip()]
-        return cls(path, [text for text, _ in lines], [place for _, place in lines])
+        With `by_frame` line i is frame i: a blank line is an error, but not at the end.
+        """
+        lines = enumerate((read_text(path) if text is None else text).split("\n"), first)
+        known = {place: line.strip() for place, line in lines if line.strip()}
+        if by_frame and (blank := {*range(1, max(known) + 1)} - known.keys()):
+            why = "is blank, and each line is a frame; for none write nan,nan,nan,nan"
+            raise InputError(f"{path}:{min(blank)}: {why}")
+        return cls(path, [*known.values()], [*known])
 
     def __len__(self) -> int:
         return len(self.texts)
@@ -111,16 +106,21 @@ class Lines:
             message = why if isinstance(why, str) else why(int(rows[0]))
             raise InputError(f"{self.path}:{self.places[rows[0]]}: {message}")
 
-    def numbers(self, columns: int, wanted: str, use: Sequence[int] | None = None) -> Array:
-        """(T, columns or len(use)) numbers, nan for an empty cell. InputError with the line of what is not `wanted`."""
-        use, between = use or range(columns), delimiter(self.texts[0]) if self.texts else None
-        values = np.full((len(self), len(use)), np.inf)
-        for row, text in zip(values, self.texts, strict=True):
+    def numbers(self, wanted: str, *counts: int, use: Sequence[int] | None = None) -> Array:
+        """(T, last of `counts`, or `use`) numbers of lines of so many cells; nan for an empty cell, and beyond a line.
+
+        InputError with the line of what is not `wanted`.
+        """
+        values = np.full((len(self), len(use or range(counts[-1]))), np.nan)
+        fine, between = np.zeros(len(self), bool), delimiter(self.texts)
+        for i, text in enumerate(self.texts):
             cells = [cell.strip() for cell in text.split(between)]
-            with contextlib.suppress(ValueError):  # float() would take 1_0 for 10
-                row[:] = [float(cells[i].replace("_", "?") or "nan") for i in use] if len(cells) == columns else np.inf
+            with contextlib.suppress(ValueError, IndexError):  # float() would take 1_0 for 10
+                row = [float(cells[k].replace("_", "?") or "nan") for k in use or range(len(cells))]
+                values[i, : len(row)] = row
+                fine[i] = len(cells) in counts
         why = f"is no line of {wanted}; write numbers with a point, and one kind of comma, tab or blank between them"
-        self.refuse(np.isinf(values).any(axis=1), lambda at: f"{self.texts[at]!r:.60} {why}")
+        self.refuse(~fine | np.isinf(values).any(axis=1), lambda at: f"{self.texts[at]!r:.60} {why}")
         return values
 
     def whole(self, values: Array, name: str, least: int) -> Whole:
@@ -129,13 +129,6 @@ class Lines:
             fine = (values >= least) & (values <= MAX_FRAME) & (values == np.floor(values))
         self.refuse(~fine, lambda row: f"{name} {values[row]:.15g} is no whole number from {least} up; correct it")
         return values.astype(np.int64)
-
-    def refuse_twice(self, keys: Whole, what: str) -> None:
-        """Raises InputError if two rows of `keys` (T, C) are the same; `what` names the columns."""
-        _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-        earlier = first[inverse.reshape(-1)]
-        why = f"the same {what} as in line {{}}; keep one of them"
-        self.refuse(earlier != np.arange(len(keys)), lambda row: why.format(self.places[earlier[row]]))
 
     def boxes(self, frame: Whole, ltwh: Array, *, ids: Any = "", status: Any = "visible", **others: Any) -> Trajectory:
         """The boxes (T, 4) of these lines, left, top, width, height from 0; `ids` (T,) name the targets.
@@ -157,7 +150,7 @@ class Lines:
 
 def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
     """CSV with the header frame,x,y,w,h: frames from 0, the left and top edges in pixels from 0."""
-    lines = Lines.with_frame(path)
+    lines = Lines.of(path)
     names = [name.strip().strip('"').lower() for name in lines.texts[0].split(",")]
     centres = "has the columns target and part, and with them x, y are centres; read it as facetrack's own table"
     lines.refuse([{"target", "part"} <= set(names)], centres)
@@ -166,36 +159,33 @@ def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
     if len(lines) == 1:
         raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
     lines = lines.take(slice(1, None))
-    values = lines.numbers(len(names), ",".join(names), [names.index(name) for name in BOX_COLUMNS])
+    values = lines.numbers(",".join(names), len(names), use=[names.index(name) for name in BOX_COLUMNS])
     frame = lines.whole(values[:, 0], "frame", 0)
-    lines.refuse_twice(frame[:, None], "frame")
     return lines.boxes(frame + shift, values[:, 1:], header={"read_as": "boxes: frame,x,y,w,h, all from 0"})
 
 
 def read_otb(path: Path, *, shift: int = 0) -> Trajectory:
     """OTB text; line i, from 0, is frame i + `shift`."""
-    lines = Lines.by_frame(path)
+    lines = Lines.of(path, by_frame=True)
     header = {"read_as": f"OTB text: {LTWH} a line, pixels from 1 (--truth-format vot: from 0)"}
-    return lines.boxes(np.arange(len(lines)) + shift, lines.numbers(4, LTWH) - FROM_ONE, header=header)
+    return lines.boxes(np.arange(len(lines)) + shift, lines.numbers(LTWH, 4) - FROM_ONE, header=header)
 
 
 def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
     """GOT-10k text, with absence.label and cover.label where they lie beside it."""
-    lines = Lines.by_frame(path)
-    ltwh, used = lines.numbers(4, LTWH) - FROM_ONE, list[str]()
+    lines = Lines.of(path, by_frame=True)
+    ltwh, used = lines.numbers(LTWH, 4) - FROM_ONE, list[str]()
     gone = (ltwh[:, 2:] == 0).any(axis=1) | (ltwh == [-2, -2, -1, -1]).all(axis=1)
     status = np.where(gone, "absent", "visible")
-    for name in ("cover", "absence"):  # what is absent is so whatever covers it
+    for name, means in (("cover", "hidden"), ("absence", "absent")):  # what is absent is so whatever covers it
         file = path.with_name(f"{name}.label")
-        if not file.is_file():
-            continue
-        labels = Lines.by_frame(file).numbers(1, "one number")[:, 0]
-        if len(labels) != len(lines):
-            why = "they belong to different clips: move one away"
-            raise InputError(f"{file}: has {len(labels)} lines, {path.name} beside it {len(lines)}; {why}")
-        seen = (labels == 0) | gone if name == "absence" else (labels != 0) | gone
-        status = np.where(seen, status, "absent" if name == "absence" else "hidden")
-        used.insert(0, file.name)
+        if file.is_file():
+            labels = Lines.of(file, by_frame=True).numbers("one number", 1)[:, 0]
+            if len(labels) != len(lines):
+                why = "they belong to different clips: move one away"
+                raise InputError(f"{file}: has {len(labels)} lines, {path.name} beside it {len(lines)}; {why}")
+            status[((labels == 0) == (name == "cover")) & ~gone] = means
+            used.insert(0, file.name)
     with_labels = f", with {' and '.join(used)}" if used else ""
     header = {"read_as": f"GOT-10k text: {LTWH} a line, pixels from 1{with_labels}"}
     return lines.boxes(np.arange(len(lines)) + shift, ltwh, status=status, header=header)
@@ -205,27 +195,22 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
     """VOT ground truth or results; line i, from 0, is frame i + `shift`. Polygons are the rows' `corners`."""
     if path.suffix.lower() == ".bin":
         raise InputError(f"{path}: is binary; let vot-toolkit write text, with VOT_RESULTS_BINARY=false")
-    lines = Lines.by_frame(path)
-    between = delimiter(next((text for text in lines.texts if "," in text), ""))
-    shapes = np.array([len(text.split(between)) for text in lines.texts], dtype=np.int64)
-    wrong = ~np.isin(shapes, (1, 4, 8)) | [text[0] in "mM" for text in lines.texts]
-    lines.refuse(wrong, f"a line holds {REGION}; masks and other polygons are not read")
-    t = len(lines)
-    codes, ltwh, polygons = np.full(t, np.nan), np.full((t, 4), np.nan), np.full((t, 8), np.nan)
-    for values in (codes[:, None], ltwh, polygons):
-        if (rows := np.flatnonzero(shapes == values.shape[1])).size:
-            values[rows] = lines.take(rows).numbers(values.shape[1], REGION)
-    codes[(shapes == 1) & np.isnan(codes)] = UNKNOWN
+    lines = Lines.of(path, by_frame=True)
+    values = lines.numbers(f"{REGION} (masks and other polygons are not read)", 1, 4, 8)
+    count = np.array([len(text.split(delimiter(lines.texts))) for text in lines.texts])
+    codes = np.where(count == 1, np.nan_to_num(values[:, 0]), np.nan)
+    values[count == 1] = np.nan
+    polygons = np.where((count == 8)[:, None], values, np.nan)
     known = np.isnan(polygons).all(axis=1) | (np.abs(polygons) <= MAX_PIXELS).all(axis=1)
     wrong = ~np.isin(codes, (UNKNOWN, INIT, FAILURE)) & ~np.isnan(codes) | ~known
     lines.refuse(wrong, f"is none of {REGION}; no number is farther out than any image, or all of them are nan")
     corners = polygons.reshape(-1, 4, 2)
     low, high = corners.min(axis=1), corners.max(axis=1)
-    ltwh = np.where((shapes == 8)[:, None], np.concatenate([low, high - low], axis=1), ltwh)
+    ltwh = np.where((count == 8)[:, None], np.concatenate([low, high - low], axis=1), values[:, :4])
     result = bool((codes == INIT).any())
     if not result:
         lines.refuse(codes == FAILURE, "the code 2, a failure, in a file without a 1, where a track begins")
-    kept = np.flatnonzero(codes != UNKNOWN) if result else np.arange(t)
+    kept = np.flatnonzero(codes != UNKNOWN) if result else np.arange(len(lines))
     header = {"read_as": f"VOT {'result' if result else 'text'}: pixels from 0"}
     table = lines.take(kept).boxes(kept + shift, ltwh[kept], header=header)
     unknown, outline = np.isnan(table.x), np.where(np.isnan(table.x)[:, None, None], np.nan, corners[kept])
@@ -250,13 +235,12 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     ------
     InputError : with the line, for what cannot be read; where no row counts, or the classes do not say which.
     """
-    lines = Lines.with_frame(path)
-    count = len(lines.texts[0].split(delimiter(lines.texts[0])))
+    lines = Lines.of(path)
+    count = len(lines.texts[0].split(delimiter(lines.texts)))
     layouts = f"{count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}"
     lines.refuse([count not in MOT_COLUMNS], layouts)
-    values = lines.numbers(count, MOT_COLUMNS[count])
+    values = lines.numbers(MOT_COLUMNS[count], count)
     frame, ident = lines.whole(values[:, 0], "frame", 1), lines.whole(values[:, 1], "id", 1)
-    lines.refuse_twice(np.stack([frame, ident], axis=1), "frame and id")
     seventh = values[:, 6] if count > 6 else np.full(len(lines), np.nan)
     if results is None:
         results = count != 9 and not np.isin(seventh, (0, 1)).all()
@@ -264,30 +248,20 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     eighth = values[:, 7] if count > 7 and not results else np.full(len(lines), np.nan)
     # of ten values the eighth is a class where all are whole numbers, else a coordinate in the world
     of_class = (count == 9 or bool((eighth == np.floor(eighth)).all())) & (eighth >= 1)
-    classes = [f"{number:.0f}" for number in np.unique(eighth[of_class & kept])]
-    other: Mask = of_class & (eighth != (float(classes[0]) if len(classes) == 1 else 1))
+    classes = np.unique(eighth[of_class & kept])
+    other: Mask = of_class & (eighth != (classes[0] if len(classes) == 1 else 1))
     ignored = other & np.isin(eighth, DISTRACTORS)
-    if not kept.any():
-        raise InputError(f"{path}: every row has the flag 0, not to be considered; there is nothing in it to measure")
-    if not (kept & ~other).any():
-        raise InputError(
-            f"{path}: has the classes {', '.join(classes)}, and 1 alone counts; write 1 for that of people"
-        )
+    counts = (kept & ~other) | ignored
+    if not counts[~ignored].any():
+        raise InputError(f"{path}: no row counts; write 1 for the flag of those that do, and for the class of people")
     confidence = np.where(results & (seventh >= 0) & (seventh <= 1), seventh, np.nan)
     covered = values[:, 8] if count == 9 and not results else np.full(len(lines), np.nan)
-    about = {
-        "rows of flag 0 left out": ~kept & ~other,
-        "rows of other classes left out": other & ~ignored,
-        "rows of other classes not judged": ignored,
-        "rows of a visibility below .5 count as visible": kept & ~other & (covered > 0) & (covered < 0.5),
-    }
-    left_out = "".join(f", {rows.sum()} {what}" for what, rows in about.items() if rows.any())
+    left_out = f", {(~counts).sum()} rows of flag 0 or other classes left out" if not counts.all() else ""
     header = {"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"}
-    kept = (kept & ~other) | ignored
-    status = np.where(ignored | (covered == 0), "hidden", "visible")[kept]
-    frame, ltwh = frame[kept] - 1 + shift, values[kept, 2:6] - FROM_ONE
-    own = {"ids": ident[kept], "status": status, "confidence": confidence[kept]}
-    return lines.take(kept).boxes(frame, ltwh, header=header, **own)
+    status = np.where(ignored | (covered == 0), "hidden", "visible")[counts]
+    frame, ltwh = frame[counts] - 1 + shift, values[counts, 2:6] - FROM_ONE
+    own = {"ids": ident[counts], "status": status, "confidence": confidence[counts]}
+    return lines.take(counts).boxes(frame, ltwh, header=header, **own)
 
 
 def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
@@ -322,9 +296,8 @@ def _points(path: Path) -> Array:
     if head is None:
         raise InputError(f'{path}:1: a .pts file begins with the lines "version: 1", "n_points: 68" and "{{"')
     body, brace, rest = text[head.end() :].partition("}")
-    first = text.count("\n", 0, head.end()) + 1
-    lines = Lines.numbered(path, body.split("\n"), first)
-    points = lines.numbers(2, "x y")
+    lines = Lines.of(path, body, text.count("\n", 0, head.end()) + 1)
+    points = lines.numbers("x y", 2)
     fine = np.isnan(points).all(axis=1) | (np.abs(points) <= MAX_PIXELS).all(axis=1)
     lines.refuse(~fine, "that is no point: two numbers, none farther out than any image, or nan nan")
     if not brace or rest.strip() or len(points) != int(head[1]) or not len(points):
@@ -361,10 +334,8 @@ def write_vot(part: Trajectory) -> str:
     size, and for a frame below 0.
     """
     first, last = int(part.frame[0]), int(part.frame[-1])
-    if first < 0:
-        raise InputError(f"{part.name}: frame {first} is before the clip's first; VOT text begins at frame 0")
-    if last >= MAX_ROWS:
-        raise InputError(f"{part.name}: frame {last} is too far on for VOT text, which has a line a frame")
+    if first < 0 or last >= MAX_ROWS:
+        raise InputError(f"{part.name}: frames {first} to {last} have no room in VOT text, a line a frame from frame 0")
     lines = ["0"] * (last + 1)
     corners = np.full((len(part), 8), np.nan) if part.corners is None else part.corners.reshape(-1, 8)
     for frame, box, polygon in zip(part.frame.tolist(), _known_boxes(part).tolist(), corners.tolist(), strict=True):
@@ -401,11 +372,8 @@ def write_mot(parts: Sequence[Trajectory]) -> str:
 
 def _known_boxes(part: Trajectory) -> Array:
     """(T, 4) left, top, width, height from 0; nan where the place is not known. InputError for a place without size."""
-    boxes = part.boxes
-    if (sizeless := np.flatnonzero(np.isnan(boxes).any(axis=1) & ~np.isnan(part.x))).size:
-        why = "has no w and h, and these formats hold boxes; export points to coco or dlc"
-        raise InputError(f"{part.name}: frame {part.frame[sizeless[0]]} {why}")
-    return boxes
+    check_sized(part, "these formats hold boxes: export points to coco or dlc")
+    return part.boxes
 
 
 def _decimal(value: float) -> str:

@@ -15,7 +15,6 @@ import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from urllib.parse import unquote
@@ -30,7 +29,7 @@ from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.face_events import KINDS, events_of
-from facetrack_cli.trajectory.head import LABELS, head_motion, kinds_of
+from facetrack_cli.trajectory.head import LABELS, head_motion
 from facetrack_cli.trajectory.measures import Measured
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 from facetrack_cli.trajectory.views import frame_milliseconds
@@ -101,15 +100,10 @@ def write_eaf(table: Trajectory, video: Path, folder: Path, written: datetime) -
 def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[int, int, str]]:
     """Spans (first frame, last, names) in which the same parts of a target have a `status`, in rows without a gap."""
     frames, columns = aligned(parts, "status")
-    named = (columns["status"] == status).tolist()
-    names = [", ".join(part.part for part, is_one in zip(parts, row, strict=True) if is_one) for row in named]
-    breaks = np.cumsum(np.diff(frames, prepend=frames[:1]) > 1).tolist()
-    spans = []
-    for (_, text), rows in groupby(zip(breaks, names, frames.tolist(), strict=True), key=lambda row: row[:2]):
-        members = [frame for _, _, frame in rows]
-        if text:
-            spans.append((members[0], members[-1], status if text == BOX else text))
-    return spans
+    has, names = columns["status"] == status, np.array([part.part for part in parts])
+    apart = (np.diff(frames) > 1) | (has[1:] != has[:-1]).any(axis=1)
+    texts = [(a, b, ", ".join(names[has[a]])) for a, b in numbers.spans(has.any(axis=1), apart)]
+    return [(int(frames[a]), int(frames[b - 1]), status if text == BOX else text) for a, b, text in texts]
 
 
 def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
@@ -132,9 +126,8 @@ def _tiers(
     yield "lost", name, spans_of(parts)
     yield "hidden", name, spans_of(parts, "hidden")
     yield "absent", name, spans_of([part.take(~part.vanished) for part in parts], "absent")  # as corrections say
-    moved = head_motion(parts)
-    for kind in kinds_of(parts):
-        yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
+    for kind, moved in head_motion(parts).items():
+        yield kind, name, moved
     for kind, events in events_of(name, measures).items():
         yield kind, name, [(event.first_frame, event.last_frame, event.value) for event in events]
 

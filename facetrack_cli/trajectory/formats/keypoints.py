@@ -39,7 +39,7 @@ from facetrack_cli.core.errors import InputError, needed
 from facetrack_cli.core.face_points import LINES, MESH
 from facetrack_cli.core.numbers import csv_text, dumps
 from facetrack_cli.core.types import BOX, Array, Whole
-from facetrack_cli.trajectory.formats.tables import texts
+from facetrack_cli.trajectory.formats.tables import places, texts
 from facetrack_cli.trajectory.head import HeadPose, euler, head_pose, rotation_of
 from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned, joined
 from facetrack_cli.trajectory.views import Around, enclose, every_frame, mean
@@ -158,20 +158,17 @@ def _dlc(table: Trajectory, scorer: str) -> tuple[list[str], list[tuple[str, ...
 
     Readers take the columns for individuals x body parts: each individual has all parts, empty where it has none.
     """
-    several = len(table.targets) > 1
-    pairs = [(t, part) for t in table.targets for part in dict.fromkeys(part for _, part in table.names)]
-    frames, _ = every_frame(table)
-    _, place = aligned(table.parts, "x", "y", "confidence", frame=frames)
-    values = np.full((len(frames), len(pairs), 3), np.nan)
-    values[:, [pairs.index(pair) for pair in table.names]] = np.stack([*place.values()], axis=2)
-    values[~np.isfinite(values[..., :2]).all(axis=2)] = np.nan
+    several, (frames, _) = len(table.targets) > 1, every_frame(table)
+    parts, values = places(table, frames)
+    values[~np.isfinite(values[..., :2]).all(axis=3)] = np.nan
     names = ["scorer", *(["individuals"] if several else []), "bodyparts", "coords"]
     columns = [
         (scorer, *((target,) if several else ()), part, coord)
-        for target, part in pairs
+        for target in table.targets
+        for part in parts
         for coord in ("x", "y", "likelihood")
     ]
-    return names, columns, frames, values
+    return names, columns, frames, values.reshape(len(frames), -1, 3)
 
 
 def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:

@@ -3,7 +3,6 @@
 Frames and pixels of the table are counted from 0 whatever the file's own counting is.
 """
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,24 +85,22 @@ def recognise(path: Path) -> tuple[Path, str]:
         files = f"trajectory.csv, {', '.join(named)} or .pts files"
         raise InputError(f"{path}: is a folder without {files}; name the ground truth file")
     by_name = {".pts": "pts", ".bin": "vot"}.get(path.suffix.lower())
-    return path, by_name or _shape(Lines.with_frame(path))
+    return path, by_name or _shape(Lines.of(path))
 
 
 def _shape(lines: Lines) -> str:
     first = lines.texts[0]
-    place = f"{lines.path}:{lines.places[0]}"
-    if first.startswith("{"):
-        return "facetrack"
-    if first.startswith("<"):
-        return "cvat"
-    if first.lower().startswith("version:"):
-        return "pts"
-    cells = [cell.strip() for cell in first.split(delimiter(first))]
-    count = len(cells)
+    for begin, shape in (("{", "facetrack"), ("<", "cvat"), ("version:", "pts")):
+        if first.lower().startswith(begin):
+            return shape
+    names = {name.strip().strip('"').lower() for name in first.split(",")}
+    for own, shape in ((("target", "part"), "facetrack"), (BOX_COLUMNS, "boxes")):
+        if names.issuperset(own):
+            return shape
+    cells = [cell.strip() for cell in first.split(delimiter([first]))]
     if cells[0][:1] in ("m", "M") and _is_number(cells[0][1:]):  # a mask
         return "vot"
-    if not all(map(_is_number, cells)):
-        return _shape_of_header(place, first)
+    count = len(cells) if all(map(_is_number, cells)) else 0
     if count in (1, 8) or (count == 4 and not {"0", "1", "2"}.isdisjoint(lines.texts)):
         return "vot"
     if count == 4:
@@ -113,19 +110,11 @@ def _shape(lines: Lines) -> str:
         return "got10k" if any(file.is_file() for file in labels) else "otb"
     if count in MOT_COLUMNS and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
         return "mot"
+    heads = f"a header reads {','.join(REQUIRED)} for points or {','.join(BOX_COLUMNS)} for boxes"
+    why = f"begins no ground truth file that is known here; {heads}, without a header a line is {LTWH}"
     remedy = f"name its kind by --truth-format: {', '.join(READERS)}"
-    raise InputError(f"{place}: {count} values a line are no ground truth that is known here; {remedy}")
-
-
-def _shape_of_header(place: str, first: str) -> str:
-    names = {name.strip().lower() for name in next(csv.reader([first]))}
-    if {"target", "part"} <= names:
-        return "facetrack"
-    if set(BOX_COLUMNS) <= names:
-        return "boxes"
-    headers = f"a header reads {','.join(REQUIRED)} for points or {','.join(BOX_COLUMNS)} for boxes"
-    why = f"begins no ground truth file that is known here; {headers}, without a header a line is {LTWH}"
-    raise InputError(f"{place}: {first[:60]!r} {why}; commas stand between columns, and decimals have a point")
+    place = f"{lines.path}:{lines.places[0]}: {first[:60]!r}"
+    raise InputError(f"{place} {why}; commas stand between columns, and decimals have a point; or {remedy}")
 
 
 def _is_number(cell: str) -> bool:

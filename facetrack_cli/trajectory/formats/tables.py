@@ -19,7 +19,7 @@ from datetime import datetime
 from functools import partial
 from html import escape
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from facetrack_cli.core.errors import InputError, UsageError, needed
 from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.numbers import csv_text, dumps
 from facetrack_cli.core.types import BOX, Array, Whole
-from facetrack_cli.trajectory.face_events import events_of
+from facetrack_cli.trajectory.face_events import FaceEvent, events_of
 from facetrack_cli.trajectory.head import SHAPE, head_pose
 from facetrack_cli.trajectory.measures import HAND_MEASURES, MEASURES, Measured
 from facetrack_cli.trajectory.reader import clip_of
@@ -248,7 +248,6 @@ def write_boris(clips: Sequence[Clip], written: datetime) -> str:
 
 
 _WIDTH, _HEIGHT, _MEANS = 160, 24, 80  # of a line of confidence: pixels, and means that it shows
-_SHOWN: Final = 20  # rows of the table in a notebook
 
 
 def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"], *, measures: bool) -> DataFrame:
@@ -258,21 +257,16 @@ def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"], *
     with needed("data frames", "pandas", "pandas"):
         import pandas
 
+    if what == "events":
+        return pandas.DataFrame(table.events, columns=FaceEvent._fields)
     measured = table.measures if measures or what == "measures" else {}
     each = [(target, name, line) for target, by_name in measured.items() for name, line in by_name.items()]
     if what == "rows":
-        columns = dict(table.columns())
-        frame, of = columns["frame"], np.asarray(columns["target"])
+        rows = pandas.DataFrame(table.columns())
         for target, name, line in each:
-            column = columns.setdefault(name, np.full(len(table), np.nan))
-            at = np.minimum(np.searchsorted(line.frame, frame), len(line.frame) - 1)
-            here = (of == target) & (line.frame[at] == frame)
-            column[here] = line.value[at[here]]
-        return pandas.DataFrame(columns)
-    if what == "events":
-        from facetrack_cli.trajectory.face_events import FaceEvent
-
-        return pandas.DataFrame(table.events, columns=FaceEvent._fields)
+            here = rows.target == target
+            rows.loc[here, name] = rows.frame[here].map(dict(zip(line.frame, line.value, strict=True)))
+        return rows
     names = ("frame", "time_s", "value", "std", "noise")
     frames = [
         pandas.DataFrame({"target": target, "measure": name, "unit": line.unit, **{k: getattr(line, k) for k in names}})
@@ -292,55 +286,57 @@ def dataset(table: Trajectory) -> Dataset:
     if not timed.any():
         raise InputError("no row has a time_s, and a dataset needs times; fill that column")
     frames = np.arange(table.frames[0], table.frames[-1] + 1)
-    parts, targets = list(dict.fromkeys(part for _, part in table.names)), list(table.targets)
-    position = np.full((len(frames), 2, len(parts), len(targets)), np.nan)
-    confidence = np.full((len(frames), len(parts), len(targets)), np.nan)
-    for one in table.parts:
-        at, k, n = one.frame - frames[0], parts.index(one.part), targets.index(one.target)
-        position[at, 0, k, n], position[at, 1, k, n], confidence[at, k, n] = one.x, one.y, one.confidence
-    places: dict[str, Any] = {
-        "time": np.interp(frames, table.frames[timed], table.times[timed]),
-        "space": ["x", "y"],
-        "keypoints": parts,
-        "individuals": [target or "target" for target in targets],
-        "frame": ("time", frames),
-    }
-    values = {
-        "position": (("time", "space", "keypoints", "individuals"), position),
-        "confidence": (("time", "keypoints", "individuals"), confidence),
-    }
+    time_s = np.interp(frames, table.frames[timed], table.times[timed])
+    parts, values = places(table, frames)
+    fps = header_value(table, "source", "fps")
     about: dict[str, Any] = {"source_software": "facetrack", "ds_type": "poses", "time_unit": "seconds"}
-    if (fps := header_value(table, "source", "fps")) is not None:
-        about["fps"] = fps
-    elif len(frames) > 1:
-        about["fps"] = round(1 / float(np.median(np.diff(places["time"]))), 6)
-    return xarray.Dataset(values, places, about)
+    if fps is not None or len(frames) > 1:
+        about["fps"] = round(1 / float(np.median(np.diff(time_s))), 6) if fps is None else fps
+    return xarray.Dataset(
+        {
+            "position": (("time", "space", "keypoints", "individuals"), values[..., :2].transpose(0, 3, 2, 1)),
+            "confidence": (("time", "keypoints", "individuals"), values[..., 2].transpose(0, 2, 1)),
+        },
+        {
+            "time": time_s,
+            "space": ["x", "y"],
+            "keypoints": parts,
+            "individuals": [target or "target" for target in table.targets],
+            "frame": ("time", frames),
+        },
+        about,
+    )
+
+
+def places(table: Trajectory, frames: Whole) -> tuple[list[str], Array]:
+    """The names of the parts, and (T, targets, parts, 3) x, y and confidence: each target has all parts, or nan."""
+    targets, parts = table.targets, list(dict.fromkeys(part for _, part in table.names))
+    values = np.full((len(frames), len(targets), len(parts), 3), np.nan)
+    at = np.array([(targets.index(target), parts.index(part)) for target, part in table.names]).T
+    _, columns = aligned(table.parts, "x", "y", "confidence", frame=frames)
+    values[:, at[0], at[1]] = np.stack([*columns.values()], axis=2)
+    return parts, values
 
 
 def html_table(table: Trajectory) -> str:
     """A small table: of each target its parts, frames, the share of rows that are seen, its events, and confidence."""
     events = Counter((event.target, event.value) for event in table.events)
     lines = []
-    for target in table.targets[:_SHOWN]:
+    for target in table.targets:
         parts = table.of_target(target)
         seen = np.concatenate([np.isin(part.status, SEEN) for part in parts])
         said = ", ".join(f"{n} {value}" for (of, value), n in sorted(events.items()) if of == target)
         share = f"{seen.mean():.0%}" if seen.size else ""
         cells = target or "-", len(parts), len(parts[0]), share, said, _confidence_line(parts[0].confidence)
         lines.append("<tr>" + "".join(f"<td>{td if i == 5 else escape(str(td))}</td>" for i, td in enumerate(cells)))
-    if (more := len(table.targets) - _SHOWN) > 0:
-        lines.append(f"<tr><td>and {more} more")
     heads = "".join(f"<th>{head}" for head in ("target", "parts", "frames", "seen", "events", "confidence"))
     return f"<table><tr>{heads}{''.join(lines)}</table>"
 
 
 def _confidence_line(values: Array) -> str:
     """Values from 0 to 1 over time as a picture."""
-    finite = np.nan_to_num(values)
-    if not len(finite):
-        return ""
-    means = [float(share.mean()) for share in np.array_split(finite, min(_MEANS, len(finite)))]
-    x = np.linspace(0, _WIDTH, len(means)) if len(means) > 1 else [_WIDTH / 2]
+    means = [float(share.mean()) for share in np.array_split(np.nan_to_num(values), _MEANS) if len(share)]
+    x = np.linspace(0, _WIDTH, len(means)).tolist()
     points = " ".join(f"{a:.1f},{_HEIGHT - 1 - v * (_HEIGHT - 2):.1f}" for a, v in zip(x, means, strict=True))
     line = f'<polyline points="{points}" fill="none" stroke="currentColor"/>'
     return f'<svg width="{_WIDTH}" height="{_HEIGHT}" role="img" aria-label="confidence over time">{line}</svg>'
