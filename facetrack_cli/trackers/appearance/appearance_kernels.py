@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.engine.kernels.compiled import between, fast, inline, join, look_up
+from facetrack_cli.engine.kernels.compiled import between, fast, fast_part, inline, join, look_up
 
 Array: TypeAlias = NDArray[np.float64]
 Rows: TypeAlias = NDArray[np.float32]
@@ -351,7 +351,7 @@ def mapped(gain, rows, off):
     return out
 
 
-@fast
+@fast_part
 def _reflect(w, v, beta, along):
     """w (n, 8) less beta v v^T w; v (k,) goes with its first k rows; `along` (8,) is scratch."""
     along[:] = 0.0
@@ -364,7 +364,7 @@ def _reflect(w, v, beta, along):
             w[i, j] -= by * along[j]
 
 
-@fast
+@fast_part
 def _tridiagonal(a, diagonal, beside, betas, p):
     """Householder's reduction of the symmetric a (n, n) in place, by its lower triangle: row k keeps its reflector.
 
@@ -399,7 +399,7 @@ def _tridiagonal(a, diagonal, beside, betas, p):
     diagonal[0] = a[0, 0]
 
 
-@fast
+@fast_part
 def _diagonal(d, e, w, turns, at):
     """The implicit QL method on the tridiagonal matrix of d (n,) and, beside it, e (n,); w (n, 8) is turned with it.
 
