@@ -61,11 +61,15 @@ class Planes(NamedTuple):
         return cls(y.reshape(height, width), u.reshape(-1, width // 2), v.reshape(-1, width // 2))
 
     def part(self, columns: tuple[int, int], rows: tuple[int, int]) -> "Planes":
-        """Pairs of columns and rows, each of which has one value of U and of V, by BT.601."""
+        """Pairs of columns and rows, each of which has one value of U and of V."""
         (x0, x1), (y0, y1) = columns, rows
         y, u, v = self.y[2 * y0 : 2 * y1, 2 * x0 : 2 * x1], self.u[y0:y1, x0:x1], self.v[y0:y1, x0:x1]
+        return Planes(y, u, v, self.ours)
+
+    def by_bt601(self) -> "Planes":
+        y, u, v, _ = self
         if self.ours is None:
-            return Planes(y, u, v)
+            return self
         # grey stays grey: Y changes by U and V alone, each about its middle
         more, u, v = (
             np.asarray(cv2.addWeighted(u, a, v, b, 128 - 128 * (a + b)), np.uint8) for _, a, b in self.ours.tolist()
@@ -76,8 +80,16 @@ class Planes(NamedTuple):
         return Planes(lit, u, v)
 
     def joined(self) -> Image:
-        """Planes by BT.601 in one array (H * 3 / 2, W)."""
-        return np.concatenate([plane.ravel() for plane in self[:3]]).reshape(-1, self.y.shape[1])
+        """By BT.601 in one array (H * 3 / 2, W)."""
+        return np.concatenate([plane.ravel() for plane in self.by_bt601()[:3]]).reshape(-1, self.y.shape[1])
+
+    @property
+    def bgr(self) -> Image:
+        return np.asarray(cv2.cvtColor(self.joined(), cv2.COLOR_YUV2BGR_I420), np.uint8)
+
+    @property
+    def grey(self) -> Image:
+        return np.asarray(cv2.LUT(self.by_bt601().y, _FULL_RANGE), np.uint8)
 
 
 class Frame:
@@ -90,8 +102,8 @@ class Frame:
     """
 
     __slots__ = (
-        "_bgr", "_grey", "_luma", "_ours", "_part", "_patches", "_pixels", "_reduced", "_tints", "aspect", "index",
-        "size", "time_s", "yuv",
+        "_bgr", "_grey", "_luma", "_part", "_patches", "_pixels", "_reduced", "_tints", "aspect", "index", "size",
+        "time_s", "yuv",
     )  # fmt: skip
 
     def __init__(
@@ -104,7 +116,6 @@ class Frame:
         assert lit is not None
         self.size: tuple[int, int] = (lit.shape[1], lit.shape[0])
         self._bgr = _bgr
-        self._ours: tuple[Planes, int, int, Extent] | None = None
         self._part: tuple[Image, int, int, Extent] | None = None
         self._tints: dict[int, tuple[Image, Image, int, int, Extent]] = {}
         self._reduced: dict[int, tuple[Image, int, int, Extent]] = {}
@@ -112,17 +123,16 @@ class Frame:
         self._grey: dict[int, tuple[Image, int, int, Extent]] = {}
         self._patches: dict[Hashable, tuple[object, NDArray[np.float32]]] = {}
 
-    def __getnewargs_ex__(self) -> tuple[tuple[int, float, Image], dict[str, float]]:
+    def __getnewargs_ex__(self) -> tuple[tuple[int, float, Image | Planes], dict[str, float]]:
         """What a checkpoint keeps of it: nothing that can be computed again."""
-        return (self.index, self.time_s, self.pixels), {"aspect": self.aspect}
+        return (self.index, self.time_s, self.yuv or self.pixels), {"aspect": self.aspect}
 
     @property
     def pixels(self) -> Image:
         """All of them in one array."""
         if self._pixels is None:
             assert self.yuv is not None
-            width, height = self.size
-            self._pixels = self.yuv.part((0, width // 2), (0, height // 2)).joined()
+            self._pixels = self.yuv.joined()
         return self._pixels
 
     @property
@@ -154,8 +164,7 @@ class Frame:
         columns, rows = self._pairs(asked)
         if 8 * (columns[1] - columns[0]) * (rows[1] - rows[0]) > self.size[0] * self.size[1]:
             return self.bgr, 0, 0
-        image = np.asarray(cv2.cvtColor(self.yuv.part(columns, rows).joined(), cv2.COLOR_YUV2BGR_I420), np.uint8)
-        self._part = image, 2 * columns[0], 2 * rows[0], asked
+        self._part = self.yuv.part(columns, rows).bgr, 2 * columns[0], 2 * rows[0], asked
         return self._part[:3]
 
     def _pairs(self, extent: Extent) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -163,21 +172,10 @@ class Frame:
         width, height = self.size
         return _blocks(extent[0], extent[2], 2, width // 2), _blocks(extent[1], extent[3], 2, height // 2)
 
-    def _own_planes(self, extent: Extent) -> tuple[Planes, int, int]:
-        """The planes by BT.601, at least within `extent`, and the point (left, top) at which they begin."""
-        assert self.yuv is not None
-        if self.yuv.ours is None:
-            return self.yuv, 0, 0
-        if self._ours is None or not _within(extent, self._ours[3]):
-            asked = _widened(extent, 32.0)
-            columns, rows = self._pairs(asked)
-            self._ours = self.yuv.part(columns, rows), 2 * columns[0], 2 * rows[0], asked
-        return self._ours[:3]
-
     def planes(self, factor: int, extent: Extent) -> list[tuple[Image, int, int, int]] | None:
         """Y, U and V, each reduced for itself and with (left, top) and its own factor; None of what has no planes.
 
-        As `reduced`, but that U and V are reduced by twice as much.
+        As `reduced`, but that U and V are reduced by twice as much, and all are by the matrix of `yuv`.
         """
         if self.yuv is None:  # whether colours were computed meanwhile must not matter
             return None
@@ -188,11 +186,7 @@ class Frame:
             width, height = (max(side // own, 1) for side in self.size)
             x0, x1 = _blocks(asked[0], asked[2], own, width)
             y0, y1 = _blocks(asked[1], asked[3], own, height)
-            planes, left, top = self._own_planes((x0 * own, y0 * own, x1 * own - 1, y1 * own - 1))
-            u, v = (
-                plane[(y0 * own - top) // 2 : (y1 * own - top) // 2, (x0 * own - left) // 2 : (x1 * own - left) // 2]
-                for plane in planes[1:3]
-            )
+            u, v = (plane[y0 * factor : y1 * factor, x0 * factor : x1 * factor] for plane in self.yuv[1:3])
             for _ in range(factor.bit_length() - 1):  # by halves, as below
                 half = max(u.shape[1] // 2, 1), max(u.shape[0] // 2, 1)
                 u, v = (np.asarray(cv2.resize(plane, half, interpolation=cv2.INTER_AREA), np.uint8) for plane in (u, v))
@@ -204,24 +198,40 @@ class Frame:
         """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
         kept = self._grey.get(factor)
         if kept is None or not _within(extent, kept[3]):
-            planes = self.yuv is not None
             asked = _widened(extent, 6.0) if factor == 1 else extent
-            image, left, top = (self._brightness if planes else self.reduced)(factor, asked)
+            image, left, top = (self.reduced if self.yuv is None else self._brightness)(factor, asked)
             if factor > 1:  # which is widened already
-                asked = (self._luma if planes else self._reduced)[factor][3]
+                asked = (self._reduced if self.yuv is None else self._luma)[factor][3]
             height, width = image.shape[:2]
             x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
             y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
-            part = image[y0:y1, x0:x1]
-            grey = cv2.LUT(part, _FULL_RANGE) if planes else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
-            kept = self._grey[factor] = np.asarray(grey, np.uint8), left + x0 * factor, top + y0 * factor, asked
+            part, left, top = image[y0:y1, x0:x1], left + x0 * factor, top + y0 * factor
+            grey = cv2.cvtColor(part, cv2.COLOR_BGR2GRAY) if self.yuv is None else self._grey_of(part, factor, left, top)
+            kept = self._grey[factor] = np.asarray(grey, np.uint8), left, top, asked
         return kept[:3]
+
+    def _grey_of(self, lit: Image, factor: int, left: int, top: int) -> Image:
+        """The grey of a part of the plane Y, reduced by `factor`, that begins at (left, top)."""
+        assert self.yuv is not None
+        if self.yuv.ours is None:
+            return Planes(lit, lit, lit).grey
+        height, width = lit.shape
+        _, *tints = self.planes(factor, (left, top, left + factor * width - 1, top + factor * height - 1)) or []
+        i, j, own = (top - tints[0][2]) // factor, (left - tints[0][1]) // factor, []
+        for tint, *_ in tints:  # the last row and column of Y may have none
+            part = tint[i // 2 : (i + height + 1) // 2, j // 2 : (j + width + 1) // 2]
+            short = (i % 2 + height + 1) // 2 - part.shape[0], (j % 2 + width + 1) // 2 - part.shape[1]
+            own.append(cv2.copyMakeBorder(part, 0, short[0], 0, short[1], cv2.BORDER_REPLICATE))
+        rows, columns = (slice(at % 2, at % 2 + side) for at, side in ((i, height), (j, width)))
+        whole = np.zeros((2 * own[0].shape[0], 2 * own[0].shape[1]), np.uint8)
+        whole[rows, columns] = lit
+        return Planes(whole, *own, self.yuv.ours).grey[rows, columns]
 
     def _brightness(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The plane Y, as `reduced`."""
         if factor == 1:
-            planes, left, top = self._own_planes(extent)
-            return planes.y, left, top
+            assert self.yuv is not None
+            return self.yuv.y, 0, 0
         return self._smaller(self._brightness, self._luma, factor, extent)
 
     def _smaller(
