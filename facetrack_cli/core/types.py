@@ -206,8 +206,8 @@ class Frame:
             x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
             y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
             part, left, top = image[y0:y1, x0:x1], left + x0 * factor, top + y0 * factor
-            grey = cv2.cvtColor(part, cv2.COLOR_BGR2GRAY) if self.yuv is None else self._grey_of(part, factor, left, top)
-            kept = self._grey[factor] = np.asarray(grey, np.uint8), left, top, asked
+            read = self._grey_of(part, factor, left, top) if self.yuv else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
+            kept = self._grey[factor] = np.asarray(read, np.uint8), left, top, asked
         return kept[:3]
 
     def _grey_of(self, lit: Image, factor: int, left: int, top: int) -> Image:

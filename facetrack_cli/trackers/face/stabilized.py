@@ -85,8 +85,9 @@ class Similarity(NamedTuple):
         if frame.yuv is None or (planes := frame.planes(factor, extent)) is None:
             return None
         even, middle = side + side % 2, (side - 1) / 2
-        y, (u, v) = self._warped(*planes[0], even, middle), (
-            self._warped(*tint, even // 2, middle / 2 - 0.25, 2) for tint in planes[1:]
+        y, (u, v) = (
+            self._warped(*planes[0], even, middle),
+            (self._warped(*tint, even // 2, middle / 2 - 0.25, 2) for tint in planes[1:]),
         )
         return Planes(y, u, v, frame.yuv.ours)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
@@ -119,7 +119,7 @@ def moved(features: ParticleState, to: Callable[[Array], Array], **others: Any) 
     """The points' state, with every place x replaced by to(x), and `others` of its values."""
     (x, log_w), (state, cov, side_std) = features.particles, features.estimated
     particles, estimated = Particles(to(x), log_w), Estimate(to(state), cov, side_std)
-    return replace(features, particles=particles, estimated=estimated, **others)
+    return features._replace(particles=particles, estimated=estimated, **others)
 
 
 def mapped(x: Array, turned: complex, shift: complex) -> Array:

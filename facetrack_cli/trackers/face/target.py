@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Final
 
@@ -197,7 +197,7 @@ class FaceTarget(FaceParts):
         # of this frame, where it shows less than expected: else the head's filter learns what took the face's place
         seen = state.log_odds if view is None else min(state.log_odds, view.landmarks.parts.log_odds)
         log_odds = 0.0 if state.sighting is not None else state.facing.log_odds(seen)
-        informed = replace(state.head, learned=state.head.learned._replace(external_log_odds=log_odds))
+        informed = state.head._replace(learned=state.head.learned._replace(external_log_odds=log_odds))
         head, info = self.head.advanced(rng, informed, frame, footprints)
         if head_confidence(head) < self.settings.lost_below:
             return self._unseen(state._replace(head=head, facing=state.facing.predicted()), info, frame)
@@ -260,7 +260,7 @@ class FaceTarget(FaceParts):
         odds, cross = self._judged(state.features, view, estimated)
         biases = state.bias_filters.updated(view.places, estimated.state, estimated.cov, visible, odds[:-1], cross)
         if isinstance(features.learned, window_ncc.WindowState):
-            features = replace(features, learned=window_ncc.doubted(features.learned, odds[-1]))
+            features = features._replace(learned=window_ncc.doubted(features.learned, odds[-1]))
         facing = state.facing if self.sensors.detector is None else state.facing.predicted()
         others, mesh, eyes = state.others, view.landmarks.others, state.eyes
         if others is None:
@@ -407,7 +407,7 @@ class FaceTarget(FaceParts):
             best = int(p.argmax())
             sighting = sightings[best]._replace(p=float(p[best])) if p[best] > MAYBE else None
         facing = state.facing.updated(detected=False) if sighting is None else state.facing
-        head = replace(state.head, learned=state.head.learned._replace(sighted=places))
+        head = state.head._replace(learned=state.head.learned._replace(sighted=places))
         return state._replace(head=head, sighting=sighting, facing=facing, crowded=crowded)
 
     def _is_covered(self, head: ParticleState) -> bool:
