@@ -40,11 +40,6 @@ _CHROMA = 60.0  # levels of a and b that count as much as the whole range of gre
 _COLOURS = 2.0  # grey levels by which channels differ on average in a clip with colours
 
 
-def cells_of(grey: Image, out: Single) -> None:
-    """The gradients of an image (H, W) into `out` (31, H / 4, W / 4)."""
-    gradients(np.multiply(grey, np.float32(1 / 255), dtype=np.float32), CELL, out)
-
-
 def has_colours(image: Image) -> bool:
     return float(np.abs(image[..., 0].astype(np.int16) - image[..., 2]).mean()) > _COLOURS
 
@@ -129,7 +124,7 @@ def _features(image: Image, cells: int) -> Single:
     colour, small = image.ndim == 3, (cells, cells)
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if colour else image, np.uint8)
     out = np.empty((CHANNELS + 1 + 2 * colour, cells, cells), np.float32)
-    cells_of(grey, out[:CHANNELS])
+    gradients(np.multiply(grey, np.float32(1 / 255), dtype=np.float32), CELL, out[:CHANNELS])
     np.multiply(cv2.resize(grey, small, interpolation=cv2.INTER_AREA), np.float32(1 / 255), out=out[CHANNELS])
     out[CHANNELS] -= np.float32(0.5)
     if colour:
