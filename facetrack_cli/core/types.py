@@ -74,10 +74,9 @@ class Planes(NamedTuple):
         more, u, v = (
             np.asarray(cv2.addWeighted(u, a, v, b, 128 - 128 * (a + b)), np.uint8) for _, a, b in self.ours.tolist()
         )
-        pairs, lit = cv2.merge((more, more)).reshape(len(more), -1), np.empty(y.shape, np.uint8)
-        for odd in (0, 1):
-            cv2.addWeighted(y[odd::2], 1, pairs, 1, -128, dst=lit[odd::2])
-        return Planes(lit, u, v)
+        if more.shape != y.shape:
+            more = np.asarray(cv2.resize(more, y.shape[::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
+        return Planes(np.asarray(cv2.addWeighted(y, 1, more, 1, -128), np.uint8), u, v)
 
     def joined(self) -> Image:
         """By BT.601 in one array (H * 3 / 2, W)."""
@@ -216,16 +215,12 @@ class Frame:
         if self.yuv.ours is None:
             return Planes(lit, lit, lit).grey
         height, width = lit.shape
-        _, *tints = self.planes(factor, (left, top, left + factor * width - 1, top + factor * height - 1)) or []
-        i, j, own = (top - tints[0][2]) // factor, (left - tints[0][1]) // factor, []
-        for tint, *_ in tints:  # the last row and column of Y may have none
-            part = tint[i // 2 : (i + height + 1) // 2, j // 2 : (j + width + 1) // 2]
-            short = (i % 2 + height + 1) // 2 - part.shape[0], (j % 2 + width + 1) // 2 - part.shape[1]
-            own.append(cv2.copyMakeBorder(part, 0, short[0], 0, short[1], cv2.BORDER_REPLICATE))
-        rows, columns = (slice(at % 2, at % 2 + side) for at, side in ((i, height), (j, width)))
-        whole = np.zeros((2 * own[0].shape[0], 2 * own[0].shape[1]), np.uint8)
-        whole[rows, columns] = lit
-        return Planes(whole, *own, self.yuv.ours).grey[rows, columns]
+        extent = (left, top, left + factor * width - 1, top + factor * height - 1)
+        _, (u, x, y, own), (v, *_) = self.planes(factor, extent) or []
+        # the last row and column of Y may have none of their own
+        rows = np.minimum((factor * np.arange(height) + top - y) // own, len(u) - 1)[:, None]
+        columns = np.minimum((factor * np.arange(width) + left - x) // own, u.shape[1] - 1)
+        return Planes(lit, u[rows, columns], v[rows, columns], self.yuv.ours).grey
 
     def _brightness(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The plane Y, as `reduced`."""

@@ -47,12 +47,12 @@ def smoothed_channels(image: Image) -> Single:
     brightness and the slope of redness down the image. All is relative to what is around. H and W are 24 or more; the
     border reflects.
     """
-    return _channels(looks(np.ascontiguousarray(image)))
+    return np.asarray(_channels(looks(np.ascontiguousarray(image))), np.float32)
 
 
 def grey_channels(sums: NDArray[np.int32]) -> Single:
     """As `smoothed_channels`, of sums over 3 x 3 grey levels (H, W): without redness, relative to the whole image."""
-    return _channels(_OF_NINE[sums][None])
+    return np.asarray(_channels(_OF_NINE[sums][None]), np.float32)
 
 
 @fast
