@@ -85,11 +85,8 @@ class Similarity(NamedTuple):
         if frame.yuv is None or (planes := frame.planes(factor, extent)) is None:
             return None
         even, middle = side + side % 2, (side - 1) / 2
-        y, (u, v) = (
-            self._warped(*planes[0], even, middle),
-            (self._warped(*tint, even // 2, middle / 2 - 0.25, 2) for tint in planes[1:]),
-        )
-        return Planes(y, u, v, frame.yuv.ours)
+        u, v = (self._warped(*tint, even // 2, middle / 2 - 0.25, 2) for tint in planes[1:])
+        return Planes(self._warped(*planes[0], even, middle), u, v, frame.yuv.ours)
 
     def _extent(self, side: int) -> tuple[int, Extent]:
         """By which factor the frame is reduced that is read, and where."""
