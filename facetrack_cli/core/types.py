@@ -61,23 +61,34 @@ class Planes(NamedTuple):
         return cls(y.reshape(height, width), u.reshape(-1, width // 2), v.reshape(-1, width // 2))
 
     def part(self, columns: tuple[int, int], rows: tuple[int, int]) -> "Planes":
-        """Pairs of columns and rows, each of which has one value of U and of V, by BT.601."""
+        """Pairs of columns and rows, each of which has one value of U and of V."""
         (x0, x1), (y0, y1) = columns, rows
         y, u, v = self.y[2 * y0 : 2 * y1, 2 * x0 : 2 * x1], self.u[y0:y1, x0:x1], self.v[y0:y1, x0:x1]
+        return Planes(y, u, v, self.ours)
+
+    def by_bt601(self) -> "Planes":
+        y, u, v, _ = self
         if self.ours is None:
-            return Planes(y, u, v)
+            return self
         # grey stays grey: Y changes by U and V alone, each about its middle
         more, u, v = (
             np.asarray(cv2.addWeighted(u, a, v, b, 128 - 128 * (a + b)), np.uint8) for _, a, b in self.ours.tolist()
         )
-        pairs, lit = cv2.merge((more, more)).reshape(len(more), -1), np.empty(y.shape, np.uint8)
-        for odd in (0, 1):
-            cv2.addWeighted(y[odd::2], 1, pairs, 1, -128, dst=lit[odd::2])
-        return Planes(lit, u, v)
+        if more.shape != y.shape:
+            more = np.asarray(cv2.resize(more, y.shape[::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
+        return Planes(np.asarray(cv2.addWeighted(y, 1, more, 1, -128), np.uint8), u, v)
 
     def joined(self) -> Image:
-        """Planes by BT.601 in one array (H * 3 / 2, W)."""
-        return np.concatenate([plane.ravel() for plane in self[:3]]).reshape(-1, self.y.shape[1])
+        """By BT.601 in one array (H * 3 / 2, W)."""
+        return np.concatenate([plane.ravel() for plane in self.by_bt601()[:3]]).reshape(-1, self.y.shape[1])
+
+    @property
+    def bgr(self) -> Image:
+        return np.asarray(cv2.cvtColor(self.joined(), cv2.COLOR_YUV2BGR_I420), np.uint8)
+
+    @property
+    def grey(self) -> Image:
+        return np.asarray(cv2.LUT(self.by_bt601().y, _FULL_RANGE), np.uint8)
 
 
 # a part of an image, the point (left, top) of the whole at which it begins, and the extent that it serves
@@ -93,7 +104,7 @@ class Frame:
     height, as it is shown.
     """
 
-    __slots__ = ("_bgr", "_ours", "_parts", "_patches", "_pixels", "aspect", "index", "size", "time_s", "yuv")
+    __slots__ = ("_bgr", "_parts", "_patches", "_pixels", "aspect", "index", "size", "time_s", "yuv")
 
     def __init__(
         self, index: int, time_s: float, pixels: Image | Planes, _bgr: Image | None = None, *, aspect: float = 1.0
@@ -105,17 +116,19 @@ class Frame:
         assert lit is not None
         self.size: tuple[int, int] = (lit.shape[1], lit.shape[0])
         self._bgr = _bgr
-        self._ours: tuple[Planes, int, int, Extent] | None = None  # by BT.601, of a part
         self._parts: dict[tuple[str, int], _Part] = {}  # by what they are of and their factor
         self._patches: dict[Hashable, tuple[object, NDArray[np.float32]]] = {}
+
+    def __getnewargs_ex__(self) -> tuple[tuple[int, float, Image | Planes], dict[str, float]]:
+        """What a checkpoint keeps of it: nothing that can be computed again."""
+        return (self.index, self.time_s, self.yuv or self.pixels), {"aspect": self.aspect}
 
     @property
     def pixels(self) -> Image:
         """All of them in one array."""
         if self._pixels is None:
             assert self.yuv is not None
-            width, height = self.size
-            self._pixels = self.yuv.part((0, width // 2), (0, height // 2)).joined()
+            self._pixels = self.yuv.joined()
         return self._pixels
 
     @property
@@ -138,7 +151,7 @@ class Frame:
     def planes(self, factor: int, extent: Extent) -> list[tuple[Image, int, int, int]] | None:
         """Y, U and V, each reduced for itself and with (left, top) and its own factor; None of what has no planes.
 
-        As `reduced`, but that U and V are reduced by twice as much.
+        As `reduced`, but that U and V are reduced by twice as much, and all are by the matrix of `yuv`.
         """
         if self.yuv is None:  # whether colours were computed meanwhile must not matter
             return None
@@ -183,49 +196,39 @@ class Frame:
         """The image itself; a part of it where less than half would have to be converted."""
         if self.yuv is None or (what == "bgr" and self._bgr is not None):
             return self.bgr, 0, 0, _ALL
-        if what != "bgr" and self.yuv.ours is None:
-            return getattr(self.yuv, what), 0, 0, _ALL
         if what != "bgr":
-            scale = 1 if what == "y" else 2
-            planes, left, top, served = self._by_bt601(_scaled(extent, scale), 32.0)
-            return getattr(planes, what), left // scale, top // scale, _scaled(served, 1 / scale)
-        asked = _widened(extent, 6.0)
-        (x0, x1), (y0, y1) = self._pairs(asked)
-        if 8 * (x1 - x0) * (y1 - y0) > self.size[0] * self.size[1]:
+            return getattr(self.yuv, what), 0, 0, _ALL
+        asked, (width, height) = _widened(extent, 6.0), self.size
+        columns = _blocks(asked[0], asked[2], 2, width // 2)
+        rows = _blocks(asked[1], asked[3], 2, height // 2)
+        if 8 * (columns[1] - columns[0]) * (rows[1] - rows[0]) > width * height:
             return self.bgr, 0, 0, _ALL
-        planes, left, top = self._by_bt601(asked, 0.0)[:3]
-        part = planes.part((x0 - left // 2, x1 - left // 2), (y0 - top // 2, y1 - top // 2))
-        image = np.asarray(cv2.cvtColor(part.joined(), cv2.COLOR_YUV2BGR_I420), np.uint8)
-        return image, 2 * x0, 2 * y0, asked
+        return self.yuv.part(columns, rows).bgr, 2 * columns[0], 2 * rows[0], asked
 
     def _in_grey(self, _: str, factor: int, extent: Extent) -> _Part:
-        planes = self.yuv is not None
         asked = _widened(extent, 6.0) if factor == 1 else extent
-        lit, left, top, served = self._part("y" if planes else "bgr", factor, asked)
+        lit, left, top, served = self._part("y" if self.yuv else "bgr", factor, asked)
         if factor > 1:  # which is widened already
             asked = served
         height, width = lit.shape[:2]
         x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
         y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
-        part = lit[y0:y1, x0:x1]
-        grey = cv2.LUT(part, _FULL_RANGE) if planes else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
-        return np.asarray(grey, np.uint8), left + x0 * factor, top + y0 * factor, asked
+        part, left, top = lit[y0:y1, x0:x1], left + x0 * factor, top + y0 * factor
+        grey = self._grey_of(part, factor, left, top) if self.yuv else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
+        return np.asarray(grey, np.uint8), left, top, asked
 
-    def _pairs(self, extent: Extent) -> tuple[tuple[int, int], tuple[int, int]]:
-        """The pairs of columns and of rows that cover an extent."""
-        width, height = self.size
-        return _blocks(extent[0], extent[2], 2, width // 2), _blocks(extent[1], extent[3], 2, height // 2)
-
-    def _by_bt601(self, extent: Extent, more: float) -> tuple[Planes, int, int, Extent]:
-        """The planes by BT.601, at least within `extent`, widened by `more`; where they begin, and what they serve."""
+    def _grey_of(self, lit: Image, factor: int, left: int, top: int) -> Image:
+        """The grey of a part of the plane Y, reduced by `factor`, that begins at (left, top)."""
         assert self.yuv is not None
         if self.yuv.ours is None:
-            return self.yuv, 0, 0, _ALL
-        if self._ours is None or not _within(extent, self._ours[3]):
-            asked = _widened(extent, more)
-            columns, rows = self._pairs(asked)
-            self._ours = self.yuv.part(columns, rows), 2 * columns[0], 2 * rows[0], asked
-        return self._ours
+            return Planes(lit, lit, lit).grey
+        height, width = lit.shape
+        extent = (left, top, left + factor * width - 1, top + factor * height - 1)
+        _, (u, x, y, own), (v, *_) = self.planes(factor, extent) or []
+        # the last row and column of Y may have none of their own
+        rows = np.minimum((factor * np.arange(height) + top - y) // own, len(u) - 1)[:, None]
+        columns = np.minimum((factor * np.arange(width) + left - x) // own, u.shape[1] - 1)
+        return Planes(lit, u[rows, columns], v[rows, columns], self.yuv.ours).grey
 
     def remembered(self, key: Hashable) -> NDArray[np.float32] | None:
         """What was remembered with this key."""

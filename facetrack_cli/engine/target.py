@@ -1,9 +1,9 @@
 """A target followed by a particle filter: its state from frame to frame, and the model that the filter sees."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.random import Generator
@@ -28,8 +28,7 @@ Exclusion: TypeAlias = Callable[[Array, Sequence[Footprint]], Array]
 """What other targets, at their footprints, add to log p(y | x) of x (N, K, D): (N, K)."""
 
 
-@dataclass(frozen=True)
-class ParticleState:
+class ParticleState(NamedTuple):
     """What a particle filter carries on: particles, estimate, what was learned of the clip, how parts are judged.
 
     `reported` are the likelihood's diagnostics, `flow` is what a motion that predicts has learned, `ahead` what it
@@ -41,7 +40,7 @@ class ParticleState:
     estimated: Estimate
     learned: Any
     judgement: Judgement | None
-    reported: Mapping[str, Any] = field(default_factory=dict)
+    reported: Mapping[str, Any] = {}
     flow: Any = None
     ahead: Prediction | None = None
     entropy_before: float | None = None
@@ -103,7 +102,7 @@ class ParticleTarget:
     ) -> tuple[ParticleState, TargetResult]:
         """The state with its diagnostics and its flow, where particles begin."""
         flow = self.motion.begin(rng, frame, state.estimated.state)
-        state = replace(state, reported=self.likelihood.diagnose(state.learned), flow=flow)
+        state = state._replace(reported=self.likelihood.diagnose(state.learned), flow=flow)
         return state, self._result(state, frame, self.begun, status)
 
     def restart(
@@ -166,7 +165,7 @@ class ParticleTarget:
     ) -> tuple[ParticleState, Info]:
         """As `advance`; `motion` makes that of this one frame of what the likelihood has learned by a look at it."""
         expected = self.motion.expect(state.estimated.state[None])[0]
-        state = replace(state, learned=self.likelihood.look(state.learned, frame, expected))
+        state = state._replace(learned=self.likelihood.look(state.learned, frame, expected))
         moved = self.motion if motion is None else motion(state.learned)
         bound = FrameModel(self, state, frame, footprints, moved)
         particles, info = self.step(rng, state.particles, bound)
@@ -191,7 +190,7 @@ class ParticleTarget:
             return after, info
         flow = bound.motion.learn(frame, estimated.state, particles.x)
         before = state.reported.get(ENTROPY.name)
-        return replace(after, flow=flow, ahead=bound.ahead, entropy_before=before), info
+        return after._replace(flow=flow, ahead=bound.ahead, entropy_before=before), info
 
     def footprint(self, state: ParticleState, *, ahead: bool) -> Footprint | None:
         if len(self.parts) > 1:

@@ -29,9 +29,9 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     ),
     "trackers.regions.region_kernels.nearest_edges": ("u2:2 f8:2 i8 i8 i8 f8:2 f8:2 f8 f8", "contour"),
     "trackers.appearance.appearance_kernels.gain": ("f8:2 f8:2 i8 f8", "velocity"),
-    "trackers.box.box_kernels._of_scales": ("u1:2 f8 f8 f8:2 i8 f4:2 i8:2 f4:1 f4:3 f4:2 f4:2 i4:2 f4:4", _CELLS),
-    "trackers.face.image_kernels._channels": ("f4:3 f4:2 b1 f4:3 f4:3", "head"),
-    "trackers.face.image_kernels._run_stages": ("f4:3 f8:2 f8:2 f8:1 f4:3 f4:3 f4:1", "head"),
+    "trackers.box.box_kernels.gradients_of_scales": ("u1:2 f8 f8 f8:2 i8 f4:4", _CELLS),
+    "trackers.face.image_kernels._channels": ("f4:3", "head"),
+    "trackers.face.image_kernels.run_stages": ("f4:3 f8:2 f8:2 f8:1 f4:3", "head"),
     "trackers.face.window_kernels.greatest": ("f4:3 f4:4 i8:1 i8:2 f8:2 f4:3", "likelihood=window_ncc"),
     "trackers.face.window_kernels.matched": ("f4:3 f4:4 i8:1 i8:2 f8:3 f4:3 f8:3", "likelihood=window_ncc"),
     "trackers.face.landmark_kernels.jump": (
@@ -52,8 +52,8 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.face.landmark_kernels.read": ("f8:3 f8:1 f8:3 f8:2 f8:2 f8:2 f8:2 f8 f8 f8:3 f8:2 f8:2", "head"),
     "trackers.face.landmark_kernels.show": ("f8:2 f8:3 f8:1 i8 f8 f8:2 f8:2 f8:1 f8 f8 f8 f8:2 i8:1", "head"),
     "trackers.face.landmark_kernels.median_shift": ("f8:2 b1:1 f8:1", "head"),
-    "trackers.face.image_kernels._read": ("f4:3 f8:2 f8:2 f8 f4:3", "head"),
-    "trackers.face.image_kernels._looks": ("u1:3 f4:1 f4:1 f4:3", "head"),
+    "trackers.face.image_kernels.read": ("f4:3 f8:2 f8:2", "head"),
+    "trackers.face.image_kernels.looks": ("u1:3", "head"),
     "trackers.appearance.appearance_kernels.read_patches": (
         "u1:2 i8 i8 i8 i8 i8 f8x4 f8:2 f8 f8 i8 i8",
         "target=affine",
@@ -66,10 +66,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.appearance.appearance_kernels.update": ("f4:1r f4:2 f4:2 f4:2 f8:2 f4:2 f4:2 f8 b1 f8 f8 f8", _LOOKS),
     "trackers.skin.skin_kernels.moments_direct": ("u1:2 f4:2 f8:2", _NCC),
     "trackers.points.point_kernels.parzen": ("f8:3 i8:1 f8:2 i8 f8 f4:2 f4:1 f8:1", "prior=parzen"),
-    "trackers.box.box_kernels._arrive": (
-        "f8:2 f8:2 f8:2 f8 f8:1 f8:1 f8:1 f8:1 f8:1 i8:1 f8:2 f8:2 f8:1",
-        "motion=visible_walk",
-    ),
+    "trackers.box.box_kernels.arrive": ("f8:2 f8:2 f8:2 f8 f8:1 f8:1 f8:1 f8:1 f8:1 i8:1", "motion=visible_walk"),
     "trackers.hands.hand_kernels.move": (
         "f8:3 b1:2 b1:1 f8:3 f8:4 f8:2 f8:1 f8:1 f8:1 f8:1 f8 f4:2 f4:2 f8:1 f8 f8 f8:1",
         "hands",
@@ -85,7 +82,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.box.box_kernels.project": ("f4:2 f4:2 f4:1 f4:2", _CELLS),
     "trackers.box.box_kernels.remember": ("f4:3 f4:3 f4", _CELLS),
     "trackers.box.box_kernels.respond": ("f4:3 f4:3 f4:2", _CELLS),
-    "trackers.box.box_kernels._read_cubic": ("f4:2 f8:1 f8:1 f8:1 f8:1 f8:1", _CELLS),
+    "trackers.box.box_kernels.read_cubic": ("f4:2 f8:1 f8:1 f8:1", _CELLS),
     "engine.kernels.compiled.invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
     "trackers.skin.skin_kernels.box_sums": ("f8:2 f8:2", f"{_NCC} skin"),
     "engine.confidence_kernels.calibrate": (

@@ -31,7 +31,7 @@ SAME_SCENE: Final = 0.7  # correlation of two images between which there is no d
 _AFTER: Final = 4  # frames after which a cut of a clip that passes is decided
 _LATE: Final = 12  # frames from one look for a dissolve to the next; it has ended half as many ago, at least
 _KEPT: Final = SPANS[-1] + 2 * _LATE  # images that are kept of a clip that passes
-_READ: Final = 5  # pixels a row and column that a pixel of a small image is the mean of
+_READ: Final = 5  # pixels a row and column that a pixel of a small image is the mean of; of colours one row
 _MARGIN: Final = 2 * SPANS[-1]  # frames on either side that a decision rests on
 _BLOCK: Final = 1000  # frames that are decided at a time
 
@@ -141,7 +141,8 @@ def small(frame: Frame) -> Image:
     """(18, 32, 3) brightness and two colours of a frame."""
     if frame.yuv is None:
         return np.asarray(cv2.cvtColor(_shrunk(frame.bgr), cv2.COLOR_BGR2YUV), np.uint8)
-    return np.asarray(cv2.merge([_shrunk(plane) for plane in frame.yuv[:3]]), np.uint8)
+    y, u, v, _ = frame.yuv
+    return np.asarray(cv2.merge([_shrunk(y), _shrunk(u, 1), _shrunk(v, 1)]), np.uint8)
 
 
 def _flat(images: Sequence[Image]) -> NDArray[np.float32]:
@@ -149,8 +150,9 @@ def _flat(images: Sequence[Image]) -> NDArray[np.float32]:
     return np.asarray(images, np.float32).reshape(len(images), -1)
 
 
-def _shrunk(image: Image) -> Image:
-    few = SIDE[0] * _READ, SIDE[1] * _READ
+def _shrunk(image: Image, rows: int = _READ) -> Image:
+    """(18, 32, ...): means of so many rows and of five columns; what costs are rows that the processor has to fetch."""
+    few = SIDE[0] * _READ, SIDE[1] * rows
     if image.shape[1] > few[0] and image.shape[0] > few[1]:
         image = np.asarray(cv2.resize(image, few, interpolation=cv2.INTER_NEAREST), np.uint8)
     return np.asarray(cv2.resize(image, SIDE, interpolation=cv2.INTER_AREA), np.uint8)

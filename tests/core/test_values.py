@@ -101,7 +101,7 @@ def test_a_part_of_planes_has_the_colours_and_the_grey_of_the_whole(calls, width
         else None
     )
     planes = Planes.of(pixels)._replace(ours=ours)
-    frame, whole = Frame(0, 0.0, planes), Frame(0, 0.0, Frame(0, 0.0, planes).pixels)
+    frame, same, whole = Frame(0, 0.0, planes), Frame(0, 0.0, planes), Frame(0, 0.0, Frame(0, 0.0, planes).pixels)
     assert matrix or np.array_equal(whole.pixels, pixels)
     for (x, y, w, h), factor in calls:
         part, left, top = frame.reduced(1, (x, y, x + w, y + h))
@@ -110,7 +110,7 @@ def test_a_part_of_planes_has_the_colours_and_the_grey_of_the_whole(calls, width
         assert left <= max(x, 0) or x > 2 * width - 1
         assert top <= max(y, 0) or y > 2 * height - 1
         assert right >= min(x + w, 2 * width - 1) and bottom >= min(y + h, 2 * height - 1)
-        everything = whole.planes(factor, (0, 0, 2 * width, 2 * height))
+        everything = same.planes(factor, (0, 0, 2 * width, 2 * height))
         for (some, left, top, own), (all_, *_) in zip(
             frame.planes(factor, (x, y, x + w, y + h)), everything, strict=True
         ):
@@ -118,10 +118,11 @@ def test_a_part_of_planes_has_the_colours_and_the_grey_of_the_whole(calls, width
             assert np.array_equal(some, all_[i : i + some.shape[0], j : j + some.shape[1]])
         (some, left, top), (all_, *_) = (
             one.grey(factor, extent)
-            for one, extent in ((frame, (x, y, x + w, y + h)), (whole, (0, 0, 2 * width, 2 * height)))
+            for one, extent in ((frame, (x, y, x + w, y + h)), (same, (0, 0, 2 * width, 2 * height)))
         )
         i, j = top // factor, left // factor
         assert np.array_equal(some, all_[i : i + some.shape[0], j : j + some.shape[1]])
+        assert factor > 1 or np.array_equal(all_, whole.grey(1, (0, 0, 2 * width, 2 * height))[0])
 
 
 MASKS = st.lists(st.tuples(st.booleans(), st.booleans()), max_size=12)

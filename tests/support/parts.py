@@ -14,7 +14,7 @@ from facetrack_cli.trackers.appearance.settings import (
     ComponentsSettings,
     RecognitionSettings,
 )
-from facetrack_cli.trackers.box import filters as box
+from facetrack_cli.trackers.box import modes as box
 from facetrack_cli.trackers.box.hidden_box import VisibleWalk
 from facetrack_cli.trackers.box.settings import GuidedSettings, VisibleWalkSettings
 from facetrack_cli.trackers.points.colour_ratio import ColourRatio

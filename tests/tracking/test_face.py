@@ -105,7 +105,7 @@ def test_a_face_that_leaves_and_returns_elsewhere(stays):
     rows, back = run(moving.clip(poses), moving.start(poses[0])), stays + 20
     missing = lost(rows)
     assert not missing[:stays].any()
-    assert missing[stays + 3 : back - 1].all(), "points and box"
+    assert missing[stays + 4 : back - 1].all(), "points and box"
     wait = int(np.argmax(~missing[back:, 5]))
     assert wait <= 15
     assert np.mean(errors(rows, poses)[back + wait + 6 :] < 0.35) > 0.95

@@ -5,44 +5,28 @@ Densities are those of a marginal particle filter, over all particles of the fra
 """
 
 import math
-from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facetrack_cli.engine.kernels.compiled import exact, fast
 
-Array: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
 CHANNELS = 31  # 18 signed orientations, 9 unsigned ones, 4 of texture
 _CLIP, _TEXTURE, _FLAT = np.float32(0.2), np.float32(0.2357), np.float32(1e-4)
 _10, _30, _50, _70 = (np.float32(math.tan(math.radians(angle))) for angle in (10, 30, 50, 70))
 _ZERO, _HALF, _ONE, _UNIT = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(1 / 255)
 
 
-def gradients(grey: Single, cell: int, out: Single) -> None:
+@exact
+def gradients(grey, cell, out):
     """Histograms of oriented gradients (Felzenszwalb et al. 2010, section 6.1) of grey (H, W) float32, 0..1.
 
     A cell has `cell` x `cell` pixels, and H and W are multiples of it; `out` (31, H / cell, W / cell) float32.
     """
-    _gradients(grey, cell, *_room(grey.shape[0], grey.shape[1], cell), out)
-
-
-def _room(height: int, width: int, cell: int) -> tuple[Single, Single, Single, NDArray[np.int32]]:
-    """What `_gradients` works in: bins of all rows of cells, what it knows of one row, and of a row of pixels."""
-    rows, columns = height // cell + 2, width // cell + 2
-    bins, row = np.empty((rows, 19, columns), np.float32), np.empty((22, columns), np.float32)
-    return bins, row, np.empty((3, width), np.float32), np.empty((2, width), np.int32)
-
-
-@exact
-def _gradients(grey, cell, bins, votes, row_of, whole_of, out):
     height, width = grey.shape
     rows, columns = height // cell, width // cell
-    bins[:] = _ZERO
-    inverse = np.float32(1.0 / cell)
-    dx, size, part = row_of[0], row_of[1], row_of[2]
-    which, cell_of = whole_of[0], whole_of[1]
+    bins, votes = np.zeros((rows + 2, 19, columns + 2), np.float32), np.empty((22, columns + 2), np.float32)
+    inverse, (which, cell_of) = np.float32(1.0 / cell), np.empty((2, width), np.int32)
+    dx, size, part = np.empty((3, width), np.float32)
     for x in range(width):
         at = (np.float32(x) + _HALF) * inverse + _HALF
         cell_of[x] = int(at)
@@ -121,20 +105,15 @@ def _normalise(bins, i, norms, out):
             to[j] = _HALF * (pa + pb + pc + pd)
 
 
-def gradients_of_scales(image: NDArray[np.uint8], x: float, y: float, sides: Any, cell: int, out: Single) -> None:
+@exact
+def gradients_of_scales(image, x, y, sides, cell, out):
     """The gradients of S windows around (x, y) of grey `image` (H, W) uint8, `sides` (S, 2) pixels wide and high.
 
     `out` (S, 31, h, w) float32, h x w cells each; windows are read bilinearly, beyond the image its nearest pixel.
     """
     height, width = out.shape[2] * cell, out.shape[3] * cell
     window, part = np.empty((height, width), np.float32), np.empty(width, np.float32)
-    columns = np.empty((2, width), np.int64)
-    _of_scales(image, x, y, sides, cell, window, columns, part, *_room(height, width, cell), out)
-
-
-@exact
-def _of_scales(image, x, y, sides, cell, window, columns, part, bins, votes, row_of, whole_of, out):
-    (height, width), left, right = window.shape, columns[0], columns[1]
+    left, right = np.empty((2, width), np.int64)
     last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
     for s in range(len(sides)):
         across, down = sides[s, 0] / width, sides[s, 1] / height
@@ -153,7 +132,7 @@ def _of_scales(image, x, y, sides, cell, window, columns, part, bins, votes, row
                 first = np.float32(upper[a]) + fx * (np.float32(upper[b]) - np.float32(upper[a]))
                 second = np.float32(lower[a]) + fx * (np.float32(lower[b]) - np.float32(lower[a]))
                 row[j] = (first + fy * (second - first)) * _UNIT
-        _gradients(window, cell, bins, votes, row_of, whole_of, out[s])
+        gradients(window, cell, out[s])
 
 
 @fast
@@ -219,13 +198,10 @@ def respond(filters, x, out):
             imaginary[f] += fr[f] * xi[f] - fi[f] * xr[f]
 
 
-def read_cubic(values: Single, x: Array, y: Array, out: Array) -> None:
-    """`values` (H, W) at the places x (N,), y (N,) by Catmull and Rom's cubic; beyond the border as at it."""
-    _read_cubic(values, x, y, *np.empty((2, 4)), out)
-
-
 @exact
-def _read_cubic(values, x, y, wx, wy, out):
+def read_cubic(values, x, y, out):
+    """`values` (H, W) at the places x (N,), y (N,) by Catmull and Rom's cubic; beyond the border as at it."""
+    wx, wy = np.empty((2, 4))
     height, width = values.shape
     for n in range(len(x)):
         u, v = min(max(x[n], 0.0), width - 1.0), min(max(y[n], 0.0), height - 1.0)
@@ -243,10 +219,8 @@ def _read_cubic(values, x, y, wx, wy, out):
         out[n] = total
 
 
-def arrive(
-    z: Array, mean: Array, step: Array, scale: float, log_shown: Array, log_hidden: Array, u: Array,
-    shown: Array, hidden: Array, which: Any,
-) -> None:  # fmt: skip
+@exact
+def arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which):
     """log sum_m w_m p(z_n | m) of places and log scales z (N, 3), where the target is visible, and where it is hidden.
 
     A particle m of the last frame is expected at `mean` (M, 3), with standard deviations `step` (M, 2), visible and
@@ -254,13 +228,8 @@ def arrive(
     times the probability of either. Sums go to `shown`, `hidden` (N,). `which` (N,) is the m from which z_n came, or
     M + m where it was hidden, drawn by u (N,), uniform in 0..1.
     """
-    logs, factor, parts = np.empty((3, 2, len(mean)))
-    _arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which, logs, factor, parts.reshape(-1))
-
-
-@exact
-def _arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which, logs, factor, parts):
     many = len(mean)
+    (logs, factor), parts = np.empty((2, 2, many)), np.empty(2 * many)
     for m in range(many):
         for k in range(2):
             factor[k, m] = -0.5 / step[m, k] ** 2

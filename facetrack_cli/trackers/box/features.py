@@ -30,38 +30,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Frame, Image, Whole, factor_for
 from facetrack_cli.trackers.box.box_kernels import CHANNELS, gradients, gradients_of_scales, project
+from facetrack_cli.trackers.face.stabilized import Similarity
 
 Single: TypeAlias = NDArray[np.float32]
 CELL = 4  # pixels of a resampled window
 _CHROMA = 60.0  # levels of a and b that count as much as the whole range of grey
 _COLOURS = 2.0  # grey levels by which channels differ on average in a clip with colours
-
-
-def resample(
-    frame: Frame, centre: Array, sides: tuple[float, float], shape: tuple[int, int], *, colour: bool = False
-) -> Image:
-    """The window of `sides` (w, h) pixels around `centre` as an image of `shape` (w, h), in grey or BGR.
-
-    Beyond the frame the nearest pixel is read. Windows of more pixels are read from the frame reduced by area means.
-    """
-    step = max(side / n for side, n in zip(sides, shape, strict=True))
-    factor = factor_for(max(step, 1e-6), 2.0) if step >= 2.0 else 1
-    x, y = centre.tolist()
-    half = tuple(side / 2 + 2 * factor for side in sides)
-    read = frame.reduced if colour else frame.grey
-    image, left, top = read(factor, (x - half[0], y - half[1], x + half[0], y + half[1]))
-    u, v = ((at - edge - 0.5 * (factor - 1)) / factor for at, edge in ((x, left), (y, top)))
-    a, b = (side / n / factor for side, n in zip(sides, shape, strict=True))
-    to = np.array([[a, 0.0, u - a * (shape[0] - 1) / 2], [0.0, b, v - b * (shape[1] - 1) / 2]])
-    return np.asarray(warp_affine(image, to, shape, cv2.BORDER_REPLICATE, inverse=True), np.uint8)
-
-
-def cells_of(grey: Image, out: Single) -> None:
-    """The gradients of an image (H, W) into `out` (31, H / 4, W / 4)."""
-    gradients(np.multiply(grey, np.float32(1 / 255), dtype=np.float32), CELL, out)
 
 
 def has_colours(image: Image) -> bool:
@@ -114,7 +90,7 @@ class Features:
     @classmethod
     def learn(cls, frame: Frame, centre: Array, side: float, cells: int, count: int) -> Features:
         """The `count` principal components of the window of the first frame."""
-        image = resample(frame, centre, (side, side), (CELL * cells, CELL * cells), colour=True)
+        image = Similarity(centre, side / (CELL * cells)).read(frame, CELL * cells).bgr
         colour = has_colours(image)
         hann = np.hanning(cells + 2)[1:-1].astype(np.float32)
         taper = np.outer(hann, hann).ravel()
@@ -132,7 +108,8 @@ class Features:
     def read(self, frame: Frame, centre: Array, side: float) -> tuple[Single, Image]:
         """The channels' spectrum (2, C, F) of the window of `side` pixels around `centre`, and the window itself."""
         n = CELL * self.cells
-        image = resample(frame, centre, (side, side), (n, n), colour=self.colour)
+        window = Similarity(centre, side / n)
+        image = window.read(frame, n).bgr if self.colour else window.read_grey(frame, n)
         channels = self._project(_features(image, self.cells))
         return spectrum(channels.reshape(-1, self.cells, self.cells)), image
 
@@ -147,7 +124,7 @@ def _features(image: Image, cells: int) -> Single:
     colour, small = image.ndim == 3, (cells, cells)
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if colour else image, np.uint8)
     out = np.empty((CHANNELS + 1 + 2 * colour, cells, cells), np.float32)
-    cells_of(grey, out[:CHANNELS])
+    gradients(np.multiply(grey, np.float32(1 / 255), dtype=np.float32), CELL, out[:CHANNELS])
     np.multiply(cv2.resize(grey, small, interpolation=cv2.INTER_AREA), np.float32(1 / 255), out=out[CHANNELS])
     out[CHANNELS] -= np.float32(0.5)
     if colour:

@@ -5,7 +5,7 @@ A face's points carry their head, which is such a box.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
@@ -13,7 +13,7 @@ from numpy.random import Generator
 from facetrack_cli.core.types import Array, Box, Frame, Info, Particles
 from facetrack_cli.engine import confidence
 from facetrack_cli.engine.protocols import Linear, Motion
-from facetrack_cli.engine.resampling import effective_sample_size, normalise
+from facetrack_cli.engine.resampling import effective_sample_size
 from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.trackers.box.box_kernels import arrive
@@ -34,16 +34,16 @@ class VisibleBoxSpace(BoxSpace):
 
     def counted(self, particles: Particles) -> Array:
         """Given that the target is visible, or, if it rather is hidden, given that."""
-        shown = particles.x[:, 0, VISIBLE]
-        visible = float(np.sum(np.exp(particles.log_w) * shown))
+        w, shown = np.exp(particles.log_w), particles.x[:, 0, VISIBLE]
+        counts = w * (shown if float(w @ shown) >= 0.5 else 1 - shown)
         with np.errstate(divide="ignore"):
-            return normalise(particles.log_w + np.log(shown if visible >= 0.5 else 1 - shown))
+            return np.asarray(np.log(counts / np.add.reduce(counts)))
 
     def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
         """The mean of the particles that count, and P(visible)."""
         log_w = self.counted(particles)
         found = super().estimate(Particles(particles.x, log_w), effective_sample_size(log_w)[None], best=best)
-        found.state[0, VISIBLE] = float(np.sum(np.exp(particles.log_w) * particles.x[:, 0, VISIBLE]))
+        found.state[0, VISIBLE] = np.exp(particles.log_w) @ particles.x[:, 0, VISIBLE]
         return found
 
     def presence(self, particles: Particles, estimated: Estimate) -> Array:
@@ -85,9 +85,10 @@ class VisibleWalk(Motion):
     def carried(self, rng: np.random.Generator, x: Array, step: Array) -> Array:
         """x (N, 1, 6) a frame later, where all are known to have moved by `step` (2,): with the mean velocities."""
         moved, one = x.copy(), self.settings
-        noise = rng.standard_normal((len(x) + 1) // 2)
-        e = np.stack([noise, -noise], axis=1).ravel()[: len(x)]
-        moved[:, 0, 2] = np.clip(x[:, 0, 2] * np.exp(one.scale * e), *self.limits)
+        grown, scale = np.exp(one.scale * rng.standard_normal((len(x) + 1) // 2)), moved[:, 0, 2]
+        scale[::2] *= grown
+        scale[1::2] /= grown[: len(x) // 2]
+        np.minimum(np.maximum(scale, self.limits[0], out=scale), self.limits[1], out=scale)
         moved[:, 0, :2] += step
         moved[:, 0, 3:5] = one.velocity * (1 - one.acceleration) * x[:, 0, 3:5] + one.acceleration * step
         return moved
@@ -184,7 +185,7 @@ class BoxTarget(ParticleTarget):
         step = self.motion.expect(before[None])[0, 0, :2] + shift - before[0, :2]
         particles = state.particles._replace(x=self.motion.carried(rng, state.particles.x, step))
         ess = np.full(1, effective_sample_size(particles.log_w))
-        state = replace(state, particles=particles, estimated=self.space.estimate(particles, ess, best=self.best))
+        state = state._replace(particles=particles, estimated=self.space.estimate(particles, ess, best=self.best))
         return state, Info(ess)
 
     def unseen(
@@ -200,4 +201,4 @@ class BoxTarget(ParticleTarget):
         ess = np.full(1, effective_sample_size(particles.log_w))
         estimated = self.space.estimate(particles, ess, best=self.best)
         judgement = confidence.decide(self.confidence, state.judgement, np.zeros(1))
-        return replace(state, particles=particles, estimated=estimated, judgement=judgement), Info(ess)
+        return state._replace(particles=particles, estimated=estimated, judgement=judgement), Info(ess)

@@ -124,7 +124,7 @@ class Trainer:
 
     def _dot(self, a: Single, b: Single) -> float:
         """The inner product of two real functions by half of their frequencies."""
-        product = np.sum(np.multiply(a, b, dtype=np.float64), axis=(0, 1)).reshape(self.cells, -1)
+        product = np.add.reduce(a * b, axis=(0, 1)).astype(np.float64).reshape(self.cells, -1)
         return float(2 * product.sum() - product[:, 0].sum() - product[:, -1].sum())
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from facetrack_cli.engine.kernels.compiled import fast, fast_part
 
 Single: TypeAlias = NDArray[np.float32]
-Array: TypeAlias = NDArray[np.float64]
 Image: TypeAlias = NDArray[np.uint8]
 _ZERO, _ONE, _TWO, _THREE, _FOUR, _FIVE = (np.float32(k) for k in range(6))
 _ALL = np.float32(1 / 625)
@@ -28,20 +27,17 @@ _WAYS = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1).astype(np.float32)
 DIRECTIONS = len(_WAYS)
 
 
-def looks(image: Image) -> Single:
-    """log(grey + 16), and the redness log((red + 8) / (green + 8)), (2, H, W), of an image (H, W, 3)."""
-    out = np.empty((2, *image.shape[:2]), np.float32)
-    _looks(np.ascontiguousarray(image), _GREY, _COLOUR, out)
-    return out
-
-
 @fast
-def _looks(image, greys, colours, out):
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
+def looks(image):
+    """log(grey + 16), and the redness log((red + 8) / (green + 8)), (2, H, W), of a contiguous image (H, W, 3)."""
+    height, width, _ = image.shape
+    out = np.empty((2, height, width), np.float32)
+    for y in range(height):
+        for x in range(width):
             b, g, r = np.int32(image[y, x, 0]), np.int32(image[y, x, 1]), np.int32(image[y, x, 2])
-            out[0, y, x] = greys[(934 * b + 4809 * g + 2449 * r + 512) >> 10]
-            out[1, y, x] = colours[r] - colours[g]
+            out[0, y, x] = _GREY[(934 * b + 4809 * g + 2449 * r + 512) >> 10]
+            out[1, y, x] = _COLOUR[r] - _COLOUR[g]
+    return out
 
 
 def smoothed_channels(image: Image) -> Single:
@@ -51,26 +47,21 @@ def smoothed_channels(image: Image) -> Single:
     brightness and the slope of redness down the image. All is relative to what is around. H and W are 24 or more; the
     border reflects.
     """
-    return _smoothed(looks(np.asarray(image, np.uint8)), DIRECTIONS + 3)
+    return np.asarray(_channels(looks(np.ascontiguousarray(image))), np.float32)
 
 
 def grey_channels(sums: NDArray[np.int32]) -> Single:
     """As `smoothed_channels`, of sums over 3 x 3 grey levels (H, W): without redness, relative to the whole image."""
-    return _smoothed(_OF_NINE[sums][None], DIRECTIONS + 1)
-
-
-def _smoothed(seen: Single, channels: int) -> Single:
-    height, width = seen.shape[1:]
-    out = np.empty((channels, height, width + 2 * _REACH), np.float32)
-    _channels(seen, _WAYS, len(seen) > 1, np.empty((7, height, width), np.float32), out)
-    return out
+    return np.asarray(_channels(_OF_NINE[sums][None]), np.float32)
 
 
 @fast
-def _channels(seen, ways, whole, scratch, out):
-    height, width = seen.shape[1:]
+def _channels(seen):
+    (many, height, width), whole = seen.shape, len(seen) > 1
+    directions = len(_WAYS)
+    out = np.empty((directions + 2 * many - 1, height, width + 2 * _REACH), np.float32)
+    scratch = np.empty((7, height, width), np.float32)
     across, down, others, raw, usual = scratch[0], scratch[1], scratch[2:5], scratch[5], scratch[6]
-    directions = len(ways)
     _slopes(seen[0], across, down)
     if whole:
         _slopes(seen[1], raw, others[2])
@@ -108,7 +99,7 @@ def _channels(seen, ways, whole, scratch, out):
             usual[y, x] = _ONE / (size * (np.sqrt(max(usual[y, x], _ZERO)) + _FLAT) + _TINY)
     for k in range(len(out)):
         if k < directions:
-            u, v = ways[k, 0], ways[k, 1]
+            u, v = _WAYS[k, 0], _WAYS[k, 1]
             for y in range(height):
                 for x in range(width):
                     along = max(u * across[y, x] + v * down[y, x], _ZERO)
@@ -116,6 +107,7 @@ def _channels(seen, ways, whole, scratch, out):
             _smooth_down(raw, out[k])
         else:
             _smooth_down(others[k - directions], out[k])
+    return out
 
 
 @fast_part
@@ -200,14 +192,15 @@ def _smooth_down(values, out):
             row[_REACH - d], row[width + _REACH - 1 + d] = row[_REACH + d], row[width + _REACH - 1 - d]
 
 
-def read(seen: Single, x: Array, offsets: Array) -> Single:
+@fast
+def read(seen, x, offsets):
     """(K, G, C): the channels `seen` at the pixels nearest to the places x (K, 2) and `offsets` (G, 2) beside them."""
     out = np.empty((len(x), len(offsets), len(seen)), np.float32)
     _read(seen, x, offsets, 1.0, out)
     return out
 
 
-@fast
+@fast_part
 def _read(seen, x, offsets, scale, out):
     height, width = seen.shape[1], seen.shape[2] - 2 * _REACH
     for k in range(len(x)):
@@ -220,15 +213,11 @@ def _read(seen, x, offsets, scale, out):
                 out[k, g, c] = (near + p[0] + p[8]) * _ALL
 
 
-def run_stages(seen: Single, x: Array, offsets: Array, scales: Array, stages: Single) -> Array:
+@fast
+def run_stages(seen, x, offsets, scales, stages):
     """x (K, 2) after S stages (S, F + 1, 2 K), which read at `offsets` (G, 2) times the `scales` (S,) around them."""
     x, move = x.copy(), np.empty(2 * len(x), np.float32)
-    _run_stages(seen, x, offsets, scales, stages, np.empty((len(x), len(offsets), len(seen)), np.float32), move)
-    return x
-
-
-@fast
-def _run_stages(seen, x, offsets, scales, stages, phi, move):
+    phi = np.empty((len(x), len(offsets), len(seen)), np.float32)
     flat = phi.ravel()
     for s in range(len(stages)):
         _read(seen, x, offsets, scales[s], phi)
@@ -240,3 +229,4 @@ def _run_stages(seen, x, offsets, scales, stages, phi, move):
         for k in range(len(x)):
             x[k, 0] += move[2 * k]
             x[k, 1] += move[2 * k + 1]
+    return x

@@ -10,7 +10,7 @@ import numpy as np
 
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.geometry import warp_affine
-from facetrack_cli.core.types import Array, Extent, Frame, Image
+from facetrack_cli.core.types import Array, Extent, Frame, Image, Planes
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
@@ -65,23 +65,28 @@ class Similarity(NamedTuple):
 
         Of planes U and V are read at every other pixel, as they are stored.
         """
-        factor, extent = self._extent(side)
-        middle = (side - 1) / 2
-        if (planes := frame.planes(factor, extent)) is not None:
-            lit, *tints = planes
-            even = side + side % 2
-            parts = [self._warped(*lit, even, middle)]
-            parts += [self._warped(*tint, even // 2, middle / 2 - 0.25, 2) for tint in tints]
-            joined = np.concatenate([part.ravel() for part in parts]).reshape(-1, even)
-            still = np.asarray(cv2.cvtColor(joined, cv2.COLOR_YUV2BGR_I420)[:side, :side], np.uint8)
+        if (planes := self._planes(frame, side)) is not None:
+            still = planes.bgr[:side, :side]
         else:
-            still = self._warped(*frame.reduced(factor, extent), factor, side, middle)
+            factor, extent = self._extent(side)
+            still = self._warped(*frame.reduced(factor, extent), factor, side, (side - 1) / 2)
         return Frame(frame.index, frame.time_s, still)
 
     def read_grey(self, frame: Frame, side: int) -> Image:
         """As `read`, in grey (side, side)."""
+        if frame.yuv is not None and frame.yuv.ours is not None and (planes := self._planes(frame, side)):
+            return planes.grey[:side, :side]  # of so few pixels alone
         factor, extent = self._extent(side)
         return self._warped(*frame.grey(factor, extent), factor, side, (side - 1) / 2)
+
+    def _planes(self, frame: Frame, side: int) -> Planes | None:
+        """As `read`, of planes as they are stored, with an even number of pixels along each side."""
+        factor, extent = self._extent(side)
+        if frame.yuv is None or (planes := frame.planes(factor, extent)) is None:
+            return None
+        even, middle = side + side % 2, (side - 1) / 2
+        u, v = (self._warped(*tint, even // 2, middle / 2 - 0.25, 2) for tint in planes[1:])
+        return Planes(self._warped(*planes[0], even, middle), u, v, frame.yuv.ours)
 
     def _extent(self, side: int) -> tuple[int, Extent]:
         """By which factor the frame is reduced that is read, and where."""

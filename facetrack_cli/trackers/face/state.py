@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask, Particles
 from facetrack_cli.engine.confidence import Calibration
 from facetrack_cli.engine.loop import Footprint
@@ -35,7 +34,9 @@ from facetrack_cli.video.shots import Passing
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
 _MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over
 _VALUES: Final = ("x", "y", *SPREAD[:3], "confidence", "w", "h", "ess", "angle", *SPREAD[3:], "particles")
-_HOW: Final = ("tracked", "hidden", "lost")  # as `landmark_kernels.show` counts them
+_HOW: Final = np.array(["tracked", "hidden", "lost"])  # as `landmark_kernels.show` counts them
+_LOST: Final = 2
+_CORNERS: Final = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])  # of a box, clockwise
 
 
 class FaceState(NamedTuple):
@@ -123,7 +124,7 @@ def moved(features: ParticleState, to: Callable[[Array], Array], **others: Any) 
     """The points' state, with every place x replaced by to(x), and `others` of its values."""
     (x, log_w), (state, cov, side_std) = features.particles, features.estimated
     particles, estimated = Particles(to(x), log_w), Estimate(to(state), cov, side_std)
-    return replace(features, particles=particles, estimated=estimated, **others)
+    return features._replace(particles=particles, estimated=estimated, **others)
 
 
 def mapped(x: Array, turned: complex, shift: complex) -> Array:
@@ -215,7 +216,7 @@ class FaceParts:
         at, cov, seen, how = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan), np.ones(count), [0] * count
         at[:k], cov[:k], end = points.state, points.cov, k + 1
         if judged is not None:
-            seen[:k], how[:k] = judged.confidence, [_HOW.index("lost") * (status == "lost") for status in judged.status]
+            seen[:k], how[:k] = judged.confidence, [_LOST * (status == "lost") for status in judged.status]
         for names, landmarks in self._without_windows(state):
             those, end = slice(end, end + len(names)), end + len(names)
             if landmarks is not None:
@@ -225,10 +226,10 @@ class FaceParts:
         place = face.matrix, face.centre, MIDDLE, near, self.settings.lost_below, values[:6], hows
         kernels.show(at, cov, seen, k, shown, box.cov[0], *place)
         values[6:8, :k], values[8, :k] = self.features.space.windows(points).T * face.scale, state.info.ess
-        status = np.array(_HOW)[hows]
+        status = _HOW[hows]
         if not state.frames:
             began = [judged is None or one == "init" for one in ([""] * k if judged is None else judged.status)]
-            status[:k][(hows[:k] < _HOW.index("lost")) & began] = "init"
+            status[:k][(hows[:k] < _LOST) & began] = "init"
             values[5, :k] = np.nan if judged is None else judged.confidence
         if features.absent is not None:
             values[:, :k][:, features.absent], status[:k][features.absent] = np.nan, "absent"
@@ -245,8 +246,7 @@ class FaceParts:
         values[-1] = len(features.particles.x) + len(head.particles.x)  # of a target one number: both filters' together
         outlines = np.full((count, 4, 2), np.nan)
         # the border runs through the middle of the outermost pixels
-        way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
-        outlines[k] = corners(way, face.centre[None], np.array([[wide - 1, high - 1]]))[0]
+        outlines[k] = Similarity(face.centre, 1.0, roll).to_frame(MIDDLE + _CORNERS * (wide - 1, high - 1))
         return {**dict(zip(_VALUES, values, strict=True)), "status": status, "corners": outlines}
 
     def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:

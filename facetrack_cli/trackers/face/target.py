@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Final
 
@@ -69,12 +69,12 @@ from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
 
 COMPANY: Final = 2  # searches that saw several faces, from which the clip has shown somebody else
-LOOK: Final = (3, 9)  # frames between two looks of the head's filter while it is new, and later, where points are seen
+LOOK: Final = (3, 15)  # frames between two looks of the head's filter while it is new, and later, where points are seen
 NEW_FILTER: Final = 20  # looks after which the head's filter knows its peaks; sooner it may return on what is no face
 SETTLED: Final = 0.95  # probability by the head's filter, below which it looks in every frame
 EASY: Final = 8.0  # log odds that the points are seen where they are
 DOUBT: Final = 8.0  # log odds, below which the detector looks at once
-STEADY: Final = 2.5  # pixels of the stabilized image, which a face is at most from where it is expected, in between
+STEADY: Final = 4.0  # pixels of the stabilized image, which a face is at most from where it is expected, in between
 _FORGETS: Final = 0.95  # share of the log odds that is left after a frame in which the head is lost
 _FACES: Final = 4  # that are compared with the one that is lost
 # standard deviations of the pose in a frame, of that by a detected box, and of that by parts left and right
@@ -204,7 +204,7 @@ class FaceTarget(FaceParts):
         # of this frame, where it shows less than expected: else the head's filter learns what took the face's place
         seen = state.log_odds if view is None else min(state.log_odds, view.landmarks.parts.log_odds)
         log_odds = 0.0 if state.sighting is not None else state.facing.log_odds(seen)
-        informed = replace(state.head, learned=state.head.learned._replace(external_log_odds=log_odds))
+        informed = state.head._replace(learned=state.head.learned._replace(external_log_odds=log_odds))
         head, info = self.head.advanced(rng, informed, frame, footprints)
         if head_confidence(head) < self.settings.lost_below:
             return self._unseen(state._replace(head=head, facing=state.facing.predicted()), info, frame)
@@ -286,7 +286,7 @@ class FaceTarget(FaceParts):
         odds, cross = self._judged(state.features, view, estimated)
         biases = state.bias_filters.updated(view.places, estimated.state, estimated.cov, visible, odds[:-1], cross)
         if isinstance(features.learned, window_ncc.WindowState):
-            features = replace(features, learned=window_ncc.doubted(features.learned, odds[-1]))
+            features = features._replace(learned=window_ncc.doubted(features.learned, odds[-1]))
         facing = state.facing if self.sensors.detector is None else state.facing.predicted()
         others, mesh, eyes = state.others, view.landmarks.others, state.eyes
         if others is None:
@@ -435,7 +435,7 @@ class FaceTarget(FaceParts):
             best = int(p.argmax())
             sighting = sightings[best]._replace(p=float(p[best])) if p[best] > MAYBE else None
         facing = state.facing.updated(detected=False) if sighting is None else state.facing
-        head = replace(state.head, learned=state.head.learned._replace(sighted=places))
+        head = state.head._replace(learned=state.head.learned._replace(sighted=places))
         return state._replace(head=head, sighting=sighting, facing=facing, crowded=crowded)
 
     def _is_covered(self, head: ParticleState) -> bool:

@@ -229,7 +229,7 @@ def channels(frame: Frame) -> Channels:
     """log(grey + 16) and 2 log((red + 8) / (green + 8)) of a frame, (2, H, W)."""
     values = frame.remembered("looks")
     if values is None:
-        values = looks(frame.bgr)
+        values = looks(np.ascontiguousarray(frame.bgr))
         values[1] *= 2
         frame.remember("looks", frame.bgr, values)
     return values
