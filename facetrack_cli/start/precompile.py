@@ -13,7 +13,11 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import Any
+
+import cv2
+import numpy as np
 
 from facetrack_cli.engine.kernels.cache import compiling
 
@@ -72,12 +76,12 @@ KERNELS: Mapping[str, tuple[str, str]] = {
         "motion=visible_walk",
     ),
     "trackers.hands.hand_kernels.move": (
-        "f8:3 b1:2 b1:1 f8:3 f8:4 f8:2 f8:1 f8:1 f8:1 f8:1 f8 f4:2 f4:2 f8:1 f8 f8 f8:1",
+        "f8:3 b1:2 b1:1 f8:3 f8:3 f8:2 f8:1 f8:1 f8:1 f8:1 f8 f4:2 f4:2 f8:1 f8 f8 f8:1",
         "hands",
     ),
     "trackers.hands.hand_kernels.weigh": ("f8:3 b1:2 b1:1 f4:2 f4:2 f4:2 f8:1 f8 f8 f8 f8 f8 f8:1", "hands"),
-    "trackers.hands.hand_kernels.gather": ("f8:3 b1:2 f8:1 f4:2 f8 f8:1 f8:2 f8:3 f8:1 f8:1", "hands"),
-    "trackers.hands.hand_kernels.least_change": ("f4:3 f4:3 f4:2", "hands"),
+    "trackers.hands.hand_kernels.gather": ("f8:3 b1:2 f8:1 f4:2 f8 f4:2 f8 f8:1 f8:2 f8:3 f8:1 f8:1 f8:2", "hands"),
+    "trackers.hands.hand_kernels.learn_head": ("f4:3 f4:3 f4:1 f8 f8:2 f8 f4:2 f4:2 f4:1", "hands"),
     "trackers.box.box_kernels.multiply": ("f4:3 f4:3 f4:3", _CELLS),
     "trackers.appearance.appearance_kernels.errors": ("f4:2r f4:2 f4:2 f4:2", "velocity"),
     "trackers.regions.region_kernels.match_boxes": ("u2:2 i8:2 i8:2 f8:1 f4:2", "histogram"),
@@ -152,6 +156,8 @@ def precompiling(settings: Mapping[str, Any], processes: int) -> Iterator[Callab
     second: subprocess.Popen[bytes] | None = None
     if missing:
         compiling()
+    elif processes > 1:  # while the tracker is made; the first call of each would take as long
+        Thread(target=_load, args=(of_recipe(settings),), daemon=True).start()
     # a program that embeds Python, or is frozen, has no interpreter to start
     if others and processes > 1 and Path(sys.executable or "").stem.startswith("python"):
         order = json.dumps([sys.path, [*others, *reversed(mine)]])
@@ -165,6 +171,12 @@ def precompiling(settings: Mapping[str, Any], processes: int) -> Iterator[Callab
         if second is not None:
             second.kill()
             second.communicate()
+
+
+def _load(names: list[str]) -> None:
+    """Load kernels, and have OpenCV make its tables of CIELAB, which takes as long as five of them."""
+    cv2.cvtColor(np.zeros((1, 1, 3), np.uint8), cv2.COLOR_BGR2LAB)
+    compile_kernels(names)
 
 
 def compile_kernels(
