@@ -142,7 +142,8 @@ def spread(evidence, middle, radius):
 
 def learn_head(seen, head, limit, hands, radius):
     """The head that is learned, change, p of a hand, and the change where no hand is."""
-    shifted = [np.roll(head, (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+    wide = np.pad(head, ((1, 1), (1, 1), (0, 0)), constant_values=np.inf)
+    shifted = [wide[y : y + len(head), x : x + head.shape[1]] for y in range(3) for x in range(3)]
     change = cv2.GaussianBlur(np.min([np.abs(seen - one).max(axis=2) for one in shifted], axis=0), (0, 0), 1.0)
     new = 1 / (1 + np.exp((limit - change) / of.CHANGED_WIDTH))
     row, column = np.indices(change.shape)

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import warp_affine
-from facetrack_cli.core.types import Array, Box, Frame, Image, factor_for
+from facetrack_cli.core.types import Array, Box, Frame, Image, Planes, factor_for
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.trackers.hands.hand_kernels import LEARNS, learn_head
 
@@ -44,7 +44,7 @@ PALE: Final = 1.25  # saturation of skin over that of the face
 ALONG, ACROSS, NOISE = 0.4, 0.12, 1.5  # standard deviations of skin: in saturations of the face, and in levels
 SKIN_SHARE: Final = 0.03  # of what is not the face
 PASSES: Final = 3  # of the phase correlation
-STILL: Final = 0.06  # of the slopes of an image: a shift by a quarter of a pixel changes it by .07 of them or more
+SHIFT: Final = 0.25  # of a pixel: a camera that moves by less stands still
 MOVES: Final = 0.6  # of the peak of the phase correlation, from which on it tells a motion of the camera
 RISES: Final = 0.002  # of the background's p in a frame
 CHANGED: Final = 4.0  # grey levels by which the face differs from before, where as much speaks for a hand as against it
@@ -77,9 +77,15 @@ class Scene(NamedTuple):
 
 
 def reduced(frame: Frame, factor: int) -> Image:
-    """The whole frame, reduced."""
+    """The whole frame, reduced; its planes become colours where Y is twice as large."""
     width, height = frame.size
-    return frame.reduced(factor, (0.0, 0.0, width - 1.0, height - 1.0))[0]
+    whole = (0.0, 0.0, width - 1.0, height - 1.0)
+    if factor == 1 or frame.yuv is None or (planes := frame.planes(factor // 2, whole)) is None:
+        return frame.reduced(factor, whole)[0]
+    y, u, v = (plane[0] for plane in planes)
+    both = Planes(y[: 2 * u.shape[0], : 2 * u.shape[1]], u, v, frame.yuv.ours).joined()
+    image = cv2.cvtColor(both, cv2.COLOR_YUV2BGR_I420)
+    return np.asarray(cv2.resize(image, u.shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def side_of(head: Footprint) -> float:
@@ -173,7 +179,7 @@ def _as_lit(first: Image, now: Image) -> Image:
     thin = max(round(math.sqrt(first.size / TELL)), 1)
     before, after = (np.moveaxis(one[::thin, ::thin], 2, 0).reshape(3, -1) for one in (first, now))
     usable = ((np.minimum(before, after) >= DARK) & (np.maximum(before, after) <= BRIGHT)).all(axis=0)
-    if np.mean(usable) < ENOUGH:
+    if np.count_nonzero(usable) < ENOUGH * len(usable):
         return now
     ratio = after[:, usable] / before[:, usable].astype(np.float32)
     half, off = ratio.shape[1] // 2, ratio - 1
@@ -188,18 +194,21 @@ def _as_lit(first: Image, now: Image) -> Image:
 
 def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
     """The background where the camera has moved it, by phase correlation; what comes into the picture is background."""
-    slope = cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-    if cv2.norm(scene.grey, grey, cv2.NORM_L1) < STILL * cv2.norm(slope, cv2.NORM_L1):
+    # a shift changes an image by as much of its slopes
+    pairs = (scene.grey[:, 1:], scene.grey[:, :-1]), (scene.grey[1:], scene.grey[:-1])
+    if cv2.norm(scene.grey, grey, cv2.NORM_L1) < SHIFT * min(cv2.norm(*one, cv2.NORM_L1) for one in pairs):
         return scene.still
     (x, y), sure = shift_between(scene.grey, grey)
-    if sure < MOVES or max(abs(x), abs(y)) < 0.25 or max(abs(x), abs(y)) > scene.side:
+    if sure < MOVES or max(abs(x), abs(y)) < SHIFT or max(abs(x), abs(y)) > scene.side:
         return scene.still
     shift = np.array([[1, 0, x], [0, 1, y]], np.float32)
     size = grey.shape[::-1]
     # what moves before a still camera draws the peak, too: the motion is the camera's if edges fit better by it
     moved = warp_affine(scene.grey, shift, size)
-    edges = slope >= np.quantile(slope, 0.75)
-    if np.median(np.abs(grey - moved)[edges]) >= np.median(np.abs(grey - scene.grey)[edges]):
+    slope = cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+    edges, off, rest = (one[::2, ::2] for one in (slope, grey - moved, grey - scene.grey))
+    edges = edges >= np.quantile(edges, 0.75)
+    if np.median(np.abs(off[edges])) >= np.median(np.abs(rest[edges])):
         return scene.still
     there = warp_affine(np.ones_like(grey), shift, size)
     return np.asarray(warp_affine(scene.still, shift, size) + (1 - there) * skin, np.float32)
@@ -253,7 +262,7 @@ def _map(at: Array, side: float, first: float) -> Map:
 
 def _head(small: Image, at: Array, side: float, first: float) -> Map:
     """The template of the head: face and neck, as large as in the first frame."""
-    size = round(first * (HEAD[2] - HEAD[0])), round(first * (HEAD[3] - HEAD[1]))
+    size = max(round(first * (HEAD[2] - HEAD[0])), 9), max(round(first * (HEAD[3] - HEAD[1])), 9)
     patch = warp_affine(small, _map(at, side, first), size, cv2.BORDER_REPLICATE, inverse=True)
     return np.asarray(patch, np.float32)
 

@@ -247,28 +247,31 @@ def learn_head(seen, head, weights, limit, hands, radius, change, new, apart):
     `hands` (n, 2); their change is in `apart`.
     """
     (height, width, _), reach, count = seen.shape, len(weights) // 2, 0
+    row = np.empty(width + 2 * reach, np.float32)
     for y in range(height):
         for x in range(width):
             least = np.float32(math.inf)
-            for dy in range(-1, 2):
-                for dx in range(-1, 2):
-                    there = head[(y + dy) % height, (x + dx) % width]
+            for j in range(max(y - 1, 0), min(y + 2, height)):
+                for i in range(max(x - 1, 0), min(x + 2, width)):
                     most = np.float32(0.0)
                     for c in range(3):
-                        most = max(most, abs(seen[y, x, c] - there[c]))
+                        most = max(most, abs(seen[y, x, c] - head[j, i, c]))
                     least = min(least, most)
-            change[y, x] = least
-    for y in range(height):
+            row[reach + x] = least
+        for k in range(reach):
+            row[reach - 1 - k], row[reach + width + k] = row[reach + 1 + k], row[reach + width - 2 - k]
         for x in range(width):
             new[y, x] = np.float32(0.0)
-            for k in range(-reach, reach + 1):
-                new[y, x] += weights[k + reach] * change[y, _mirrored(x + k, width)]
+        for k in range(len(weights)):
+            for x in range(width):
+                new[y, x] += weights[k] * row[x + k]
     for y in range(height):
         for x in range(width):
-            total = np.float32(0.0)
-            for k in range(-reach, reach + 1):
-                total += weights[k + reach] * new[_mirrored(y + k, height), x]
-            change[y, x] = total
+            change[y, x] = np.float32(0.0)
+        for k in range(-reach, reach + 1):
+            j = min(abs(y + k), 2 * (height - 1) - abs(y + k))  # beyond a border, as in a mirror
+            for x in range(width):
+                change[y, x] += weights[k + reach] * new[j, x]
     for y in range(height):
         for x in range(width):
             p = 1.0 / (1.0 + math.exp(min(max((limit - change[y, x]) / CHANGED_WIDTH, -30.0), 30.0)))
@@ -282,10 +285,3 @@ def learn_head(seen, head, weights, limit, hands, radius, change, new, apart):
             for c in range(3):
                 head[y, x, c] += rate * (seen[y, x, c] - head[y, x, c])
     return count
-
-
-@part
-def _mirrored(i, count):
-    """The index within `count` that stands for `i` beyond a border, as of cv2.BORDER_REFLECT_101."""
-    i = abs(i)
-    return max(min(i, 2 * (count - 1) - i), 0)

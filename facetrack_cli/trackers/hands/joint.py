@@ -138,21 +138,27 @@ def step(
 def disc_means(evidence: Map, radius: float) -> Map:
     """Means of the evidence in a disc about each pixel, within the frame; a third of the disc must be there.
 
-    The radius is rounded to an eighth of a pixel, so that most frames have the disc of the one before.
+    They are those of every other pixel of the evidence, reduced by two, since they are smooth. The radius is rounded to
+    an eighth of a pixel, so that most frames have the disc of the one before.
     """
     disc, per = _disc(round(8 * radius) / 8, evidence.shape)
-    return np.asarray(per * cv2.filter2D(evidence, -1, disc, borderType=cv2.BORDER_CONSTANT), np.float32)
+    return np.asarray(per * _summed(evidence, disc), np.float32)
+
+
+def _summed(evidence: Map, disc: Map) -> Map:
+    size = evidence.shape[1], evidence.shape[0]
+    half = cv2.resize(evidence, ((size[0] + 1) // 2, (size[1] + 1) // 2), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(cv2.filter2D(half, -1, disc, borderType=cv2.BORDER_CONSTANT), size), np.float32)
 
 
 @lru_cache(8)
 def _disc(radius: float, shape: tuple[int, int]) -> tuple[Map, Map]:
-    """A disc, and of each pixel the factor for what is cut off there."""
-    n = math.ceil(radius + 0.5)
+    """A disc in the reduced evidence, and of each pixel the factor for what is cut off there."""
+    n = math.ceil(radius / 2 + 0.5)
     off = np.arange(-n, n + 1.0)
-    disc = np.clip(radius + 0.5 - np.hypot(off[:, None], off), 0, 1).astype(np.float32)
+    disc = np.clip(radius / 2 + 0.5 - np.hypot(off[:, None], off), 0, 1).astype(np.float32)
     disc /= disc.sum()
-    inside = cv2.filter2D(np.ones(shape, np.float32), -1, disc, borderType=cv2.BORDER_CONSTANT)
-    return disc, 1 / np.maximum(inside, np.float32(0.35))
+    return disc, 1 / np.maximum(_summed(np.ones(shape, np.float32), disc), np.float32(0.35))
 
 
 def log_likelihood(
