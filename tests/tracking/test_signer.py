@@ -175,17 +175,16 @@ def test_a_grey_clip_is_refused_in_one_line():
     assert "\n" not in str(refused.value)
 
 
-def test_disc_means_are_about_those_of_a_plain_loop():
-    e, radius = np.random.default_rng(0).random((12, 15)).astype(np.float32), 3.25
-    np.testing.assert_allclose(joint.disc_means(np.ones_like(e), radius), 1, atol=1e-5)
-    e = cv2.GaussianBlur(e, (0, 0), 0.7)
-    found = joint.disc_means(e, radius)
-    for row, column in ((0, 0), (0, 7), (5, 6), (11, 14), (8, 2)):
-        y, x = np.mgrid[row - 4 : row + 5, column - 4 : column + 5]
+@pytest.mark.parametrize(("radius", "off", "corners"), [(3.25, 1e-5, [(0, 0), (21, 24)]), (6.5, 0.03, [])])
+def test_disc_means_are_those_of_a_plain_loop(radius, off, corners):
+    e, reach = cv2.GaussianBlur(np.random.default_rng(0).random((22, 25)).astype(np.float32), (0, 0), 0.7), 7
+    for row, column in ((0, 7), (5, 6), (8, 2), *corners):
+        y, x = np.mgrid[row - reach : row + reach + 1, column - reach : column + reach + 1]
         weight = np.clip(radius + 0.5 - np.hypot(x - column, y - row), 0, 1)
-        inside = (y >= 0) & (y < 12) & (x >= 0) & (x < 15)
-        total = (weight * inside * e[y.clip(0, 11), x.clip(0, 14)]).sum() / weight.sum()
-        assert found[row, column] == pytest.approx(total / max((weight * inside).sum() / weight.sum(), 0.35), abs=0.04)
+        inside = (y >= 0) & (y < 22) & (x >= 0) & (x < 25)
+        total = (weight * inside * e[y.clip(0, 21), x.clip(0, 24)]).sum() / weight.sum()
+        expected = total / max((weight * inside).sum() / weight.sum(), 0.35)
+        assert joint.disc_means(e, radius)[row, column] == pytest.approx(expected, abs=off)
 
 
 def likelihood(blobs, at, *, line=None, parted=True):

@@ -42,6 +42,7 @@ from facetrack_cli.trackers.hands.hand_kernels import BEYOND, REACH, REST, gathe
 from facetrack_cli.trackers.hands.settings import HandsSettings
 
 START: Final = 0.075  # sizes, standard deviation of a hand that is given
+LARGE: Final = 5.0  # pixels, radius of a disc for which OpenCV takes a Fourier transform, ten times as long
 PEAKS: Final = 8  # places of most skin, at most
 LEAST: Final = -1.5  # of log p(y | x) at such a place
 _TINY: Final = 1e-12
@@ -138,27 +139,31 @@ def step(
 def disc_means(evidence: Map, radius: float) -> Map:
     """Means of the evidence in a disc about each pixel, within the frame; a third of the disc must be there.
 
-    They are those of every other pixel of the evidence, reduced by two, since they are smooth. The radius is rounded to
-    an eighth of a pixel, so that most frames have the disc of the one before.
+    Those of a large disc are read off the evidence at half its size. The radius is rounded to an eighth of a pixel, so
+    that most frames have the disc of the one before.
     """
-    disc, per = _disc(round(8 * radius) / 8, evidence.shape)
-    return np.asarray(per * _summed(evidence, disc), np.float32)
+    disc, per, by = _disc(round(8 * radius) / 8, evidence.shape)
+    return np.asarray(per * _summed(evidence, disc, by), np.float32)
 
 
-def _summed(evidence: Map, disc: Map) -> Map:
+def _summed(evidence: Map, disc: Map, by: int) -> Map:
     size = evidence.shape[1], evidence.shape[0]
-    half = cv2.resize(evidence, ((size[0] + 1) // 2, (size[1] + 1) // 2), interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.resize(cv2.filter2D(half, -1, disc, borderType=cv2.BORDER_CONSTANT), size), np.float32)
+    small = evidence
+    if by > 1:
+        small = cv2.resize(evidence, (-(-size[0] // by), -(-size[1] // by)), interpolation=cv2.INTER_AREA)
+    sums = cv2.filter2D(small, -1, disc, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(cv2.resize(sums, size) if by > 1 else sums, np.float32)
 
 
 @lru_cache(8)
-def _disc(radius: float, shape: tuple[int, int]) -> tuple[Map, Map]:
-    """A disc in the reduced evidence, and of each pixel the factor for what is cut off there."""
-    n = math.ceil(radius / 2 + 0.5)
+def _disc(radius: float, shape: tuple[int, int]) -> tuple[Map, Map, int]:
+    """A disc, of each pixel the factor for what is cut off there, and by how much the evidence is reduced before."""
+    by = 2 if radius >= LARGE else 1
+    n = math.ceil(radius / by + 0.5)
     off = np.arange(-n, n + 1.0)
-    disc = np.clip(radius / 2 + 0.5 - np.hypot(off[:, None], off), 0, 1).astype(np.float32)
+    disc = np.clip(radius / by + 0.5 - np.hypot(off[:, None], off), 0, 1).astype(np.float32)
     disc /= disc.sum()
-    return disc, 1 / np.maximum(_summed(np.ones(shape, np.float32), disc), np.float32(0.35))
+    return disc, 1 / np.maximum(_summed(np.ones(shape, np.float32), disc, by), np.float32(0.35)), by
 
 
 def log_likelihood(
