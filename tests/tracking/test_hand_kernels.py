@@ -98,6 +98,14 @@ def test_a_head_is_learned_as_its_plain_twin_says(hands):
         np.testing.assert_allclose(ours, theirs, atol=1e-3)
 
 
+@pytest.mark.parametrize("light", [(1, 1, 1), (1.006, 0.995, 1), (1, 1, 1.03), (0.97, 1, 1), (3, 3, 3)])
+def test_light_is_alike_as_its_plain_twin_says(light):
+    first = np.random.default_rng(1).integers(60, 220, (31, 40, 3)).astype(np.uint8)
+    now = np.clip(np.rint(first * np.array(light)), 0, 255).astype(np.uint8)
+    alike = np.abs(np.subtract(light, 1)).max() < 0.01 or light[0] == 3  # where too few pixels tell
+    assert kernels.is_lit_alike(first, now, 2) == naive.is_lit_alike(first, now, 2) == alike
+
+
 def test_steps_and_proposals_have_densities_that_integrate_to_one():
     grid = np.stack(np.meshgrid(np.linspace(-4, 4, 401), np.linspace(-4, 4, 401)), axis=-1).reshape(-1, 2)
     area = (8 / 400) ** 2

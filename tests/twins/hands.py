@@ -152,3 +152,12 @@ def learn_head(seen, head, limit, hands, radius):
     )
     rate = np.where(free, of.HELD + (of.LEARNS - of.HELD) * (1 - new), of.HELD)
     return head + rate[..., None] * (seen - head), change, new, change[free]
+
+
+def is_lit_alike(first, now, step):
+    first, now = (one[::step, ::step].reshape(-1, 3).astype(float) for one in (first, now))
+    usable = (np.minimum(first, now).min(axis=1) >= of.DARK) & (np.maximum(first, now).max(axis=1) <= of.BRIGHT)
+    if usable.sum() < of.ENOUGH * len(usable):
+        return True
+    ratio = np.sort(now[usable] / first[usable], axis=0)[usable.sum() // 2]
+    return bool((np.abs(ratio - 1) < of.LEAST_GAIN).all())

@@ -35,7 +35,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Box, Frame, Image, Planes, factor_for
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.trackers.hands.hand_kernels import LEARNS, learn_head
+from facetrack_cli.trackers.hands.hand_kernels import BRIGHT, DARK, LEARNS, is_lit_alike, learn_head
 
 Map = NDArray[np.float32]
 MAX_FACE_PX: Final = 20  # of the face's box in the reduced frame
@@ -50,9 +50,8 @@ RISES: Final = 0.002  # of the background's p in a frame
 CHANGED: Final = 4.0  # grey levels by which the face differs from before, where as much speaks for a hand as against it
 UNREST, UNREST_AT_FIRST = 2.5, 1.5  # by so many times as much as without a hand, if that is more; grey levels
 REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
-DARK, BRIGHT, ENOUGH = 20, 240, 0.1  # levels, and the share of pixels between them, by which the light is told
 TELL: Final = 2400  # so many values tell, on a lattice
-LEAST_GAIN, AGREES = 0.01, 0.15  # of a channel: less is left as it is; between the quartiles of all pixels at most
+AGREES: Final = 0.15  # of a channel, between the quartiles of all pixels at most
 HEAD: Final = (-0.8, -1.3, 0.8, 1.1)  # head and neck about the face's middle, in sizes of the box
 _NOBODY: Final = np.empty((0, 2))
 _SMOOTHED: Final = np.asarray(cv2.getGaussianKernel(9, 1.0, cv2.CV_32F)[:, 0], np.float32)
@@ -177,14 +176,11 @@ def _as_lit(first: Image, now: Image) -> Image:
     the median over pixels if they agree.
     """
     thin = max(round(math.sqrt(first.size / TELL)), 1)
-    before, after = (np.moveaxis(one[::thin, ::thin], 2, 0).reshape(3, -1) for one in (first, now))
-    usable = ((np.minimum(before, after) >= DARK) & (np.maximum(before, after) <= BRIGHT)).all(axis=0)
-    if np.count_nonzero(usable) < ENOUGH * len(usable):
+    if is_lit_alike(first, now, thin):
         return now
-    ratio = after[:, usable] / before[:, usable].astype(np.float32)
-    half, off = ratio.shape[1] // 2, ratio - 1
-    if all(np.count_nonzero(one < LEAST_GAIN) > half >= np.count_nonzero(one <= -LEAST_GAIN) for one in off):
-        return now  # the medians are near 1
+    before, after = (one[::thin, ::thin].reshape(-1, 3) for one in (first, now))
+    usable = ((np.minimum(before, after) >= DARK) & (np.maximum(before, after) <= BRIGHT)).all(axis=1)
+    ratio = (after[usable] / before[usable].astype(np.float32)).T
     quarters = [share * ratio.shape[1] // 4 for share in (1, 2, 3)]
     low, gain, high = np.partition(ratio, quarters, axis=1)[:, quarters].T
     if (high - low).max() > AGREES:

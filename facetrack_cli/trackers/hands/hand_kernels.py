@@ -26,6 +26,8 @@ SPREAD = 0.6  # pixels of the reduced frame, about a place of most skin
 WINDOW = 0.8  # radii, standard deviation of the window in which the axis of a hand is measured
 CHANGED_WIDTH = 1.0  # grey levels, of the logistic function of a change
 LEARNS, HELD = 0.1, 0.02  # share of a frame in the head's template, and where it has changed or a hand is before it
+DARK, BRIGHT, ENOUGH = 20, 240, 0.1  # levels, and the share of pixels between them, by which the light is told
+LEAST_GAIN = 0.01  # of a channel: less is left as it is
 _ALONG = (0.2, 0.35, 0.5, 0.65, 0.8)
 _OPPOSITE = np.array([[2 * math.cos(k * math.pi / 6), 2 * math.sin(k * math.pi / 6)] for k in range(6)])  # radii
 _TINY, _FAR = 1e-12, 9.0  # of a density, and standard deviations beyond which it is less than that
@@ -285,3 +287,29 @@ def learn_head(seen, head, weights, limit, hands, radius, change, new, apart):
             for c in range(3):
                 head[y, x, c] += rate * (seen[y, x, c] - head[y, x, c])
     return count
+
+
+@exact
+def is_lit_alike(first, now, step):
+    """Whether each channel of `now` has the light of `first` (H, W, 3), or too few pixels of every `step`-th tell.
+
+    It has where the median of the ratios is nearer than `LEAST_GAIN` to 1.
+    """
+    usable = total = 0
+    below, far_below = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    for y in range(0, first.shape[0], step):
+        for x in range(0, first.shape[1], step):
+            low, high = 255, 0
+            for c in range(3):
+                low = min(low, min(first[y, x, c], now[y, x, c]))
+                high = max(high, max(first[y, x, c], now[y, x, c]))
+            total += 1
+            if low >= DARK and high <= BRIGHT:
+                usable += 1
+                for c in range(3):
+                    below[c] += now[y, x, c] < (1.0 + LEAST_GAIN) * first[y, x, c]
+                    far_below[c] += now[y, x, c] <= (1.0 - LEAST_GAIN) * first[y, x, c]
+    same = True
+    for c in range(3):
+        same &= below[c] > usable // 2 >= far_below[c]
+    return same or usable < ENOUGH * total
