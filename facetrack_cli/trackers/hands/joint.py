@@ -82,7 +82,8 @@ class Belief(NamedTuple):
     form: Array
 
     def exchanged(self) -> Belief:
-        return Belief(*(one if isinstance(one, float) else one[::-1] for one in self))
+        seen, at, cov, near, ess, skin, form = self
+        return Belief(seen[::-1], at[::-1], cov[::-1], near[::-1], ess, skin[::-1], form[::-1])
 
 
 class Face(NamedTuple):
@@ -148,11 +149,10 @@ def disc_means(evidence: Map, radius: float) -> Map:
 
 def _summed(evidence: Map, disc: Map, by: int) -> Map:
     size = evidence.shape[1], evidence.shape[0]
-    small = evidence
-    if by > 1:
-        small = cv2.resize(evidence, (-(-size[0] // by), -(-size[1] // by)), interpolation=cv2.INTER_AREA)
+    less = -(-size[0] // by), -(-size[1] // by)
+    small = evidence if by == 1 else cv2.resize(evidence, less, interpolation=cv2.INTER_AREA)
     sums = cv2.filter2D(small, -1, disc, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(cv2.resize(sums, size) if by > 1 else sums, np.float32)
+    return np.asarray(sums if by == 1 else cv2.resize(sums, size), np.float32)
 
 
 @lru_cache(8)
@@ -163,7 +163,8 @@ def _disc(radius: float, shape: tuple[int, int]) -> tuple[Map, Map, int]:
     off = np.arange(-n, n + 1.0)
     disc = np.clip(radius / by + 0.5 - np.hypot(off[:, None], off), 0, 1).astype(np.float32)
     disc /= disc.sum()
-    return disc, 1 / np.maximum(_summed(np.ones(shape, np.float32), disc, by), np.float32(0.35)), by
+    inside = _summed(np.ones(shape, np.float32), disc, by)
+    return np.asarray(disc, np.float32), np.asarray(1 / np.maximum(inside, 0.35), np.float32), by
 
 
 def log_likelihood(
