@@ -13,11 +13,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from threading import Thread
 from typing import Any
-
-import cv2
-import numpy as np
 
 from facetrack_cli.engine.kernels.cache import compiling
 
@@ -157,8 +153,6 @@ def precompiling(settings: Mapping[str, Any], processes: int) -> Iterator[Callab
     second: subprocess.Popen[bytes] | None = None
     if missing:
         compiling()
-    elif processes > 1:  # while the tracker is made; the first call of each would take as long
-        Thread(target=_load, args=(of_recipe(settings),), daemon=True).start()
     # a program that embeds Python, or is frozen, has no interpreter to start
     if others and processes > 1 and Path(sys.executable or "").stem.startswith("python"):
         order = json.dumps([sys.path, [*others, *reversed(mine)]])
@@ -172,12 +166,6 @@ def precompiling(settings: Mapping[str, Any], processes: int) -> Iterator[Callab
         if second is not None:
             second.kill()
             second.communicate()
-
-
-def _load(names: list[str]) -> None:
-    """Load kernels, and have OpenCV make its tables of CIELAB, which takes as long as five of them."""
-    cv2.cvtColor(np.zeros((1, 1, 3), np.uint8), cv2.COLOR_BGR2LAB)
-    compile_kernels(names)
 
 
 def compile_kernels(

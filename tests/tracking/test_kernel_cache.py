@@ -6,7 +6,6 @@ import stat
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import pytest
@@ -187,15 +186,3 @@ def test_the_second_process_leaves_kernels_for_the_first_and_ends_with_it(tmp_pa
     with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
         process.stdin.close()
         assert process.wait(30) == 0
-
-
-def test_kernels_that_are_cached_are_loaded_beside(compiled, monkeypatch):
-    monkeypatch.setattr(precompile, "_is_cached", lambda name: True)
-    with precompile.precompiling({"sums": {}}, 1) as compile_all:
-        compile_all()
-    assert compiled == []
-    with precompile.precompiling({"sums": {}}, 2):
-        deadline = time.monotonic() + 30
-        while len(compiled) < 2 and time.monotonic() < deadline:
-            time.sleep(0.01)
-    assert compiled == ["_add", "_less"]
