@@ -21,7 +21,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line (by default the process's own) and return its exit code."""
     _open_streams()
     if argv is None:
-        gc.set_threshold(100_000, 20, 100)  # to look through what is imported, and stays, takes a tenth of a short run
+        gc.set_threshold(300_000, 20, 100)  # to look through what is imported, and stays, takes a tenth of a short run
     with ending_at_once():  # also while the commands are loaded
         code = _run(argv)
     if argv is None:

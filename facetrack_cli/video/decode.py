@@ -51,6 +51,7 @@ _LUMA: Final = {
     9: (0.2627, 0.0593), 10: (0.2627, 0.0593),
 }  # fmt: skip
 _FULL_RANGE: Final = 2  # libavutil's number of a range from 0 to 255
+_LESS: Final = ((219 / 255, 16.0), *[(224 / 255, 128 - 128 * 224 / 255)] * 2)  # of Y, U and V, to the range of others
 # FFmpeg goes by what a file holds: a playlist would make it open other files, and text is drawn as letters
 FORMATS: Final = (
     "3gp,aac,apng,asf,av1,avi,dv,flac,flv,gif,h264,hevc,ivf,m4v,matroska,mjpeg,mov,mp3,mp4,mpeg,mpegts,mpegvideo,mxf,"
@@ -319,7 +320,7 @@ def pixels(raw: VideoFrame, way: tuple[bool, bool, bool] | None = None) -> Image
     """What `Frame` takes of a decoded frame, as players show it: `way` is how."""
     way, sides = _orientation(raw) if way is None else way, (raw.width, raw.height)
     matrix = int(raw.colorspace) if int(raw.colorspace) in _LUMA else _BT601
-    if raw.format.name != "yuv420p" or raw.color_range == _FULL_RANGE or sides[0] % 2 or sides[1] % 2:
+    if raw.format.name not in ("yuv420p", "yuvj420p") or sides[0] % 2 or sides[1] % 2:
         image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace=matrix, dst_colorspace=_BT601), np.uint8)
         return np.ascontiguousarray(_oriented(image, way))
     ours = None if _LUMA[matrix] == _LUMA[_BT601] else _to_bt601(matrix)
@@ -327,6 +328,11 @@ def pixels(raw: VideoFrame, way: tuple[bool, bool, bool] | None = None) -> Image
         y, u, v, _ = Planes.of(np.asarray(raw.to_ndarray(), np.uint8))
     else:  # which are not copied, since new memory costs more than what is read of them
         y, u, v = map(_view, raw.planes)
+    if raw.color_range == _FULL_RANGE:
+        y, u, v = (
+            np.asarray(cv2.convertScaleAbs(plane, None, *by), np.uint8)
+            for plane, by in zip((y, u, v), _LESS, strict=True)
+        )
     if any(way):
         y, u, v = (np.ascontiguousarray(_oriented(plane, way)) for plane in (y, u, v))
     return Planes(y, u, v, ours)

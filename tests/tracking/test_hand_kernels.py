@@ -1,5 +1,6 @@
 """The kernels of two hands against their plain twins, on hands and skin drawn at random."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -28,7 +29,7 @@ def cloud(rng, n=300):
 def test_hands_move_as_their_plain_twin_says(count):
     rng = np.random.default_rng(count)
     x, seen, parted = cloud(rng)
-    luck, noise = rng.random((2, 4, len(x))), rng.standard_normal((2, 3, len(x), 2))
+    luck, noise = rng.random((2, 4, len(x))), rng.standard_normal((2, len(x), 2))
     peaks, often = rng.uniform(-3, 51, (count, 2)), rng.dirichlet(np.ones(count)) if count else np.empty(0)
     evidence, covered = maps(rng, 2)
     given = luck, noise, peaks, often, STEPS, SHARES, np.array([0.4, 0.2, 0.3]), 20.0, evidence, covered, FACE, SIZE
@@ -48,33 +49,61 @@ def test_hands_are_weighed_as_their_plain_twin_says(seed):
     np.testing.assert_allclose(out, naive.weigh(*given), atol=1e-9)
 
 
+def gathered(*given):
+    found = [np.empty(shape) for shape in ((2,), (2, 2), (2, 2, 2), (2,), (2,), (2, 3))]
+    kernels.gather(*given, *found)
+    return found
+
+
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_a_belief_is_what_its_plain_twin_says(share):
     rng = np.random.default_rng(4)
     x, _, _ = cloud(rng)
     seen, w = rng.random((len(x), 2)) < share, rng.dirichlet(np.full(len(x), 0.3))
-    found = np.empty(2), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty(2), np.empty(2)
-    [share] = maps(rng, 1)
-    kernels.gather(x, seen, w, share, SCALE, *found)
-    for ours, theirs in zip(found, naive.gather(x, seen, w, share, SCALE), strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=1e-9)
+    share, evidence = maps(rng, 2)
+    given = x, seen, w, share, SCALE, evidence, 3.7
+    for ours, theirs in zip(gathered(*given), naive.gather(*given), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-6)
 
 
 def test_far_from_all_particles_a_belief_is_at_the_heaviest():
     x = np.zeros((3, 2, 4))
     x[:, :, 0] = np.array([0.0, 50.0, 100.0])[:, None]
-    found = np.empty(2), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty(2), np.empty(2)
-    given = x, np.ones((3, 2), bool), np.array([0.45, 0.1, 0.45]), np.zeros((9, 9), np.float32), SCALE
-    kernels.gather(*given, *found)
-    expected = naive.gather(*given)
+    nothing = np.zeros((9, 9), np.float32)
+    given = x, np.ones((3, 2), bool), np.array([0.45, 0.1, 0.45]), nothing, SCALE, nothing, 3.0
+    found, expected = gathered(*given), naive.gather(*given)
     np.testing.assert_allclose(found[1], expected[1], atol=1e-9)
+    assert found[5].tolist() == [[6, 6, 0]] * 2
 
 
-def test_change_is_that_of_a_plain_loop_over_shifts():
-    seen, before = np.random.default_rng(5).uniform(0, 255, (2, 9, 7, 3)).astype(np.float32)
-    out = np.empty((9, 7), np.float32)
-    kernels.least_change(seen, before, out)
-    assert (out == naive.least_change(seen, before)).all()
+def test_the_skin_of_a_hand_leans_as_a_line_does():
+    line, x = np.zeros((40, 40), np.float32), np.zeros((1, 2, 4))
+    line[range(10, 31), range(10, 31)] = 1.0
+    for image, place, lean in ((line, (20, 20), 1), (line[::-1].copy(), (20, 19), -1), (line, (200, 20), 0)):
+        x[..., :2] = place
+        form = gathered(x, np.ones((1, 2), bool), np.ones(1), image, 1.0, image, 5.0)[5]
+        assert form[0, 2] == pytest.approx(lean, abs=0.05)
+
+
+@pytest.mark.parametrize("hands", [[], [(2.0, 3.5), (20.0, 4.0)]])
+def test_a_head_is_learned_as_its_plain_twin_says(hands):
+    rng, hands = np.random.default_rng(5), np.array(hands).reshape(-1, 2)
+    head = rng.uniform(0, 255, (12, 9, 3)).astype(np.float32)
+    seen = (head + rng.normal(0, 9, head.shape)).astype(np.float32)
+    expected = naive.learn_head(seen, head, 5.0, hands, 3.0)
+    change, new, apart = np.empty((3, *head.shape[:2]), np.float32)
+    weights = np.ascontiguousarray(cv2.getGaussianKernel(9, 1.0, cv2.CV_32F)[:, 0])
+    count = kernels.learn_head(seen, head, weights, 5.0, hands, 3.0, change, new, apart.ravel())
+    for ours, theirs in zip((head, change, new, apart.ravel()[:count]), expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-3)
+
+
+@pytest.mark.parametrize("light", [(1, 1, 1), (1.006, 0.995, 1), (1, 1, 1.03), (0.97, 1, 1), (3, 3, 3)])
+def test_light_is_alike_as_its_plain_twin_says(light):
+    first = np.random.default_rng(1).integers(60, 220, (31, 40, 3)).astype(np.uint8)
+    now = np.clip(np.rint(first * np.array(light)), 0, 255).astype(np.uint8)
+    alike = np.abs(np.subtract(light, 1)).max() < 0.01 or light[0] == 3  # where too few pixels tell
+    assert kernels.is_lit_alike(first, now, 2) == naive.is_lit_alike(first, now, 2) == alike
 
 
 def test_steps_and_proposals_have_densities_that_integrate_to_one():

@@ -136,19 +136,6 @@ def test_forearms_say_which_hand_is_which_after_a_crossing_and_after_a_touch(sid
         assert (np.hypot(one.x - MEETING[0] - sign * side * 40, one.y - MEETING[1])[28:] < 14).all()
 
 
-def test_the_lean_of_skin_is_that_of_a_plain_loop_and_of_a_line():
-    e, at, radius = np.random.default_rng(2).random((20, 24)).astype(np.float32), np.array([9.3, 3.8]), 4.0
-    y, x = np.mgrid[0:13, 1:18]
-    weight = e[:13, 1:18] * np.exp(-0.5 * ((x - at[0]) ** 2 + (y - at[1]) ** 2) / (joint.WINDOW * radius) ** 2)
-    cov = np.cov(x.ravel(), y.ravel(), aweights=weight.ravel(), ddof=0)
-    assert joint._lean(e, at, radius) == pytest.approx(2 * cov[0, 1] / np.trace(cov), abs=1e-4)
-    line = np.zeros((40, 40), np.float32)
-    cv2.line(line, (10, 10), (30, 30), 1.0, 1)
-    assert joint._lean(line, np.array([20.0, 20.0]), 5.0) == pytest.approx(1, abs=0.05)
-    assert joint._lean(line[::-1].copy(), np.array([20.0, 19.0]), 5.0) == pytest.approx(-1, abs=0.05)
-    assert joint._lean(line, np.array([200.0, 20.0]), 5.0) == 0
-
-
 def test_smoothing_exchanges_names_that_later_frames_deny():
     rows = rows_of(drawn(i, rising(i)) for i in range(24))
     left, right = (rows.find(name, "box") for name in HANDS)
@@ -188,15 +175,16 @@ def test_a_grey_clip_is_refused_in_one_line():
     assert "\n" not in str(refused.value)
 
 
-def test_disc_means_are_those_of_a_plain_loop():
-    e, radius = np.random.default_rng(0).random((12, 15)).astype(np.float32), 3.3
-    found = joint.disc_means(e, radius)
-    for row, column in ((0, 0), (0, 7), (5, 6), (11, 14), (8, 2)):
-        y, x = np.mgrid[row - 4 : row + 5, column - 4 : column + 5]
+@pytest.mark.parametrize(("radius", "off", "corners"), [(3.25, 1e-5, [(0, 0), (21, 24)]), (6.5, 0.03, [])])
+def test_disc_means_are_those_of_a_plain_loop(radius, off, corners):
+    e, reach = cv2.GaussianBlur(np.random.default_rng(0).random((22, 25)).astype(np.float32), (0, 0), 0.7), 7
+    for row, column in ((0, 7), (5, 6), (8, 2), *corners):
+        y, x = np.mgrid[row - reach : row + reach + 1, column - reach : column + reach + 1]
         weight = np.clip(radius + 0.5 - np.hypot(x - column, y - row), 0, 1)
-        inside = (y >= 0) & (y < 12) & (x >= 0) & (x < 15)
-        total = (weight * inside * e[y.clip(0, 11), x.clip(0, 14)]).sum() / weight.sum()
-        assert found[row, column] == pytest.approx(total / max((weight * inside).sum() / weight.sum(), 0.35), abs=1e-5)
+        inside = (y >= 0) & (y < 22) & (x >= 0) & (x < 25)
+        total = (weight * inside * e[y.clip(0, 21), x.clip(0, 24)]).sum() / weight.sum()
+        expected = total / max((weight * inside).sum() / weight.sum(), 0.35)
+        assert joint.disc_means(e, radius)[row, column] == pytest.approx(expected, abs=off)
 
 
 def likelihood(blobs, at, *, line=None, parted=True):
@@ -250,15 +238,23 @@ def test_a_hand_leaps_to_more_skin_but_not_along_its_arm():
 def test_an_arm_that_leaves_the_picture_is_no_hand_in_it():
     face = BODY
 
+    def believed(seen, at, skin):
+        spread, form = np.zeros((2, 2, 2)), np.zeros((2, 3))
+        return joint.Belief(np.full(2, seen), at, spread, np.ones(2), 1.0, np.full(2, skin), form)
+
     def present(y, skin, seen=1.0):
         at = np.array([[3.0, y], [5.0, y]])
-        belief = joint.Belief(np.full(2, seen), at, np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, skin))
+        belief = joint.Belief(
+            np.full(2, seen), at, np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, skin), np.zeros((2, 3))
+        )
         return hand_target.in_picture(hand_target.cues(belief, face, 4.6))[0]
 
     assert present(2.5, 0.6) > 0.95 and present(2.5, 0.6, seen=0.0) < 0.1
     assert present(4.5, 0.3) < 0.4 < 0.8 < present(2.5, 0.3)
     raised = joint.Face(np.array([4.0, 0.1]), 1.0)
-    belief = joint.Belief(np.ones(2), np.array([[3.0, 4.5]] * 2), np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, 0.5))
+    belief = joint.Belief(
+        np.ones(2), np.array([[3.0, 4.5]] * 2), np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, 0.5), np.zeros((2, 3))
+    )
     assert hand_target.in_picture(hand_target.cues(belief, raised, 4.6))[0] > 0.95  # where hands hang
 
 
@@ -308,10 +304,12 @@ def test_what_the_head_covers_is_that_of_the_whole_frame(at):
     scene, _ = evidence.begin(drawn(0), HEAD)
     _, seen = evidence.look(scene, drawn(1), Footprint(np.array(at), HEAD.half))
     to = evidence._map(evidence.to_map(np.array(at), scene.factor), scene.side, scene.side)
-    covered = cv2.warpAffine(evidence._soft(*scene.face.shape[:2]), to, (160, 120))
+    inner = np.pad(np.ones(np.subtract(scene.face.shape[:2], 2), np.float32), 1)
+    soft = cv2.GaussianBlur(inner, (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT)
+    covered = cv2.warpAffine(soft, to, (160, 120))
     side = 2 * round(evidence.REACHES * scene.side) + 1
     expected = cv2.dilate(covered, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
-    np.testing.assert_allclose(seen.face, expected, atol=0.04)
+    np.testing.assert_allclose(seen.face, expected, atol=0.06)
 
 
 @pytest.mark.parametrize("light", [(0.8, 0.98, 1.1), (1.1, 1.1, 1.1)])

@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 
 from facetrack_cli.trackers.hands import hand_kernels as of
@@ -55,9 +56,9 @@ def move(
         before, was, u, e = x[:, hand].copy(), seen[:, hand].copy(), luck[hand], noise[hand]
         now = np.where(was, u[0] >= vanishes, (u[0] < appears) & (len(peaks) > 0))
         ahead = before[:, :2] + before[:, 2:]
-        to = ahead + np.array(steps)[drawn(shares, u[1])][:, None] * e[0]
+        to = ahead + np.array(steps)[drawn(shares, u[1])][:, None] * e
         if len(peaks):
-            there = (peaks[drawn(often, u[2])] + of.SPREAD * e[1]) / scale
+            there = (peaks[drawn(often, u[2])] + of.SPREAD * e) / scale
             to = np.where((~was | (u[3] < proposed))[:, None], there, to)
             q, moved = mixture(to, peaks / scale, often, of.SPREAD / scale), transition(steps, shares, to - ahead)
             stays = np.log(moved + TINY) - np.log((1 - proposed) * moved + proposed * q + TINY)
@@ -67,7 +68,7 @@ def move(
             weight += np.where(now, np.where(was, stays, comes), 0.0)
         weight -= np.where(now, strength * arm(evidence, before[:, :2], to, scale, size), 0.0)
         hidden = before[:, :2] + 0.5 * before[:, 2:] + 0.03 * (face + size * of.REST[hand] - before[:, :2])
-        x[:, hand, :2] = np.where(now[:, None], to, hidden + 0.15 * e[2])
+        x[:, hand, :2] = np.where(now[:, None], to, hidden + 0.15 * e)
         speed = np.where(was[:, None], of.NEWS * (to - before[:, :2]) + (1 - of.NEWS) * before[:, 2:], 0.0)
         x[:, hand, 2:] = np.where(now[:, None], speed, 0.5 * before[:, 2:])
         seen[:, hand] = now
@@ -103,8 +104,8 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
     return np.sum(np.where(seen, each, 0.0), axis=1) - np.where(both, strength * twice, 0.0)
 
 
-def gather(x, seen, w, share_at, scale):
-    """p (2,), at (2, 2), cov (2, 2, 2), near (2,), skin (2,)."""
+def gather(x, seen, w, share_at, scale, evidence, radius):
+    """p (2,), at (2, 2), cov (2, 2, 2), near (2,), skin (2,), form (2, 3)."""
     found = []
     for hand in (0, 1):
         p, places = w @ seen[:, hand], x[:, hand, :2]
@@ -118,10 +119,45 @@ def gather(x, seen, w, share_at, scale):
         there = share * (np.hypot(*off.T) < 0.5)
         cov = (off.T * there) @ off / max(there.sum(), 1e-9)
         skin = np.clip(at(share_at, middle * scale), 0, 1)
-        found.append((p, middle, cov, there.sum() if p > 1e-6 else 0.0, skin))
+        form = spread(evidence, middle * scale, radius)
+        found.append((p, middle, cov, there.sum() if p > 1e-6 else 0.0, skin, form))
     return tuple(map(np.array, zip(*found, strict=True)))
 
 
-def least_change(seen, before):
-    shifted = [np.roll(before, (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
-    return np.min([np.abs(seen - one).max(axis=2) for one in shifted], axis=0)
+def spread(evidence, middle, radius):
+    """Width, height and lean of the skin about a place in pixels."""
+    row, column = np.indices(evidence.shape)
+    near = [
+        (abs(row - middle[1]) <= far + 0.5) & (abs(column - middle[0]) <= far + 0.5)
+        for far in (1.5 * radius, math.ceil(2 * radius))
+    ]
+    window = np.exp(-0.5 * ((column - middle[0]) ** 2 + (row - middle[1]) ** 2) / (of.WINDOW * radius) ** 2)
+    covs = []
+    for weight in (evidence * near[0], evidence * near[1] * window):
+        places = np.column_stack([column.ravel(), row.ravel()]).astype(float)
+        covs.append(np.cov(places.T, aweights=weight.ravel(), ddof=0) if weight.sum() >= 1e-3 else None)
+    sizes = [2 * radius] * 2 if covs[0] is None else np.clip(4 * np.sqrt(np.diag(covs[0])), radius, 3 * radius)
+    return np.array([*sizes, 0.0 if covs[1] is None else 2 * covs[1][0, 1] / np.trace(covs[1])])
+
+
+def learn_head(seen, head, limit, hands, radius):
+    """The head that is learned, change, p of a hand, and the change where no hand is."""
+    wide = np.pad(head, ((1, 1), (1, 1), (0, 0)), constant_values=np.inf)
+    shifted = [wide[y : y + len(head), x : x + head.shape[1]] for y in range(3) for x in range(3)]
+    change = cv2.GaussianBlur(np.min([np.abs(seen - one).max(axis=2) for one in shifted], axis=0), (0, 0), 1.0)
+    new = 1 / (1 + np.exp((limit - change) / of.CHANGED_WIDTH))
+    row, column = np.indices(change.shape)
+    free = (
+        np.hypot(column - hands[:, 0, None, None], row - hands[:, 1, None, None]).min(axis=0, initial=np.inf) > radius
+    )
+    rate = np.where(free, of.HELD + (of.LEARNS - of.HELD) * (1 - new), of.HELD)
+    return head + rate[..., None] * (seen - head), change, new, change[free]
+
+
+def is_lit_alike(first, now, step):
+    first, now = (one[::step, ::step].reshape(-1, 3).astype(float) for one in (first, now))
+    usable = (np.minimum(first, now).min(axis=1) >= of.DARK) & (np.maximum(first, now).max(axis=1) <= of.BRIGHT)
+    if usable.sum() < of.ENOUGH * len(usable):
+        return True
+    ratio = np.sort(now[usable] / first[usable], axis=0)[usable.sum() // 2]
+    return bool((np.abs(ratio - 1) < of.LEAST_GAIN).all())

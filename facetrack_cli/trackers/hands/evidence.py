@@ -33,9 +33,9 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import warp_affine
-from facetrack_cli.core.types import Array, Box, Frame, Image, factor_for
+from facetrack_cli.core.types import Array, Box, Frame, Image, Planes, factor_for
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.trackers.hands.hand_kernels import least_change
+from facetrack_cli.trackers.hands.hand_kernels import BRIGHT, DARK, LEARNS, is_lit_alike, learn_head
 
 Map = NDArray[np.float32]
 MAX_FACE_PX: Final = 20  # of the face's box in the reduced frame
@@ -44,18 +44,17 @@ PALE: Final = 1.25  # saturation of skin over that of the face
 ALONG, ACROSS, NOISE = 0.4, 0.12, 1.5  # standard deviations of skin: in saturations of the face, and in levels
 SKIN_SHARE: Final = 0.03  # of what is not the face
 PASSES: Final = 3  # of the phase correlation
+SHIFT: Final = 0.25  # of a pixel: a camera that moves by less stands still
 MOVES: Final = 0.6  # of the peak of the phase correlation, from which on it tells a motion of the camera
 RISES: Final = 0.002  # of the background's p in a frame
-# grey levels by which the face differs from before, where as much speaks for a hand as against it, and their width
-CHANGED, CHANGED_WIDTH = 4.0, 1.0
+CHANGED: Final = 4.0  # grey levels by which the face differs from before, where as much speaks for a hand as against it
 UNREST, UNREST_AT_FIRST = 2.5, 1.5  # by so many times as much as without a hand, if that is more; grey levels
-LEARNS, HELD = 0.1, 0.02  # share of a frame in the face's template, and where it has changed or a hand is before it
 REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
-DARK, BRIGHT, ENOUGH = 20, 240, 0.1  # levels, and the share of pixels between them, by which the light is told
-THIN: Final = 3  # every third row and column of them tell
-LEAST_GAIN, AGREES = 0.01, 0.15  # of a channel: less is left as it is; between the quartiles of all pixels at most
+TELL: Final = 2400  # so many values tell, on a lattice
+AGREES: Final = 0.15  # of a channel, between the quartiles of all pixels at most
 HEAD: Final = (-0.8, -1.3, 0.8, 1.1)  # head and neck about the face's middle, in sizes of the box
 _NOBODY: Final = np.empty((0, 2))
+_SMOOTHED: Final = np.asarray(cv2.getGaussianKernel(9, 1.0, cv2.CV_32F)[:, 0], np.float32)
 
 
 class Scene(NamedTuple):
@@ -77,9 +76,15 @@ class Scene(NamedTuple):
 
 
 def reduced(frame: Frame, factor: int) -> Image:
-    """The whole frame, reduced."""
+    """The whole frame, reduced; its planes become colours where Y is twice as large."""
     width, height = frame.size
-    return frame.reduced(factor, (0.0, 0.0, width - 1.0, height - 1.0))[0]
+    whole = (0.0, 0.0, width - 1.0, height - 1.0)
+    if factor == 1 or frame.yuv is None or (planes := frame.planes(factor // 2, whole)) is None:
+        return frame.reduced(factor, whole)[0]
+    y, u, v = (plane[0] for plane in planes)
+    both = Planes(y[: 2 * u.shape[0], : 2 * u.shape[1]], u, v, frame.yuv.ours).joined()
+    image = cv2.cvtColor(both, cv2.COLOR_YUV2BGR_I420)
+    return np.asarray(cv2.resize(image, u.shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def side_of(head: Footprint) -> float:
@@ -116,7 +121,7 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
         raise InputError(f"frame {frame.index}: the face has no colour, as in a grey clip: {remedy}")
     around = (np.hypot(u, v - 2) < 6) & ~((np.abs(u) < 0.75) & (np.abs(v) < 0.9))
     chances = _chances(middle, colours[around])
-    skin = _skin(chances, small)
+    skin, grey = _skin(chances, small)
     # hanging at the sides, or before the chest and in the lap
     hang = np.exp(-0.5 * ((np.abs(u) - 1.5) / 0.7) ** 2) / (1 + np.exp((3.0 - v) / 0.3))
     still = skin * (1 - hang)
@@ -124,7 +129,7 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
         (x0, y0), (x1, y1) = (np.rint(to_map(np.array(at), factor)) for at in ((left, top), (left + w, top + h)))
         still[max(int(y0), 0) : max(int(y1) + 1, 0), max(int(x0), 0) : max(int(x1) + 1, 0)] = 0
     template = _head(small, to_map(head.centre, factor), s, s)
-    scene = Scene(chances, still.astype(np.float32), _grey(small), template, small, factor, s)
+    scene = Scene(chances, still.astype(np.float32), grey, template, small, factor, s)
     return look(scene, frame, head)
 
 
@@ -133,59 +138,49 @@ def look(
 ) -> tuple[Scene, Seen]:
     """The scene after a frame with the head there, and what is seen; `hands` (n, 2) were there in the reduced frame."""
     small = _as_lit(scene.first, reduced(frame, scene.factor))
-    skin = _skin(scene.chances, small)
-    grey = _grey(small)
+    skin, grey = _skin(scene.chances, small)
     followed = _followed(scene, grey, skin)
     first = scene.first if followed is scene.still else small  # a camera that moves shows other things
     still = np.minimum(skin, followed + RISES)
     at, s = to_map(head.centre, scene.factor), side_of(head) / scene.factor
-    seen = _head(small, at, s, scene.side)
     # a head that turns a little is no hand: each pixel may come from beside its own
-    least = np.empty(seen.shape[:2], np.float32)
-    least_change(seen, scene.face, least)
-    change = cv2.GaussianBlur(least, (0, 0), 1.0)
-    limit = max(CHANGED, UNREST * scene.unrest)
-    new = 1 / (1 + np.exp(np.clip((limit - change) / CHANGED_WIDTH, -30, 30)))
-    free, rows, columns = np.ones(new.shape, np.bool_), np.arange(new.shape[0])[:, None], np.arange(new.shape[1])
-    for x, y in (scene.side * ((hands - at) / s - np.array(HEAD[:2]))).tolist():
-        free &= (columns - x) ** 2 + (rows - y) ** 2 > radius**2
-    learned = np.where(free, HELD + (LEARNS - HELD) * (1 - new), HELD)[..., None]
-    face = scene.face + learned * (seen - scene.face)
-    unrest = scene.unrest
-    if len(apart := change[free]):
-        middle = [(len(apart) - 1) // 2, len(apart) // 2]
-        unrest += LEARNS * (0.5 * sum(np.partition(apart, middle)[middle].tolist()) - unrest)
-    size = 2 * round(REACHES * s) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    seen, face, unrest = _head(small, at, s, scene.side), scene.face.copy(), scene.unrest
+    change, new, apart = np.empty((3, *seen.shape[:2]), np.float32)
+    before = scene.side * ((hands - at) / s - np.array(HEAD[:2]))
+    limit = max(CHANGED, UNREST * unrest)
+    if count := learn_head(seen, face, _SMOOTHED, limit, before, radius, change, new, apart.reshape(-1)):
+        middle = [(count - 1) // 2, count // 2]
+        unrest += LEARNS * (0.5 * sum(np.partition(apart.reshape(-1)[:count], middle)[middle].tolist()) - unrest)
     evidence, near = np.maximum(skin - still, 0), np.zeros_like(skin)
     # the head, with a margin that the disc and what is blurred do not reach beyond
+    reach = 2 * round(REACHES * s) + 1
     (left, top), (right, lower) = ((at + s * np.array(corner)).astype(int).tolist() for corner in (HEAD[:2], HEAD[2:]))
-    x, y = max(left - size, 0), max(top - size, 0)
-    part = slice(y, max(lower + size + 1, y)), slice(x, max(right + size + 1, x))
+    x, y = max(left - reach, 0), max(top - reach, 0)
+    part = slice(y, max(lower + reach + 1, y)), slice(x, max(right + reach + 1, x))
     beside, to = evidence[part], _map(at, s, scene.side) - np.array([[0, 0, x], [0, 0, y]], np.float32)
     if beside.size:
-        covered, changed = (warp_affine(one, to, beside.shape[::-1]) for one in (_soft(*new.shape), new))
+        size = beside.shape[::-1]
+        margin, heads = _heads(*new.shape, scene.side)
+        moved = to - margin * to[:, :2] @ np.array([[0, 0, 1], [0, 0, 1]], np.float32)
+        covered, near[part] = cv2.split(warp_affine(heads, moved, size))
         beside *= 1 - covered
-        arm = cv2.dilate(cv2.GaussianBlur(beside, (0, 0), 0.8), disc)
-        beside += covered * np.maximum(changed, np.minimum(arm, 1)) * skin[part]
-        near[part] = cv2.dilate(covered, disc)
-    now = Seen(evidence, near)
-    scene = scene._replace(still=still, grey=grey, face=face.astype(np.float32), first=first, unrest=unrest)
-    return scene, now
+        half = cv2.resize(beside, ((size[0] + 1) // 2, (size[1] + 1) // 2), interpolation=cv2.INTER_AREA)
+        arm = cv2.resize(cv2.dilate(half, _disc(round(REACHES * s / 2))), size)
+        beside += covered * np.maximum(warp_affine(new, to, size), np.minimum(arm, 1)) * skin[part]
+    scene = scene._replace(still=still, grey=grey, face=face, first=first, unrest=unrest)
+    return scene, Seen(evidence, near)
 
 
 def _as_lit(first: Image, now: Image) -> Image:
     """A frame in the light of the first one: new exposure or white balance changes each channel by a factor, which is
     the median over pixels if they agree.
     """
-    before, after = (np.moveaxis(one[::THIN, ::THIN], 2, 0).reshape(3, -1) for one in (first, now))
-    usable = ((np.minimum(before, after) >= DARK) & (np.maximum(before, after) <= BRIGHT)).all(axis=0)
-    if np.mean(usable) < ENOUGH:
+    thin = max(round(math.sqrt(first.size / TELL)), 1)
+    if is_lit_alike(first, now, thin):
         return now
-    ratio = after[:, usable] / before[:, usable].astype(np.float32)
-    half, off = ratio.shape[1] // 2, ratio - 1
-    if all(np.count_nonzero(one < LEAST_GAIN) > half >= np.count_nonzero(one <= -LEAST_GAIN) for one in off):
-        return now  # the medians are near 1
+    before, after = (one[::thin, ::thin].reshape(-1, 3) for one in (first, now))
+    usable = ((np.minimum(before, after) >= DARK) & (np.maximum(before, after) <= BRIGHT)).all(axis=1)
+    ratio = (after[usable] / before[usable].astype(np.float32)).T
     quarters = [share * ratio.shape[1] // 4 for share in (1, 2, 3)]
     low, gain, high = np.partition(ratio, quarters, axis=1)[:, quarters].T
     if (high - low).max() > AGREES:
@@ -193,24 +188,23 @@ def _as_lit(first: Image, now: Image) -> Image:
     return np.asarray(np.clip(np.rint(now / gain), 0, 255), np.uint8)
 
 
-def _grey(image: Image) -> Map:
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.float32)
-
-
 def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
     """The background where the camera has moved it, by phase correlation; what comes into the picture is background."""
+    # a shift changes an image by as much of its slopes
+    pairs = (scene.grey[:, 1:], scene.grey[:, :-1]), (scene.grey[1:], scene.grey[:-1])
+    if cv2.norm(scene.grey, grey, cv2.NORM_L1) < SHIFT * min(cv2.norm(*one, cv2.NORM_L1) for one in pairs):
+        return scene.still
     (x, y), sure = shift_between(scene.grey, grey)
-    if sure < MOVES or max(abs(x), abs(y)) < 0.25 or max(abs(x), abs(y)) > scene.side:
+    if sure < MOVES or max(abs(x), abs(y)) < SHIFT or max(abs(x), abs(y)) > scene.side:
         return scene.still
     shift = np.array([[1, 0, x], [0, 1, y]], np.float32)
     size = grey.shape[::-1]
     # what moves before a still camera draws the peak, too: the motion is the camera's if edges fit better by it
-    moved, slope = (
-        warp_affine(scene.grey, shift, size),
-        cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, np.ones((3, 3))),
-    )
-    edges = slope >= np.quantile(slope, 0.75)
-    if np.median(np.abs(grey - moved)[edges]) >= np.median(np.abs(grey - scene.grey)[edges]):
+    moved = warp_affine(scene.grey, shift, size)
+    slope = cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+    edges, off, rest = (one[::2, ::2] for one in (slope, grey - moved, grey - scene.grey))
+    edges = edges >= np.quantile(edges, 0.75)
+    if np.median(np.abs(off[edges])) >= np.median(np.abs(rest[edges])):
         return scene.still
     there = warp_affine(np.ones_like(grey), shift, size)
     return np.asarray(warp_affine(scene.still, shift, size) + (1 - there) * skin, np.float32)
@@ -246,10 +240,13 @@ def _chances(middle: Array, others: Image) -> Map:
     return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
 
 
-def _skin(chances: Map, image: Image) -> Map:
-    _, *both = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb))
-    p = chances.ravel().take(cv2.merge(both).view("<u2")[..., 0])  # 256 Cb + Cr
-    return np.asarray(cv2.GaussianBlur(p, (0, 0), 0.7), np.float32)
+def _skin(chances: Map, image: Image) -> tuple[Map, Map]:
+    """p(skin | c) of each pixel, and its grey level."""
+    levels = cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)
+    both = np.empty((*levels.shape[:2], 2), np.uint8)
+    cv2.mixChannels([levels], [both], [1, 0, 2, 1])
+    p = chances.ravel().take(both.view("<u2")[..., 0])  # 256 Cb + Cr
+    return np.asarray(cv2.GaussianBlur(p, (0, 0), 0.7), np.float32), levels[..., 0].astype(np.float32)
 
 
 def _map(at: Array, side: float, first: float) -> Map:
@@ -261,16 +258,24 @@ def _map(at: Array, side: float, first: float) -> Map:
 
 def _head(small: Image, at: Array, side: float, first: float) -> Map:
     """The template of the head: face and neck, as large as in the first frame."""
-    size = round(first * (HEAD[2] - HEAD[0])), round(first * (HEAD[3] - HEAD[1]))
+    size = max(round(first * (HEAD[2] - HEAD[0])), 9), max(round(first * (HEAD[3] - HEAD[1])), 9)
     patch = warp_affine(small, _map(at, side, first), size, cv2.BORDER_REPLICATE, inverse=True)
     return np.asarray(patch, np.float32)
 
 
 @lru_cache(4)
-def _soft(height: int, width: int) -> Map:
-    """1 within the template, less at its border."""
-    inner = cv2.copyMakeBorder(np.ones((height - 2, width - 2), np.float32), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
-    return np.asarray(cv2.GaussianBlur(inner, (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT), np.float32)
+def _heads(height: int, width: int, side: float) -> tuple[int, Map]:
+    """Images larger than the template by a margin, and the margin: 1 within it, less at its border; and at its disc."""
+    reach = round(REACHES * side)
+    margin, inner = reach + 2, np.ones((height - 2, width - 2), np.float32)
+    soft = cv2.GaussianBlur(np.pad(inner, 1), (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT)
+    covered = np.pad(soft, margin)
+    return margin, np.asarray(cv2.merge([covered, cv2.dilate(covered, _disc(reach))]), np.float32)
+
+
+@lru_cache(16)
+def _disc(radius: int) -> Image:
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1)), np.uint8)
 
 
 def shift_between(before: Map, after: Map) -> tuple[Array, float]:

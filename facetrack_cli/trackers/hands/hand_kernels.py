@@ -23,6 +23,11 @@ FAR_END = 0.15  # what skin there takes away, of what it would give within the h
 MIDDLE = 0.2  # what skin on two opposite sides takes away
 ARM = (0.8, 0.4, 3.0)  # sizes from one hand to another place of its arm: from, to surely, to at most
 SPREAD = 0.6  # pixels of the reduced frame, about a place of most skin
+WINDOW = 0.8  # radii, standard deviation of the window in which the axis of a hand is measured
+CHANGED_WIDTH = 1.0  # grey levels, of the logistic function of a change
+LEARNS, HELD = 0.1, 0.02  # share of a frame in the head's template, and where it has changed or a hand is before it
+DARK, BRIGHT, ENOUGH = 20, 240, 0.1  # levels, and the share of pixels between them, by which the light is told
+LEAST_GAIN = 0.01  # of a channel: less is left as it is
 _ALONG = (0.2, 0.35, 0.5, 0.65, 0.8)
 _OPPOSITE = np.array([[2 * math.cos(k * math.pi / 6), 2 * math.sin(k * math.pi / 6)] for k in range(6)])  # radii
 _TINY, _FAR = 1e-12, 9.0  # of a density, and standard deviations beyond which it is less than that
@@ -62,6 +67,27 @@ def _arm(evidence, ax, ay, bx, by, scale, size, nearest):
 
 
 @part
+def _spread(evidence, x, y, far, sigma):
+    """Variances along x and y and covariance of the skin within `far` pixels of a place; -1 without any.
+
+    Skin counts by a normal window of standard deviation `sigma` about the place.
+    """
+    height, width = evidence.shape
+    s = mx = my = xx = yy = xy = 0.0
+    for row in range(max(int(np.rint(y - far)), 0), min(int(np.rint(y + far + 1)), height)):
+        for column in range(max(int(np.rint(x - far)), 0), min(int(np.rint(x + far + 1)), width)):
+            if evidence[row, column] > 0.0:
+                dx, dy = column - x, row - y
+                w = evidence[row, column] * math.exp(-0.5 * (dx * dx + dy * dy) / sigma**2)
+                s, mx, my = s + w, mx + w * dx, my + w * dy
+                xx, yy, xy = xx + w * dx * dx, yy + w * dy * dy, xy + w * dx * dy
+    if s < 1e-3:
+        return -1.0, -1.0, 0.0
+    mx, my = mx / s, my / s
+    return max(xx / s - mx * mx, 0.0), max(yy / s - my * my, 0.0), xy / s - mx * my
+
+
+@part
 def _drawn(often, u):
     """The index that a uniform number draws."""
     k, total = 0, often[0]
@@ -92,11 +118,11 @@ def move(
             x0, y0, vx, vy = mine[0], mine[1], mine[2], mine[3]
             if now:
                 step = steps[_drawn(shares, u[1, n])]
-                ax, ay = x0 + vx + step * e[0, n, 0], y0 + vy + step * e[0, n, 1]
+                ax, ay = x0 + vx + step * e[n, 0], y0 + vy + step * e[n, 1]
                 if len(peaks):
                     if not was or u[3, n] < proposed:
                         k = _drawn(often, u[2, n])
-                        ax, ay = peaks[k, 0] / scale + sigma * e[1, n, 0], peaks[k, 1] / scale + sigma * e[1, n, 1]
+                        ax, ay = peaks[k, 0] / scale + sigma * e[n, 0], peaks[k, 1] / scale + sigma * e[n, 1]
                     q = 0.0
                     for k in range(len(peaks)):
                         away = (ax - peaks[k, 0] / scale) ** 2 + (ay - peaks[k, 1] / scale) ** 2
@@ -120,7 +146,7 @@ def move(
             else:
                 for k in range(2):
                     rest = face[k] + size * REST[hand, k]
-                    mine[k] += 0.5 * mine[2 + k] + 0.03 * (rest - mine[k]) + 0.15 * e[2, n, k]
+                    mine[k] += 0.5 * mine[2 + k] + 0.03 * (rest - mine[k]) + 0.15 * e[n, k]
             if was and now:
                 vx, vy = NEWS * (ax - x0) + (1 - NEWS) * vx, NEWS * (ay - y0) + (1 - NEWS) * vy
             elif now:
@@ -170,10 +196,10 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
 
 
 @exact
-def gather(x, seen, w, skin_at, scale, p, at, cov, near, skin):
+def gather(x, seen, w, skin_at, scale, evidence, radius, p, at, cov, near, skin, form):
     """Each hand where most of the particles that see it are; all of them where none does. See `joint.Belief`.
 
-    `skin_at` is the share of skin in a hand at each pixel.
+    `skin_at` is the share of skin in a hand at each pixel, `radius` that of a hand in pixels.
     """
     share = np.empty(len(w))
     for hand in range(2):
@@ -207,20 +233,83 @@ def gather(x, seen, w, skin_at, scale, p, at, cov, near, skin):
         at[hand, 0], at[hand, 1], near[hand] = mx, my, s if p[hand] > 1e-6 else 0.0
         s, skin[hand] = max(s, 1e-9), min(max(_at(skin_at, mx * scale, my * scale), 0.0), 1.0)
         cov[hand, 0, 0], cov[hand, 0, 1], cov[hand, 1, 0], cov[hand, 1, 1] = xx / s, xy / s, xy / s, yy / s
+        across, down, _ = _spread(evidence, mx * scale, my * scale, 1.5 * radius, math.inf)
+        form[hand, 0] = min(max(4 * math.sqrt(across), radius), 3 * radius) if across >= 0.0 else 2 * radius
+        form[hand, 1] = min(max(4 * math.sqrt(down), radius), 3 * radius) if down >= 0.0 else 2 * radius
+        across, down, both = _spread(evidence, mx * scale, my * scale, math.ceil(2 * radius), WINDOW * radius)
+        form[hand, 2] = 2 * both / (across + down) if across + down > 0.0 else 0.0
 
 
 @exact
-def least_change(seen, before, out):
-    """By how much each pixel of `seen` (h, w, 3) differs from the likest one beside it in `before`, in `out` (h, w)."""
-    height, width, _ = seen.shape
+def learn_head(seen, head, weights, limit, hands, radius, change, new, apart):
+    """Learn how a head looks, `head` (h, w, 3), from how it is `seen`, less where a hand is before it.
+
+    In `change` (h, w) is by how much each pixel differs from the likest one beside it, smoothed by `weights`, and in
+    `new` p that a hand does that, 1/2 at a change of `limit`. Returns how many pixels are not within `radius` of
+    `hands` (n, 2); their change is in `apart`.
+    """
+    (height, width, _), reach, count = seen.shape, len(weights) // 2, 0
+    row = np.empty(width + 2 * reach, np.float32)
     for y in range(height):
         for x in range(width):
             least = np.float32(math.inf)
-            for dy in range(-1, 2):
-                for dx in range(-1, 2):
-                    there = before[(y + dy) % height, (x + dx) % width]
+            for j in range(max(y - 1, 0), min(y + 2, height)):
+                for i in range(max(x - 1, 0), min(x + 2, width)):
                     most = np.float32(0.0)
                     for c in range(3):
-                        most = max(most, abs(seen[y, x, c] - there[c]))
+                        most = max(most, abs(seen[y, x, c] - head[j, i, c]))
                     least = min(least, most)
-            out[y, x] = least
+            row[reach + x] = least
+        for k in range(reach):
+            row[reach - 1 - k], row[reach + width + k] = row[reach + 1 + k], row[reach + width - 2 - k]
+        for x in range(width):
+            new[y, x] = np.float32(0.0)
+        for k in range(len(weights)):
+            for x in range(width):
+                new[y, x] += weights[k] * row[x + k]
+    for y in range(height):
+        for x in range(width):
+            change[y, x] = np.float32(0.0)
+        for k in range(-reach, reach + 1):
+            j = min(abs(y + k), 2 * (height - 1) - abs(y + k))  # beyond a border, as in a mirror
+            for x in range(width):
+                change[y, x] += weights[k + reach] * new[j, x]
+    for y in range(height):
+        for x in range(width):
+            p = 1.0 / (1.0 + math.exp(min(max((limit - change[y, x]) / CHANGED_WIDTH, -30.0), 30.0)))
+            new[y, x], free = p, True
+            for k in range(len(hands)):
+                free &= (x - hands[k, 0]) ** 2 + (y - hands[k, 1]) ** 2 > radius**2
+            if free:
+                apart[count] = change[y, x]
+                count += 1
+            rate = HELD + (LEARNS - HELD) * (1.0 - p) if free else HELD
+            for c in range(3):
+                head[y, x, c] += rate * (seen[y, x, c] - head[y, x, c])
+    return count
+
+
+@exact
+def is_lit_alike(first, now, step):
+    """Whether each channel of `now` has the light of `first` (H, W, 3), or too few pixels of every `step`-th tell.
+
+    It has where the median of the ratios is nearer than `LEAST_GAIN` to 1.
+    """
+    usable = total = 0
+    below, far_below = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    for y in range(0, first.shape[0], step):
+        for x in range(0, first.shape[1], step):
+            low, high = 255, 0
+            for c in range(3):
+                low = min(low, min(first[y, x, c], now[y, x, c]))
+                high = max(high, max(first[y, x, c], now[y, x, c]))
+            total += 1
+            if low >= DARK and high <= BRIGHT:
+                usable += 1
+                for c in range(3):
+                    below[c] += now[y, x, c] < (1.0 + LEAST_GAIN) * first[y, x, c]
+                    far_below[c] += now[y, x, c] <= (1.0 - LEAST_GAIN) * first[y, x, c]
+    same = True
+    for c in range(3):
+        same &= below[c] > usable // 2 >= far_below[c]
+    return same or usable < ENOUGH * total

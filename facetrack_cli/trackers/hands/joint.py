@@ -28,6 +28,7 @@ Names may be exchanged where hands meet: p(exchanged | before) = ANY + MEET * ov
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import cv2
@@ -41,16 +42,16 @@ from facetrack_cli.trackers.hands.hand_kernels import BEYOND, REACH, REST, gathe
 from facetrack_cli.trackers.hands.settings import HandsSettings
 
 START: Final = 0.075  # sizes, standard deviation of a hand that is given
+LARGE: Final = 5.0  # pixels, radius of a disc for which OpenCV takes a Fourier transform, ten times as long
 PEAKS: Final = 8  # places of most skin, at most
 LEAST: Final = -1.5  # of log p(y | x) at such a place
 _TINY: Final = 1e-12
 
 SIGNS: Final = (1.0, -1.0)  # of each hand, of the way to the other hand's side
-WEIGHTS: Final = np.array([0.4, -1.3, -7.0])  # of u, u v, and l sin 2a
+WEIGHTS: Final = (0.4, -1.3, -7.0)  # of u, u v, and l sin 2a
 TEMPER: Final = 0.4
 ANY, MEET, MEETS = 0.002, 0.2, 0.8  # probabilities, and the sizes between two hands from which on they overlap
 APART: Final = (1.2, 2.2)  # radii between two hands, at which each begins to tell its name, and does
-WINDOW: Final = 0.8  # radii, standard deviation of the window in which the axis is measured
 
 
 class Cloud(NamedTuple):
@@ -69,7 +70,7 @@ class Cloud(NamedTuple):
 class Belief(NamedTuple):
     """Of each hand: p that it is `seen`, the place `at` (2, 2) and `cov` (2, 2, 2) of the particles about it, in sizes;
     `near` (2,), the share of those that see it which are there; `ess` of the filter's step; `skin` (2,), the share of
-    skin in a hand there.
+    skin in a hand there; `form` (2, 3), of that skin width, height, twice the radius each of a disc, and l sin 2a.
     """
 
     seen: Array
@@ -78,9 +79,11 @@ class Belief(NamedTuple):
     near: Array
     ess: float
     skin: Array
+    form: Array
 
     def exchanged(self) -> Belief:
-        return Belief(self.seen[::-1], self.at[::-1], self.cov[::-1], self.near[::-1], self.ess, self.skin[::-1])
+        seen, at, cov, near, ess, skin, form = self
+        return Belief(seen[::-1], at[::-1], cov[::-1], near[::-1], ess, skin[::-1], form[::-1])
 
 
 class Face(NamedTuple):
@@ -111,18 +114,11 @@ def step(
 ) -> tuple[Cloud, Belief]:
     """One frame, of which is `looked`, in pixels of which `scale` are a size. No hand appears before the face."""
     n, evidence = len(cloud.x), looked.evidence
-    share = disc_means(evidence, settings.radius * face.size * scale)
+    radius = settings.radius * face.size * scale
+    share = disc_means(evidence, radius)
     fit = settings.evidence * (share - settings.skin) + _reach(evidence.shape, scale, face)
     peaks, often = _peaks(fit)
-    luck, noise = np.empty((2, 4, n)), np.empty((2, 3, n, 2))
-    for u, e in zip(luck, noise, strict=True):
-        rng.random(out=u[:2])
-        rng.standard_normal(out=e[0])
-        if len(peaks):
-            rng.random(out=u[2])
-            rng.standard_normal(out=e[1])
-            rng.random(out=u[3])
-        rng.standard_normal(out=e[2])
+    luck, noise = rng.random((2, 4, n)), rng.standard_normal((2, n, 2))
     x, seen, parted, weight = cloud.x.copy(), cloud.seen.copy(), cloud.parted.copy(), np.empty(n)
     chances = np.array([0.5 if first else settings.appears, settings.vanishes, settings.proposed])
     motion = np.array(settings.steps), np.array(settings.shares), chances, settings.evidence
@@ -130,9 +126,9 @@ def step(
     move(x, seen, parted, luck, noise, peaks, often, *motion, *seen_in, weight)
     weight += log_likelihood(settings, x, seen, parted, (fit, share, evidence), scale, face)
     log_w = normalise(weight)
-    (p, near, skin), at, cov = np.empty((3, 2)), np.empty((2, 2)), np.empty((2, 2, 2))
-    gather(x, seen, np.exp(log_w), share, scale, p, at, cov, near, skin)
-    belief = Belief(p, at, cov, near, float(effective_sample_size(log_w)), skin)
+    (p, near, skin), at, cov, form = np.empty((3, 2)), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty((2, 3))
+    gather(x, seen, np.exp(log_w), share, scale, evidence, radius, p, at, cov, near, skin, form)
+    belief = Belief(p, at, cov, near, float(effective_sample_size(log_w)), skin, form)
     kept = systematic(rng, log_w, n)
     x, seen, parted = x[kept], seen[kept], parted[kept]
     # all particles have the order of the belief: which hand is which is not theirs to say
@@ -142,18 +138,33 @@ def step(
 
 
 def disc_means(evidence: Map, radius: float) -> Map:
-    """Means of the evidence in a disc about each pixel, within the frame; a third of the disc must be there."""
-    n = math.ceil(radius + 0.5)
+    """Means of the evidence in a disc about each pixel, within the frame; a third of the disc must be there.
+
+    Those of a large disc are read off the evidence at half its size. The radius is rounded to an eighth of a pixel, so
+    that most frames have the disc of the one before.
+    """
+    disc, per, by = _disc(round(8 * radius) / 8, evidence.shape)
+    return np.asarray(per * _summed(evidence, disc, by), np.float32)
+
+
+def _summed(evidence: Map, disc: Map, by: int) -> Map:
+    size = evidence.shape[1], evidence.shape[0]
+    less = -(-size[0] // by), -(-size[1] // by)
+    small = evidence if by == 1 else cv2.resize(evidence, less, interpolation=cv2.INTER_AREA)
+    sums = cv2.filter2D(small, -1, disc, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(sums if by == 1 else cv2.resize(sums, size), np.float32)
+
+
+@lru_cache(8)
+def _disc(radius: float, shape: tuple[int, int]) -> tuple[Map, Map, int]:
+    """A disc, of each pixel the factor for what is cut off there, and by how much the evidence is reduced before."""
+    by = 2 if radius >= LARGE else 1
+    n = math.ceil(radius / by + 0.5)
     off = np.arange(-n, n + 1.0)
-    disc = np.clip(radius + 0.5 - np.hypot(off[:, None], off), 0, 1).astype(np.float32)
+    disc = np.clip(radius / by + 0.5 - np.hypot(off[:, None], off), 0, 1).astype(np.float32)
     disc /= disc.sum()
-    few = np.ones(np.minimum(evidence.shape, 2 * n + 1), np.float32)  # all that a border may cut off, once
-    mean, inside = (cv2.filter2D(one, -1, disc, borderType=cv2.BORDER_CONSTANT) for one in (evidence, few))
-    rows, columns = (
-        np.minimum(np.arange(side), np.maximum(n, np.arange(side) - side + of))
-        for side, of in zip(evidence.shape, few.shape, strict=True)
-    )
-    return np.asarray(mean / np.maximum(inside, 0.35)[rows][:, columns], np.float32)
+    inside = _summed(np.ones(shape, np.float32), disc, by)
+    return np.asarray(disc, np.float32), np.asarray(1 / np.maximum(inside, 0.35), np.float32), by
 
 
 def log_likelihood(
@@ -166,24 +177,6 @@ def log_likelihood(
     of = settings.radius, settings.evidence, settings.skin
     weigh(x, seen, parted, *maps, face.at, face.size, scale, *of, out)
     return out
-
-
-def crop(evidence: Map, at: Array, far: float) -> tuple[Map, tuple[int, int]]:
-    """The evidence within `far` pixels of a place along x and y, and its left and top."""
-    (x, y), shape = at, evidence.shape
-    left, right = (min(max(round(x + side), 0), shape[1]) for side in (-far, far + 1))
-    top, bottom = (min(max(round(y + side), 0), shape[0]) for side in (-far, far + 1))
-    return evidence[top:bottom, left:right], (left, top)
-
-
-def extent(evidence: Map, at: Array, radius: float) -> Array:
-    """(2,) width and height in pixels of the skin within 1.5 `radius` of a place `at`: of a disc its diameter."""
-    near, _ = crop(evidence, at, 1.5 * radius)
-    of = cv2.moments(near)
-    if of["m00"] < 1e-3:
-        return np.full(2, 2 * radius)
-    var = np.maximum([of["mu20"], of["mu02"]], 0.0) / of["m00"]
-    return np.asarray(np.clip(4 * np.sqrt(var), radius, 3 * radius))
 
 
 def _reach(shape: tuple[int, ...], scale: float, face: Face) -> Map:
@@ -211,16 +204,15 @@ def exchanged(belief: Belief, face: Face) -> float:
     return ANY + MEET * min(max(2 * (1 - apart / MEETS), 0.0), 1.0)
 
 
-def name_log_odds(settings: HandsSettings, evidence: Map, belief: Belief, scale: float, face: Face) -> float:
-    """log p(frame | named as they are) - log p(frame | exchanged); a size is `scale` pixels of the evidence."""
+def name_log_odds(settings: HandsSettings, belief: Belief, face: Face) -> float:
+    """log p(frame | named as they are) - log p(frame | exchanged)."""
     apart, both = math.dist(*belief.at) / face.size / settings.radius, bool((belief.seen >= 0.5).all())
     clear = min(max((apart - APART[0]) / (APART[1] - APART[0]), 0.0), 1.0) if both else 1.0
     total = 0.0
-    for at, seen, sign in zip(belief.at, belief.seen, SIGNS, strict=True):
+    away = ((belief.at - face.at) / face.size).tolist()
+    for (u, v), (_, _, lean), seen, sign in zip(away, belief.form.tolist(), belief.seen, SIGNS, strict=True):
         if seen >= 0.5:
-            u, v = (at - face.at) / face.size
-            lean = _lean(evidence, at * scale, settings.radius * face.size * scale)
-            total += sign * float(WEIGHTS @ (u, u * v, lean))
+            total += sign * (WEIGHTS[0] * u + WEIGHTS[1] * u * v + WEIGHTS[2] * lean)
     return TEMPER * clear * total
 
 
@@ -228,13 +220,3 @@ def update_names(p: float, exchanged: float, log_odds: float) -> float:
     """The probability that hands are named as they are after a frame, from that after the frame before."""
     p = p * (1 - exchanged) + (1 - p) * exchanged
     return p / (p + (1 - p) * math.exp(-log_odds))
-
-
-def _lean(evidence: Map, at: Array, radius: float) -> float:
-    """l sin 2a of the long axis of the skin about a place, y down."""
-    near, (left, top) = crop(evidence, at, math.ceil(2 * radius))
-    if not near.size:
-        return 0.0
-    x, y = np.arange(left, left + near.shape[1]) - at[0], np.arange(top, top + near.shape[0]) - at[1]
-    of = cv2.moments(near * np.exp(-0.5 * (x**2 + y[:, None] ** 2) / (WINDOW * radius) ** 2))
-    return float(2 * of["mu11"] / (of["mu20"] + of["mu02"] + 1e-6))

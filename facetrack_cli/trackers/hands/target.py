@@ -107,7 +107,7 @@ class HandTarget:
         cloud = joint.begin(rng, self.settings, _face(scene, face), _in_sizes(scene, middle))
         at = cloud.x[..., :2].mean(axis=0)
         cov = np.stack([np.cov(cloud.x[:, hand, :2].T) for hand in (0, 1)])
-        belief = joint.Belief(known * 1.0, at, cov, known * 1.0, float(len(cloud.x)), np.zeros(2))
+        belief = joint.Belief(known * 1.0, at, cov, known * 1.0, float(len(cloud.x)), np.zeros(2), np.zeros((2, 3)))
         size = np.array([(math.nan, math.nan) if box is None else box[2:] for box in given])
         last = np.where(known, frame.time_s, -math.inf)
         at_first = np.zeros(2), size, known * 1.0, last, known, frame.time_s, (1.0 if known.any() else 0.5, 0.5)
@@ -141,7 +141,7 @@ class HandTarget:
     ) -> HandState:
         scene, face, before = state.scene, _face(state.scene, state.face), state.belief
         cloud, belief = joint.step(rng, self.settings, state.cloud, seen, scene.side, face, first=first)
-        says = joint.name_log_odds(self.settings, seen.evidence, belief, scene.side, face)
+        says = joint.name_log_odds(self.settings, belief, face)
         changed, last, inside = joint.exchanged(belief, face), state.last, state.inside
         named = joint.update_names(state.named[0], changed, says)
         if named < 0.5:
@@ -152,8 +152,7 @@ class HandTarget:
         known = there & (before.seen >= 0.5)
         speed = np.where(known, np.hypot(*(belief.at - before.at).T) / face.size, 0.0)
         places = belief.at * scene.side
-        radius = self.settings.radius * face.size * scene.side
-        size = scene.factor * np.stack([joint.extent(seen.evidence, at, radius) for at in places])
+        size = scene.factor * belief.form[:, :2]
         height, width = seen.evidence.shape
         away = np.minimum(places, np.array([width, height]) - 1 - places).min(axis=1) / (scene.side * face.size)
         return state._replace(
