@@ -1,5 +1,6 @@
 """Compiled kernels: where they are kept, what damaged files do, and which are compiled before they are called."""
 
+import ast
 import json
 import os
 import stat
@@ -186,3 +187,14 @@ def test_the_second_process_leaves_kernels_for_the_first_and_ends_with_it(tmp_pa
     with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
         process.stdin.close()
         assert process.wait(30) == 0
+
+
+def test_no_kernel_calls_another_one_whose_sums_may_be_reordered():
+    kernels, calls = dict[str, str](), dict[str, set[str]]()
+    for path in Path(kernel_cache.__file__).parents[2].rglob("*.py"):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef) and node.decorator_list:
+                kernels[node.name] = ast.unparse(node.decorator_list[0])
+                calls[node.name] = {ast.unparse(one.func) for one in ast.walk(node) if isinstance(one, ast.Call)}
+    fast = {name for name, kind in kernels.items() if kind == "fast"}
+    assert fast and not {name for name, kind in kernels.items() if kind in ("fast", "exact") and calls[name] & fast}

@@ -67,7 +67,10 @@ def exact(function: Any) -> Any:
 
 
 def fast(function: Any) -> Any:
-    """As `exact`, but sums may be reordered, which lets them vectorise; NaN and infinity keep their meaning."""
+    """As `exact`, but sums may be reordered, which lets them vectorise; NaN and infinity keep their meaning.
+
+    No kernel calls such a one: what numba compiles first and what it later finds in the cache would reorder otherwise.
+    """
     return _cached(function, fastmath=_SUMS)
 
 
