@@ -422,14 +422,15 @@ class FaceTarget(FaceParts):
         if faces:
             sightings = [Sighting.of(face, frame) for face in faces]
             maps = [face.similarity for face in sightings]
-            in_place, new_shot = state.stranger_time is None, state.cut_time is not None
-            looks = by_looks(state.pictures, maps, frame, colours=in_place or new_shot)
+            cut = state.cut_time is not None
+            stranger = state.stranger_time is not None and not cut
+            looks = by_looks(state.pictures, maps, frame, colours=not stranger)
             sightings = [
                 face._replace(by_looks=odds, latest=odds).after(state.sighting)
                 for face, odds in zip(sightings, looks.tolist(), strict=True)
             ]
             covered = self._is_covered(state.head)
-            place = by_place(state.last_seen, maps, covered=covered) * (in_place and not new_shot)
+            place = by_place(state.last_seen, maps, covered=covered) * (not cut and not stranger)
             mean_looks = np.array([face.by_looks for face in sightings])
             p = probabilities(mean_looks, place, self._prior(state._replace(crowded=crowded), frame))
             best = int(p.argmax())
