@@ -175,12 +175,16 @@ def test_looks_are_bounded(monkeypatch):
 
 @pytest.mark.skipif(yunet_model() is None, reason="needs the extra detect")
 def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch):
-    def embedded(chip):
-        small = cv2.resize(cv2.cvtColor(chip, cv2.COLOR_BGR2GRAY), (16, 8), interpolation=cv2.INTER_AREA)
-        small = small.astype(float).ravel() - small.mean()
-        return 0.6 * small / np.linalg.norm(small)  # as far apart as those of dlib's network
+    whose, taken = {}, Picture.of
 
-    monkeypatch.setattr(descriptor, "embedded", embedded)
+    def of(frame, face):
+        picture = taken(frame, face)
+        # somebody else walks by from the left, and the face is seen again when he is on the right
+        whose[picture.chip.tobytes()] = 72 <= frame.index < 92 or (frame.index < 110 and face.centre[0] > 192)
+        return picture
+
+    monkeypatch.setattr(Picture, "of", of)
+    monkeypatch.setattr(descriptor, "embedded", lambda chip: 0.6 * np.eye(128)[int(whose[chip.tobytes()])])
     by_walk = {}
     for model in (None, Path("a model")):
         monkeypatch.setattr(target, "embedding_model", lambda model=model: model)
@@ -189,4 +193,4 @@ def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch):
         by_walk[model is None] = np.isin(box.status[rows], UNSEEN).mean()
         back = box.row(108)
         assert abs(box.x[back] - 184) < 8 and box.status[back] == "tracked"
-    assert by_walk[True] < 0.5 < 0.9 < by_walk[False]
+    assert by_walk[True] < 0.5 < 0.7 < by_walk[False]

@@ -11,10 +11,10 @@ target has the log odds
     place       NEAR where the target was last seen, -AWAY elsewhere while it is held to be covered; 0 after a cut
 
 A face that is seen in the place of a target that was not seen for a while may be of somebody who walks by. The log
-odds that it is the target are AGAIN + looks, without colours: the light and what is around are those of before. If they
-speak for somebody else, place says nothing any more, and the prior grows from 0 by 1 a second up to SHOT, since who
-walks by does not stay. This takes the extra `people`, since grey views of a head that turns differ as much as those of
-two people, and YuNet, whose eyes lay out all views alike.
+odds that it is the target are AGAIN + looks, the mean of LOOKS_AGAIN looks at most and without colours: the light and
+what is around are those of before. If they speak for somebody else, place says nothing any more, and the prior grows
+from 0 by 1 a second up to SHOT, since who walks by does not stay. This takes the extra `people`, since grey views of a
+head that turns differ as much as those of two people, and YuNet, whose eyes lay out all views alike.
 
 No term has a veto: skin changes with the light, hair with a hat.
 People change places over cuts, so the looks decide there, and hardly elsewhere. What looks like a cut and was a flash,
@@ -53,6 +53,7 @@ MAYBE: Final = 0.05  # probability below which a face is no sighting
 SAME: Final = 0.6  # sizes of a face within which it is the same one at the next look
 NEW: Final = 0.6  # correlation with all looks below which another one is kept
 ALIKE: Final = 0.7  # correlation with a look from which a face in its place is the same without further looks
+LOOKS_AGAIN: Final = 3  # looks after which a face in its place is the same, if they do not say otherwise
 MAX_LOOKS: Final = 6  # looks that are kept
 SIDE: Final = 16  # pixels of a look
 _T = TypeVar("_T")

@@ -60,7 +60,7 @@ class FaceState(NamedTuple):
     sighting : the likeliest face of a frame while the target is lost
     cut_time : time in s of a (possible) cut after which the face was not seen yet
     crowded : in how many searches several faces were seen
-    broken : whether the face was not seen in some frame since it was last recognised
+    again : log odds by its looks since the face is seen again; None while it was seen in all frames, or is recognised
     stranger_time : time in s since which somebody else is seen in its place
     """
 
@@ -82,7 +82,7 @@ class FaceState(NamedTuple):
     sighting: Sighting | None = None
     cut_time: float | None = None
     crowded: int = 0
-    broken: bool = False
+    again: tuple[float, ...] | None = None
     stranger_time: float | None = None
 
 

@@ -22,6 +22,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from statistics import mean
 from typing import Any, Final
 
 import numpy as np
@@ -37,6 +38,8 @@ from facetrack_cli.trackers.face import stabilized, window_ncc
 from facetrack_cli.trackers.face.evidence import (
     AGAIN,
     ALIKE,
+    KNOWN,
+    LOOKS_AGAIN,
     MAYBE,
     NEW,
     SEEN_PX,
@@ -216,7 +219,7 @@ class FaceTarget(FaceParts):
     def _unseen(self, state: FaceState, info: Info, frame: Frame) -> tuple[FaceState, TargetResult]:
         """After a frame in which the head's filter, which says `info`, does not see it: the points stay."""
         info_of_points = state.info._replace(evidence=0.0)
-        state = state._replace(log_odds=_FORGETS * state.log_odds, info=info_of_points, broken=True)
+        state = state._replace(log_odds=_FORGETS * state.log_odds, info=info_of_points, again=())
         return state, self.result(state, info, frame)
 
     def _is_due(self, state: FaceState) -> bool:
@@ -235,16 +238,18 @@ class FaceTarget(FaceParts):
         stranger_s = None if state.stranger_time is None else frame.time_s - state.stranger_time
         return prior(cut=state.cut_time is not None, company=state.crowded >= COMPANY, stranger_s=stranger_s)
 
-    def _is_stranger(self, state: FaceState, view: FaceView, frame: Frame) -> bool:
-        """Whether the face that is seen in the target's place looks like somebody else."""
+    def _looked_again(self, state: FaceState, view: FaceView, frame: Frame) -> tuple[float, ...] | None:
+        """`again` of the state with a look at the face that is seen in the target's place; None if it is recognised."""
         # faces look alike where they are laid out alike, which boxes drawn by hand and those of cascades are not
         laid_out = self.sensors.searched and view.detection is not None and view.detection.eyes is not None
         if not laid_out or view.similarity.scale * FACE < SEEN_PX or embedding_model() is None:
-            return False
+            return None
         in_place = by_place(state.last_seen, [view.similarity], covered=False)[0] > 0
         if not in_place or likeness(state.looks, look_of(view.image)) >= ALIKE:
-            return False
-        return bool(by_looks(state.pictures, [view.similarity], frame, colours=False)[0] + AGAIN < 0)
+            return None
+        [odds] = by_looks(state.pictures, [view.similarity], frame, colours=False).tolist()
+        again = (*(state.again or ()), odds)
+        return None if odds > KNOWN or (len(again) == LOOKS_AGAIN and mean(again) + AGAIN > 0) else again
 
     def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> FaceView:
         """The frame seen from a head at `head` (1, D); the detector looks as well if that is `due`."""
@@ -278,9 +283,11 @@ class FaceTarget(FaceParts):
         `head_info` is of the head's filter; None: it has not looked, and the points carry the head.
         """
         recognised = view.detection is not None and view.log_odds >= EASY and state.cut_time is None
-        if recognised and state.broken and self.alone and self._is_stranger(state, view, frame):
-            head, head_info = self.head.unseen(rng, state.head, frame, anywhere=False)
-            return self._unseen(state._replace(head=head, stranger_time=frame.time_s), head_info, frame)
+        if recognised and state.again is not None and self.alone:
+            state = state._replace(again=self._looked_again(state, view, frame))
+            if state.again is not None and mean(state.again) + AGAIN < 0:
+                head, head_info = self.head.unseen(rng, state.head, frame, anywhere=False)
+                return self._unseen(state._replace(head=head, stranger_time=frame.time_s), head_info, frame)
         features, info = self._tracked(rng, state.features, view)
         estimated, visible = features.estimated, self._visible(features)
         odds, cross = self._judged(state.features, view, estimated)
@@ -304,9 +311,9 @@ class FaceTarget(FaceParts):
             head, head_info = self.head.carried(rng, head, view.similarity.matrix @ step)
         state = state._replace(
             head=head, features=features, info=info, bias_filters=biases, facing=facing, others=others,
-            eyes=eyes, log_odds=view.log_odds, broken=not recognised and (state.broken or view.log_odds <= 0),
+            eyes=eyes, log_odds=view.log_odds, again=() if view.log_odds <= 0 else state.again,
         )  # fmt: skip
-        if recognised:
+        if recognised and not (state.again and self.alone):
             state = state._replace(last_seen=view.similarity)
             if likeness(state.looks, look := look_of(view.image)) < NEW:
                 picture = self._picture(frame, view.similarity)
@@ -459,6 +466,6 @@ class FaceTarget(FaceParts):
         pose, rest = np.array([sighting.roll, *state.pose[1:]]), self.features.x0
         features = moved(state.features, lambda x: x + (rest - state.features.estimated.state))
         state = state._replace(head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut_time=None)
-        state = state._replace(broken=False, stranger_time=None)
+        state = state._replace(again=None, stranger_time=None)
         view = self._view(state, head.estimated.state, frame, due=True)
         return self._followed(rng, state, view, frame, self.head.begun, notes)
