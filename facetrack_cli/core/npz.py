@@ -200,7 +200,7 @@ def _flat(value: Any, arrays: Arrays) -> Any:
     if kind is np.random.Generator:
         return {"random": value.bit_generator.state, "seeds": _flat(value.bit_generator.seed_seq, arrays)}
     if kind is Frame:
-        return {"frame": each((value.index, value.time_s, value.pixels, value.aspect))}
+        return {"frame": each((value.index, value.time_s, value.yuv or value.pixels, value.aspect))}
     if kind.__module__.partition(".")[0] == _PACKAGE and (names := _fields(kind)):
         fields = {name: _flat(getattr(value, name), arrays) for name, is_stored in names.items() if is_stored}
         return {"of": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}

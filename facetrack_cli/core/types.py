@@ -119,10 +119,6 @@ class Frame:
         self._parts: dict[tuple[str, int], _Part] = {}  # by what they are of and their factor
         self._patches: dict[Hashable, tuple[object, NDArray[np.float32]]] = {}
 
-    def __getnewargs_ex__(self) -> tuple[tuple[int, float, Image | Planes], dict[str, float]]:
-        """What a checkpoint keeps of it: nothing that can be computed again."""
-        return (self.index, self.time_s, self.yuv or self.pixels), {"aspect": self.aspect}
-
     @property
     def pixels(self) -> Image:
         """All of them in one array."""
