@@ -257,7 +257,8 @@ class LiveCast:
 
     def _see(self, result: FrameResult, shot: int) -> None:
         """Take in one frame more: where its tracks are, and now and then what they look like."""
-        for name in self._now.keys() - {target.rows.target for target in result.targets}:
+        there = {target.rows.target for target in result.targets}
+        for name in [name for name in self._now if name not in there]:  # in order: a set has another in each process
             self._end(name)
         at = result.frame.index
         for rows in (target.rows for target in result.targets):

@@ -431,6 +431,14 @@ def test_a_film_that_is_stopped_tells_its_cast():
     assert 20 < len(lines) < 40 and json.loads(lines[-1]) == {"people": cast.cast()} and cast.names
 
 
+def test_tracks_that_end_together_end_in_their_order(monkeypatch):
+    cast, ended = LiveCast(None, 25.0, {}), []
+    cast._now = dict.fromkeys([f"track_{n}" for n in range(20)])
+    monkeypatch.setattr(cast, "_end", ended.append)
+    cast._see(SimpleNamespace(targets=(), frame=SimpleNamespace(index=9)), 0)
+    assert ended == [*cast._now], "not in that of a set, which each process has of its own"
+
+
 def test_what_is_kept_of_a_stream_is_bounded(monkeypatch):
     monkeypatch.setattr(live, "KEPT", 1)
     cast = LiveCast(None, 25.0, {})
