@@ -222,7 +222,7 @@ def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> 
     goldens = [(path, read_golden(path)) for path in sorted(place.glob("*.json"))]
     there = {Path(golden.recipe).stem: golden.recipe for _, golden in goldens}
     if not goldens or not recipes.keys() <= there.keys():
-        absent = ", ".join(recipes.keys() - there.keys())
+        absent = ", ".join(sorted(recipes.keys() - there.keys()))
         what = f"no golden of {absent}, only of {', '.join(sorted(there))}" if goldens else "no goldens"
         raise InputError(f"{folder}: has {what}; record some with facetrack regress {folder} --config RECIPE --update")
     use = recipes or {name: str(folder / file) if file.endswith(".yaml") else file for name, file in there.items()}

@@ -31,14 +31,16 @@ def locate(root: Node, path: Steps) -> tuple[Node, list[str]]:
 
     pydantic's paths also name the chosen member of a union (`filter`, `sir`, `particles`): such a step has no place.
     """
-    node, keys = root, list[str]()
+    node, keys, may_be_member = root, list[str](), False
     for step in path:
         value = node.value
-        if isinstance(value, dict) and isinstance(step, str) and step in value:
-            node = value[step]
+        if may_be_member and isinstance(value, dict) and "type" in value and value["type"].value == step:
+            may_be_member = False  # a key of the section may have the same name
+        elif isinstance(value, dict) and isinstance(step, str) and step in value:
+            node, may_be_member = value[step], True
             keys.append(step)
         elif isinstance(value, list) and isinstance(step, int) and step < len(value):
-            node = value[step]
+            node, may_be_member = value[step], True
             keys.append(f"[{step + 1}]")
     return node, keys
 

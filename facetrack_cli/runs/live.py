@@ -83,18 +83,18 @@ def follow(
     came: dict[int, float] = {}
     shown: dict[int, float] = {}
 
-    def counted(images: Iterator[Image | Frame]) -> Iterator[Image]:
+    def counted(timed: Iterator[tuple[float, Image | Frame]]) -> Iterator[Image]:
         began = None
-        for index, image in enumerate(images):
-            now = came[index] = time.monotonic()
-            began = now if began is None else began
+        for index, (now, image) in enumerate(timed):
+            came[index], began = now, now if began is None else began
             own = image.time_s if isinstance(image, Frame) else math.nan
             shown[index] = now - began if math.isnan(own) else own
             yield image.bgr if isinstance(image, Frame) else image
 
     count = 0
     try:
-        with decoded_ahead(images, most=1, stopped=stopped) as coming:
+        timed = ((time.monotonic(), image) for image in images)  # as it comes: it waits for those before it
+        with decoded_ahead(timed, most=1, stopped=stopped) as coming:
             frames = frames_of_images(counted(coming), shown.pop)
             results = Tracker(recipe, init=init)._follow(frames) if cast is None else cast.follow(frames, recipe)
             for result in results:
@@ -257,7 +257,8 @@ class LiveCast:
 
     def _see(self, result: FrameResult, shot: int) -> None:
         """Take in one frame more: where its tracks are, and now and then what they look like."""
-        for name in self._now.keys() - {target.rows.target for target in result.targets}:
+        there = {target.rows.target for target in result.targets}
+        for name in [name for name in self._now if name not in there]:  # in order: a set has another in each process
             self._end(name)
         at = result.frame.index
         for rows in (target.rows for target in result.targets):

@@ -216,7 +216,8 @@ class Overlay:
                 colour = shape.colours[path[0]] if len(place) <= _MAX_DOTTED else shape.colour
                 colour = GREY if shape.lost[both].any() else colour
                 polylines(image, [fixed(shape.centres[both])], colour, max(1, self._line - 1))
-        for part in place.keys() - {BOX, *chain(*LINES)} if len(place) > _MAX_DOTTED else ():
+        dots = [part for part in place if part not in {BOX, *chain(*LINES)}] if len(place) > _MAX_DOTTED else []
+        for part in dots:
             colour = GREY if shape.lost[place[part]] else shape.colour
             mark(image, shape.centres[place[part]].tolist(), "tracked", colour, 0.5 * self._line, 1, False)
 

@@ -15,6 +15,7 @@ WRONG = [
     ("factorized", "prior=null filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 needs a prior"),
     ("factorized", "filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 goes with reweight: prior"),
     ("factorized", "filter.reweight=both filter.particles=2001", "compares every two particles; give 2,000 at most"),
+    ("factorized", "target.points=[]", 'unknown key "points" in "target"; the keys there are: type, parts, windows'),
     ("factorized", "prior.sigma=0.001", "prior.sigma must be at least 0.005, not 0.001"),
     ("auxiliary_prior", "filter.type=independent", "makes no use of a prior"),
     ("sir", f"motion={{type: first_order, position: {DYNAMICS}, scale: {DYNAMICS}}}",

@@ -239,15 +239,31 @@ def test_run_live_from_standard_input(monkeypatch, capsys):
 
 
 def test_a_tracker_is_told_when_images_came_and_not_their_count(monkeypatch):
-    lines, times, clock = [], [], iter(range(100, 200))
-    monkeypatch.setattr(live.time, "monotonic", lambda: next(clock) / 4)
+    lines, times, now = [], [], [0.0]
+
+    def coming():
+        for n, image in enumerate(IMAGES):
+            now[0] = 25 + n / 2
+            yield image
+
+    monkeypatch.setattr(live.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(live, "record", lambda result, time_s, age_s: times.append((result.frame.time_s, time_s)) or {})
-    assert followed(iter(IMAGES), lines.append) == 6
-    # the clock is asked when an image comes and when its line is written
+    assert followed(coming(), lines.append) == 6
     assert times == [(0.5 * n, 0.5 * n) for n in range(6)]
     frames = [Frame(n, 7 + n / 10, image) for n, image in enumerate(IMAGES)]
     assert followed(iter(frames), lines.append) == 6
     assert [time_s for time_s, _ in times[6:]] == [7 + n / 10 for n in range(6)]
+
+
+def test_an_image_ages_while_it_waits_for_those_before_it():
+    ages = []
+
+    def slowly(line):
+        ages.append(json.loads(line)["age_s"])
+        time.sleep(0.2)
+
+    assert followed(iter(IMAGES), slowly) == 6
+    assert min(ages[2:]) > 0.2, "it came while another line was written"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals need POSIX")
@@ -413,6 +429,14 @@ def test_a_film_that_is_stopped_tells_its_cast():
         cast = LiveCast(None, 25.0, {})
         follow(iter(source), load_recipe("face"), None, lines.append, lambda: len(lines) > 20, cast)
     assert 20 < len(lines) < 40 and json.loads(lines[-1]) == {"people": cast.cast()} and cast.names
+
+
+def test_tracks_that_end_together_end_in_their_order(monkeypatch):
+    cast, ended = LiveCast(None, 25.0, {}), []
+    cast._now = dict.fromkeys([f"track_{n}" for n in range(20)])
+    monkeypatch.setattr(cast, "_end", ended.append)
+    cast._see(SimpleNamespace(targets=(), frame=SimpleNamespace(index=9)), 0)
+    assert ended == [*cast._now], "not in that of a set, which each process has of its own"
 
 
 def test_what_is_kept_of_a_stream_is_bounded(monkeypatch):

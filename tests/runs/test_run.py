@@ -465,11 +465,11 @@ def test_a_run_of_another_version_is_read_and_made_again(run, clip):
 
 def test_a_part_that_is_lost_at_the_end(run, tmp_path):
     path = make_clip(tmp_path / "covered.mp4", 20, cover=9)
-    assert run(path, "--no-video")[0] == 0
-    code, _, err = run(path, "--no-video", "--fail-on-lost", "--overwrite")
+    assert run(path, *SMALL, "--no-video")[0] == 0
+    code, _, err = run(path, *SMALL, "--no-video", "--fail-on-lost", "--overwrite")
     assert code == 4 and footer("covered-face")["lost_frames"]
     assert "lost: " in err.splitlines()[0] and "; look at frames " in err.splitlines()[1]
-    assert run(path, "--no-video", "--fail-on-lost", "-o", "early", "--stop", 8)[0] == 0
+    assert run(path, *SMALL, "--no-video", "--fail-on-lost", "-o", "early", "--stop", 8)[0] == 0
 
 
 def test_a_lag_of_more_frames_than_memory_holds(run, clip, monkeypatch):
