@@ -114,6 +114,12 @@ def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: s
             check(frames.read(index), expected[index])
 
 
+def test_frames_are_counted_where_a_file_does_not_say_how_long_it_is(folder: Path) -> None:
+    path, expected = made(folder, "no_length.webm")
+    with Frames(path) as frames:
+        assert frames.count == len(expected), "or a page would show the first frame alone"
+
+
 @pytest.mark.parametrize("name", EACH)
 def test_a_source_that_begins_late_gives_what_decoding_in_order_gives(folder: Path, name: str) -> None:
     path, frames = made(folder, name)
