@@ -229,7 +229,7 @@ def test_an_index_that_differs_is_not_used(folder: Path) -> None:
     path, expected = made(folder, "b_frames.mp4")
     for first in (0, 60):  # from the start, and from the middle on
         with Frames(path) as frames:
-            frames._index, frames._jumped = read_index(path), True
+            frames._index, frames._indexed = read_index(path), True
             assert frames._index is not None
             frames._index.pts[first:] += 1
             for index in (90, 99, 30, 70):
