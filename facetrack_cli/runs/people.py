@@ -18,7 +18,7 @@ from facetrack_cli.core.types import BOX, Frame, Image
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.run_folder.finished import run_files
 from facetrack_cli.run_folder.lease import IN_A_COPY, FolderLease
-from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run, write_rows
+from facetrack_cli.run_folder.manifest import VIDEO, check_run, other_clip, read_manifest, read_run, write_rows
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import repaint, replace_files
@@ -116,7 +116,12 @@ def _boxes(rows: Trajectory) -> dict[str, Trajectory]:
 
 
 def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Any]:
-    """The clip of a run, if it is known, and how it is read: its rate if the clip brings none, and its stream."""
+    """The clip of a run, if it is known, and how it is read: its rate if the clip brings none, and its stream.
+
+    Raises InputError for a `clip` that is not the run's.
+    """
+    if clip is not None and (other := other_clip(rows, clip)) is not None:
+        raise InputError(f"{other}; name its clip with --clip")
     place = clip or clip_of(rows)
     return place, {"fps": place and given_rate(place, people.fps), "stream": header_value(rows, "source", "stream")}
 

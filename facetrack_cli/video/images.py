@@ -238,7 +238,7 @@ def is_animated(path: Path) -> bool:
     """Whether a PNG (APNG) or WebP holds several frames."""
     if path.suffix.lower() in (".png", ".webp"):
         with suppress(*_damaged()), _picture(path) as image:  # which is said when it is read
-            return bool(image.is_animated)
+            return bool(getattr(image, "is_animated", False))  # not all kinds of files say so
     return False
 
 

@@ -36,8 +36,8 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         self._recent = OrderedDict[int, tuple[float, Image]]()  # times and pixels, the least recently used first
         self._lock = threading.Lock()
         self._closed = threading.Event()
-        self._index: Index | None = None  # read for the first jump
-        self._jumped = False
+        self._index: Index | None = None  # read for the first jump, or where the file does not say how long it is
+        self._indexed = False
         with open_source(path, fps=fps, stream=stream) as source:
             self.size, self.fps, self.aspect = source.size, source.fps, float(source.aspect)
         self._most = max(CACHE_BYTES // math.prod((*self.size, 3)), 1)
@@ -47,6 +47,8 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         else:
             self._decoder = Decoder(path, stream)
             self._claimed = self._decoder.claimed or 0
+            if not self._claimed:
+                self._read_index()
             self._approach(0)
 
     @property
@@ -116,12 +118,15 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
                 self._recent.clear()
                 self._restart()
 
+    def _read_index(self) -> None:
+        self._indexed = True
+        with contextlib.suppress(OSError, ValueError):
+            self._index = read_index(self.path, self._closed.is_set, self._stream)
+
     def _jump(self, index: int) -> None:
         """Go to the keyframe before a frame, if decoding onward does not lead there sooner."""
-        if not self._jumped:
-            self._jumped = True
-            with contextlib.suppress(OSError, ValueError):
-                self._index = read_index(self.path, self._closed.is_set, self._stream)
+        if not self._indexed:
+            self._read_index()
         packets, onward = self._index, self._decoder.next <= index
         if packets is not None:
             key = packets.keys[max(int(np.searchsorted(packets.keys, index, side="right")) - 1, 0)]

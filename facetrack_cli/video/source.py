@@ -182,7 +182,7 @@ class VideoSource(Source):
         try:
             self._bytes, self._decoder = path.stat().st_size, Decoder(path, stream)
         except (OSError, ValueError) as error:
-            lack, why = "", "not a video; give a video file or a folder of images"
+            lack, why = "", f"not a video that can be read; give another file or a folder of images, or {AGAIN}"
             with suppress(OSError), path.open("rb") as file:
                 unread = file.read(8)[4:] in _MP4_BOXES and hasattr(error, "log")  # it is FFmpeg's
                 lack = "its index (moov) is missing" if unread else missing_part(path)

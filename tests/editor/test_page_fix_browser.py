@@ -233,6 +233,11 @@ def through(window):
     idle(window, 1)
     window.click_on("tab-corrections")
     yield "corrected"
+    window.click_on("tab-parts")
+    go_to(window, FRAMES - 1)
+    window.click_on("part-face-nose")
+    window.until("!document.getElementById('confirm-row').hidden")
+    yield "lost"
     window.click_on("help-open")
     yield "help"
     window.press("Escape")

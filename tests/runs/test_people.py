@@ -201,6 +201,15 @@ def test_a_film_without_its_rows_is_one_line(copy, capsys):
         assert capsys.readouterr().err == f"facetrack: error: {copy}: its trajectory is gone; run again\n"
 
 
+def test_pictures_are_not_taken_of_another_film(copy, tmp_path, capsys):
+    other = shutil.copy(FOLDER / "lamp.mp4", tmp_path / "other.mp4")
+    before = (copy / "people.json").read_bytes()
+    for options in (["--rename", "person_1=Ann"], ["--save", str(tmp_path / "known.npz")], ["--page"]):
+        assert main(["people", str(copy), *options, "--clip", str(other)]) == 3
+        assert f"{other}: is not the clip that trajectory.json was made from" in capsys.readouterr().err
+    assert (copy / "people.json").read_bytes() == before
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [

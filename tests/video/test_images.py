@@ -141,6 +141,13 @@ def test_archives_that_are_no_clips(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert "too large for a frame" in refusal(packed(tmp_path / "bomb.zip", {"0.png": bytes(5000)}))
 
 
+@pytest.mark.parametrize("kind", ["JPEG", "BMP"])
+def test_a_picture_under_the_name_of_another_kind_is_read(tmp_path: Path, kind: str) -> None:
+    for name in ("a.png", "a.webp"):
+        Pictures.fromarray(media.numbered(3)).save(tmp_path / name, format=kind)
+        assert numbers(read(tmp_path / name)[1]) == [3]
+
+
 @pytest.mark.parametrize("suffix", [".gif", ".png"])
 def test_an_animation_is_a_clip(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"

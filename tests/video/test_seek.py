@@ -114,6 +114,12 @@ def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: s
             check(frames.read(index), expected[index])
 
 
+def test_frames_are_counted_where_a_file_does_not_say_how_long_it_is(folder: Path) -> None:
+    path, expected = made(folder, "no_length.webm")
+    with Frames(path) as frames:
+        assert frames.count == len(expected), "or a page would show the first frame alone"
+
+
 @pytest.mark.parametrize("name", EACH)
 def test_a_source_that_begins_late_gives_what_decoding_in_order_gives(folder: Path, name: str) -> None:
     path, frames = made(folder, name)
@@ -223,7 +229,7 @@ def test_an_index_that_differs_is_not_used(folder: Path) -> None:
     path, expected = made(folder, "b_frames.mp4")
     for first in (0, 60):  # from the start, and from the middle on
         with Frames(path) as frames:
-            frames._index, frames._jumped = read_index(path), True
+            frames._index, frames._indexed = read_index(path), True
             assert frames._index is not None
             frames._index.pts[first:] += 1
             for index in (90, 99, 30, 70):

@@ -379,7 +379,7 @@ def test_playlists_are_refused(tmp_path: Path, text: str) -> None:
     other = media.write_video(tmp_path / "other.ts", frames=10)
     for name in ("clip.mp4", "list.txt"):
         (tmp_path / name).write_text(text.format(other.name))
-        assert "not a video; give a video" in refusal(tmp_path / name)
+        assert "not a video that can be read; give another" in refusal(tmp_path / name)
 
 
 @pytest.mark.parametrize("address", ["https://example.org/a.mp4?x=1", "rtsp://camera/1", "HTTP://example.org/a"])
