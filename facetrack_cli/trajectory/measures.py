@@ -272,7 +272,8 @@ def _talking(mouth: Measured) -> Array:
 def _moved(pose: Array, time_s: Array, by: float) -> Array:
     """(T,) how far a pose is from its median and, times `by`, moves within a second before and after, squared."""
     off = np.nan_to_num(pose - nanmedian(pose))
-    around = round(1 / max(float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0, 0.002))
+    step = np.nan_to_num(nanmedian(np.diff(time_s)), nan=1.0)  # times may not be known
+    around = round(1 / max(float(step), 0.002))
     near = np.lib.stride_tricks.sliding_window_view(np.pad(off, around, mode="edge"), 2 * around + 1)
     return np.asarray(off**2 + (by * (near.max(axis=1) - near.min(axis=1)) / 2) ** 2)
 

@@ -17,7 +17,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import GROUPS, LINES, MESH, POINTS
 from facetrack_cli.trajectory.face_events import Chain, events_of
 from facetrack_cli.trajectory.formats.eaf import write_eaf
-from facetrack_cli.trajectory.formats.tables import Clip, write_csv_wide, write_measures
+from facetrack_cli.trajectory.formats.tables import Clip, write_boris, write_csv_wide, write_measures
 from facetrack_cli.trajectory.head import SHAPE, head_pose, rotation_of, with_eyes
 from facetrack_cli.trajectory.measures import LENGTH, MEASURES, SHARE, Measured
 from facetrack_cli.trajectory.trajectory import joined, one_part
@@ -83,6 +83,16 @@ def test_without_eyes_the_unit_is_that_of_the_box_and_other_measures_are_not_the
     points = joined([part for part in five.parts if part.part != "box"])
     assert list(values(points)) == ["lips_rounded", "roll", "yaw", "pitch"], "nothing says how large the face is"
     assert not values(joined([part for part in five.parts if part.part == "box"]))
+
+
+def test_without_times_there_are_measures_and_no_events():
+    table = moving_face(60)
+    timeless = replace(table, time_s=np.full(len(table), np.nan))
+    ours, theirs = values(timeless), values(table)
+    np.testing.assert_array_equal(ours["mouth_opening"], theirs["mouth_opening"])
+    assert not timeless.events and timeless._repr_html_()
+    project = write_boris([Clip("a", timeless)], datetime(2024, 1, 2, tzinfo=UTC))
+    assert '"length":{"a":0.0}' in project
 
 
 def test_where_a_point_is_lost_or_hidden_its_measures_are_nan():

@@ -222,7 +222,7 @@ def write_boris(clips: Sequence[Clip], written: datetime) -> str:
             subjects[e.target] = values.setdefault(e.tier, {})[e.value] = None
             for time, frame in ((e.begin_s, e.first_frame), (e.end_s, e.last_frame + 1)):
                 rows.append([round(time, 3), e.target, e.tier, e.value, f"probability {e.probability:.2f}", frame])
-        known = {"length": {path: float(table.times[-1])}, "fps": {path: fps or 25.0}}
+        known = {"length": {path: float(np.nan_to_num(table.times).max())}, "fps": {path: fps or 25.0}}
         media = {"hasVideo": {path: True}, "hasAudio": {path: False}, "offset": {"1": 0.0}}
         number = sum(title.partition(" (")[0] == name for title in observations)
         observations[f"{name} ({number + 1})" if number else name] = {
