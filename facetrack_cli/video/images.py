@@ -147,7 +147,8 @@ class Pictures(AbstractContextManager["Pictures"]):
             self.close()
             if "can not handle the given uri" in str(error):
                 raise UnreadableError(path, "is not an image, or of an unknown kind") from error
-            raise UnreadableError(path, f"cannot be read as an image ({reason(error)})") from error
+            cause = error.__cause__ if isinstance(error.__cause__, Exception) else error  # what Pillow says
+            raise UnreadableError(path, f"cannot be read as an image ({reason(cause)})") from error
         deep = _sixteen(path, self._data(path)) if mode == "RGB" and not page and path.suffix.lower() in _DEEP else None
         pixels = deep if deep is not None and deep.shape == pixels.shape else pixels
         return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)

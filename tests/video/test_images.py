@@ -156,6 +156,13 @@ def test_an_animation_is_a_clip(tmp_path: Path, suffix: str) -> None:
     assert numbers(read(path)[1]) == [0, 1, 2, 3]
 
 
+def test_why_a_picture_is_not_read_is_what_its_reader_says(tmp_path: Path) -> None:
+    first, *others = [Pictures.fromarray(media.numbered(i)) for i in range(4)]
+    first.save(tmp_path / "a.webp", save_all=True, append_images=others)
+    (tmp_path / "half.webp").write_bytes((tmp_path / "a.webp").read_bytes()[:300])
+    assert "plugin" not in refusal(tmp_path / "half.webp"), "that is what imageio says of it"
+
+
 def test_an_animated_webp_keeps_its_clock(tmp_path: Path) -> None:
     first, *others = [Pictures.fromarray(media.numbered(i)) for i in range(6)]
     path = tmp_path / "clip.webp"
