@@ -236,6 +236,7 @@ def test_xml_that_cannot_be_read(tmp_path, text, said):
         ([{"annotations": [{"result": [region(None)]}]}], "region r has 0 labels"),
         ([{"annotations": [{"result": [region(width=0)]}]}], "the box has no area"),
         ([{"annotations": [{"result": [region(width=math.inf)]}]}], "are no pixels"),
+        ([{"annotations": [{"result": [region(width=10**400)]}]}], "int too large"),
         ([{"annotations": [{"result": [{"type": "textarea"}]}]}], "has no track of a box or a point"),
         ([{"data": {}}], "it has no 'annotations'"),
     ],

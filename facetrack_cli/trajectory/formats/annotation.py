@@ -322,7 +322,7 @@ def read_labelstudio(
                     why = "is there twice, here or in another region of the same label; remove one"
                     raise InputError(f"{where}, frame {frame}: {why}")
                 sequence[frame] = time, mark
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as e:
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as e:
         why = f"it has no {e}" if isinstance(e, KeyError) else f"{e!s:.60}"
         raise InputError(f"{path}: is not Label Studio's JSON of a video ({why}); export it again, as JSON") from None
     by_hand = ((n, time) for own in sequences.values() for n, (time, mark) in own.items() if mark.by_hand)
