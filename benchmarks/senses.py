@@ -61,7 +61,7 @@ def share(clip: Path, reference: Path, sense: str, seed: int) -> float:
         if sense == "-cuts":
             without.enter_context(patch.object(Passing, "after", lambda self, frame: (self, "")))
         if sense == "-looks":
-            without.enter_context(patch.object(target, "by_looks", lambda views, faces, frame: np.zeros(len(faces))))
+            without.enter_context(patch.object(target, "by_looks", lambda views, faces, *others: np.zeros(len(faces))))
         if sense == "-embedding":
             without.enter_context(patch.object(looks, "embedding_model", lambda: None))
         ours = track_video(clip, load_recipe("face", OVERRIDES.get(sense, [])), seed=seed)

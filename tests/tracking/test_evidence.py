@@ -164,7 +164,7 @@ def test_places_speak_for_a_face_where_the_target_was_and_against_others_while_i
 def test_looks_are_bounded(monkeypatch):
     known = [Picture.of(shown((BOX, 1)), place(BOX)._replace(scale=BOX[2]))]
 
-    def like(looks, *, colours):
+    def like(looks, senses):
         return np.array([[100 * (one.face[0] @ looks[0].face[0] - 0.5) for one in looks]])
 
     monkeypatch.setattr(evidence, "same_person", like)

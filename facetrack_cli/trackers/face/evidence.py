@@ -11,10 +11,11 @@ target has the log odds
     place       NEAR where the target was last seen, -AWAY elsewhere while it is held to be covered; 0 after a cut
 
 A face that is seen in the place of a target that was not seen for a while may be of somebody who walks by. The log
-odds that it is the target are AGAIN + looks, the mean of LOOKS_AGAIN looks at most and without colours: the light and
-what is around are those of before. If they speak for somebody else, place says nothing any more, and the prior grows
-from 0 by 1 a second up to SHOT, since who walks by does not stay. This takes the extra `people`, since grey views of a
-head that turns differ as much as those of two people, and YuNet, whose eyes lay out all views alike.
+odds that it is the target are AGAIN + looks, the mean of LOOKS_AGAIN looks at most. Light and what is around are those
+of before, and grey views of a head that turns differ as much as those of two people, so the embedding alone looks, and
+counts less where the face is small. If it speaks for somebody else, place says nothing any more, two looks must agree that
+the target is back, and the prior grows from 0 by 1 a second up to SHOT, since who walks by does not stay. This takes the extra `people`, and YuNet, whose eyes
+lay out all views alike.
 
 No term has a veto: skin changes with the light, hair with a hat.
 People change places over cuts, so the looks decide there, and hardly elsewhere. What looks like a cut and was a flash,
@@ -27,7 +28,7 @@ face looks otherwise than in all views so far: then the view is kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final, NamedTuple, TypeVar
 
 import cv2
@@ -38,12 +39,13 @@ from facetrack_cli.core.types import Array, Box, Frame
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
 from facetrack_cli.trackers.people.descriptor import Picture, together
-from facetrack_cli.trackers.people.identity import same_person
+from facetrack_cli.trackers.people.identity import SENSES, same_person
 
 SHOT, CUT = 5.0, 2.3  # log odds that the one face of a frame is the target, in one shot and after a cut
 BOUND: Final = 4.0  # of the log odds by looks
-AGAIN: Final = 1.0  # log odds that the face that is seen in a target's place after it was not seen is the target
-SEEN_PX: Final = 45  # pixels of a face's box below which an embedding of one view does not tell people from each other
+AGAIN: Final = 2.0  # log odds that the face that is seen in a target's place after it was not seen is the target
+SEEN_PX: Final = 100  # pixels of a face's box below which an embedding of one view tells less of who it is
+WHO: Final = ("embedding",)  # senses that tell somebody who walks by from the target
 NEAR: Final = 3.0  # log odds of a face where the target was
 AWAY: Final = 2.0  # ... less, of a face elsewhere while the target is covered
 STAYS: Final = 0.5  # seconds that a face is seen before it is the target, and after which a cut was one
@@ -96,9 +98,10 @@ class Sighting(NamedTuple):
         mean = before.by_looks + (self.by_looks - before.by_looks) / views
         return self._replace(since=before.since, by_looks=mean, views=views)
 
-    def is_target(self, frame: Frame) -> bool:
-        """Whether it is followed from this frame on: at once if it looks so, else if it stays."""
-        return self.p > 0.5 and (self.latest > KNOWN or frame.time_s - self.since >= STAYS)
+    def is_target(self, frame: Frame, views: int = 1) -> bool:
+        """Whether it is followed from this frame on: if it looks so in that many views, else if it stays."""
+        known = self.latest > KNOWN and self.views >= views
+        return self.p > 0.5 and (known or frame.time_s - self.since >= STAYS)
 
 
 def by_place(last: Similarity, faces: Sequence[Similarity], *, covered: bool) -> Array:
@@ -140,13 +143,15 @@ def probabilities(looks: Array, others: Array, alone: float) -> Array:
     return np.asarray(p / (math.exp(-most) + p.sum()))
 
 
-def by_looks(views: Sequence[Picture], faces: Sequence[Similarity], frame: Frame, *, colours: bool = True) -> Array:
+def by_looks(
+    views: Sequence[Picture], faces: Sequence[Similarity], frame: Frame, senses: Collection[str] = SENSES
+) -> Array:
     """Bounded log odds (K,) that faces, upright in their stabilized images, are the person of the `views`."""
     if not faces:
         return np.zeros(0)
     looks = [together(view.looks for view in views)]
     looks += [Picture.of(frame, face._replace(scale=face.scale * FACE)).looks for face in faces]
-    return np.clip(same_person(looks, colours=colours)[0, 1:], -BOUND, BOUND)
+    return np.clip(same_person(looks, senses)[0, 1:], -BOUND, BOUND)
 
 
 def look_of(still: Frame) -> Array:

@@ -45,6 +45,7 @@ from facetrack_cli.trackers.face.evidence import (
     SEEN_PX,
     STAYS,
     SURE,
+    WHO,
     Sighting,
     by_looks,
     by_place,
@@ -68,6 +69,7 @@ from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, Sensor
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, mapped, moved, updated
 from facetrack_cli.trackers.people.descriptor import Picture, embedding_model
+from facetrack_cli.trackers.people.identity import SENSES
 from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
 
@@ -161,10 +163,11 @@ class FaceTarget(FaceParts):
         shots, event = state.shots.after(frame)
         cut_time = {"": state.cut_time, "none": None}.get(event, frame.time_s)
         state = state._replace(shots=shots, cut_time=cut_time)
-        if cut_time is None and state.stranger_time is None:
+        stranger = state.stranger_time is not None
+        if cut_time is None and not stranger:
             return self._step(rng, state, frame, footprints)
         just_cut = cut_time is not None and frame.time_s - cut_time <= STAYS
-        if just_cut and state.stranger_time is None:
+        if just_cut and not stranger:
             after, result = self._step(rng, state, frame, footprints)
             if after.cut_time is None or self._stays(after, frame):
                 return after._replace(cut_time=None), result
@@ -172,7 +175,7 @@ class FaceTarget(FaceParts):
                 return after, result
         if just_cut or event or self._is_due(state):
             state = self._searched(state, frame)
-            if (sighting := state.sighting) is not None and sighting.is_target(frame):
+            if (sighting := state.sighting) is not None and sighting.is_target(frame, 2 if stranger else 1):
                 return self._returned(rng, state, sighting, frame)
         head, info = self.head.unseen(rng, state.head, frame, anywhere=not just_cut)
         return self._unseen(state._replace(head=head), info, frame)
@@ -242,13 +245,13 @@ class FaceTarget(FaceParts):
         """`again` of the state with a look at the face that is seen in the target's place; None if it is recognised."""
         # faces look alike where they are laid out alike, which boxes drawn by hand and those of cascades are not
         laid_out = self.sensors.searched and view.detection is not None and view.detection.eyes is not None
-        if not laid_out or view.similarity.scale * FACE < SEEN_PX or embedding_model() is None:
+        if not laid_out or embedding_model() is None:
             return None
         in_place = by_place(state.last_seen, [view.similarity], covered=False)[0] > 0
         if not in_place or likeness(state.looks, look_of(view.image)) >= ALIKE:
             return None
-        [odds] = by_looks(state.pictures, [view.similarity], frame, colours=False).tolist()
-        again = (*(state.again or ()), odds)
+        [odds] = by_looks(state.pictures, [view.similarity], frame, WHO).tolist()
+        again = (*(state.again or ()), odds * min(view.similarity.scale * FACE / SEEN_PX, 1.0))
         return None if odds > KNOWN or (len(again) == LOOKS_AGAIN and mean(again) + AGAIN > 0) else again
 
     def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> FaceView:
@@ -431,7 +434,7 @@ class FaceTarget(FaceParts):
             maps = [face.similarity for face in sightings]
             cut = state.cut_time is not None
             stranger = state.stranger_time is not None and not cut
-            looks = by_looks(state.pictures, maps, frame, colours=not stranger)
+            looks = by_looks(state.pictures, maps, frame, WHO if stranger else SENSES)
             sightings = [
                 face._replace(by_looks=odds, latest=odds).after(state.sighting)
                 for face, odds in zip(sightings, looks.tolist(), strict=True)

@@ -12,7 +12,7 @@ This is recognition of an open set, without a gallery: Zhou et al. (2003) recogn
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -104,12 +104,9 @@ def cast_of(tracks: Sequence[TrackSummary], known: Sequence[FaceDescriptor] = ()
     return Cast(person[label[k:]], own[k:], tuple(doubts))
 
 
-def same_person(looks: Sequence[FaceDescriptor], *, colours: bool = True) -> Array:
-    """(T, T) log odds, bounded, that two tracks show one person, by what is seen in them.
-
-    Without `colours` by the faces alone.
-    """
-    return np.asarray(_senses(looks, colours=colours).sum(axis=0))
+def same_person(looks: Sequence[FaceDescriptor], senses: Collection[str] = SENSES) -> Array:
+    """(T, T) log odds, bounded, that two tracks show one person, by what some of the SENSES see in them."""
+    return np.asarray(_senses(looks, senses).sum(axis=0))
 
 
 def _best(looks: FaceDescriptor) -> Whole:
@@ -123,9 +120,9 @@ def worth_of(looks: FaceDescriptor) -> float:
     return float(np.mean(looks.worth[_best(looks)]))
 
 
-def _senses(looks: Sequence[FaceDescriptor], *, colours: bool = True) -> Array:
+def _senses(looks: Sequence[FaceDescriptor], senses: Collection[str] = SENSES) -> Array:
     """(S, T, T) the log odds by each sense."""
-    each = [(*SENSES[name], far) for name, far in distances(looks).items() if colours or name != "colour"]
+    each = [(*SENSES[name], far) for name, far in distances(looks).items() if name in senses]
     return np.array([np.clip(np.tensordot(by, far, 1), -against, most) for by, against, most, far in each])
 
 
