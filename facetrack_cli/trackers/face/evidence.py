@@ -13,9 +13,9 @@ target has the log odds
 A face that is seen in the place of a target that was not seen for a while may be of somebody who walks by. The log
 odds that it is the target are AGAIN + looks, the mean of LOOKS_AGAIN looks at most. Light and what is around are those
 of before, and grey views of a head that turns differ as much as those of two people, so the embedding alone looks, and
-counts less where the face is small. If it speaks for somebody else, place says nothing any more, two looks must agree that
-the target is back, and the prior grows from 0 by 1 a second up to SHOT, since who walks by does not stay. This takes the extra `people`, and YuNet, whose eyes
-lay out all views alike.
+counts less where the face is small. If it speaks for somebody else, place says nothing any more, two looks must agree
+that the target is back, and the prior grows from 0 by 1 a second up to SHOT, since who walks by does not stay. This
+takes the extra `people`, and YuNet, whose eyes lay out all views alike.
 
 No term has a veto: skin changes with the light, hair with a hat.
 People change places over cuts, so the looks decide there, and hardly elsewhere. What looks like a cut and was a flash,

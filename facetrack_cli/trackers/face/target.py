@@ -173,7 +173,8 @@ class FaceTarget(FaceParts):
                 return after._replace(cut_time=None), result
             if head_confidence(after.head) >= SETTLED and after.log_odds <= 0:  # a head that is blurred or covered
                 return after, result
-        if just_cut or event or self._is_due(state):
+        once = stranger and state.sighting is not None and state.sighting.latest > KNOWN  # and asked for a second look
+        if just_cut or event or once or self._is_due(state):
             state = self._searched(state, frame)
             if (sighting := state.sighting) is not None and sighting.is_target(frame, 2 if stranger else 1):
                 return self._returned(rng, state, sighting, frame)
