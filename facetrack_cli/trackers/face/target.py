@@ -38,6 +38,7 @@ from facetrack_cli.trackers.face import stabilized, window_ncc
 from facetrack_cli.trackers.face.evidence import (
     AGAIN,
     ALIKE,
+    BOUND,
     KNOWN,
     LOOKS_AGAIN,
     MAYBE,
@@ -246,13 +247,14 @@ class FaceTarget(FaceParts):
         """`again` of the state with a look at the face that is seen in the target's place; None if it is recognised."""
         # faces look alike where they are laid out alike, which boxes drawn by hand and those of cascades are not
         laid_out = self.sensors.searched and view.detection is not None and view.detection.eyes is not None
-        if not laid_out or embedding_model() is None:
+        weight = min(view.similarity.scale * FACE / SEEN_PX, 1.0)
+        if not laid_out or weight * BOUND <= AGAIN or embedding_model() is None:
             return None
         in_place = by_place(state.last_seen, [view.similarity], covered=False)[0] > 0
         if not in_place or likeness(state.looks, look_of(view.image)) >= ALIKE:
             return None
         [odds] = by_looks(state.pictures, [view.similarity], frame, WHO).tolist()
-        again = (*(state.again or ()), odds * min(view.similarity.scale * FACE / SEEN_PX, 1.0))
+        again = (*(state.again or ()), weight * odds)
         return None if odds > KNOWN or (len(again) == LOOKS_AGAIN and mean(again) + AGAIN > 0) else again
 
     def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> FaceView:
