@@ -70,7 +70,6 @@ from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, Sensor
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, mapped, moved, updated
 from facetrack_cli.trackers.people.descriptor import Picture, embedding_model
-from facetrack_cli.trackers.people.identity import SENSES
 from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
 
@@ -435,15 +434,13 @@ class FaceTarget(FaceParts):
         if faces:
             sightings = [Sighting.of(face, frame) for face in faces]
             maps = [face.similarity for face in sightings]
-            cut = state.cut_time is not None
-            stranger = state.stranger_time is not None and not cut
-            looks = by_looks(state.pictures, maps, frame, WHO if stranger else SENSES)
+            looks = by_looks(state.pictures, maps, frame).tolist()
             sightings = [
                 face._replace(by_looks=odds, latest=odds).after(state.sighting)
-                for face, odds in zip(sightings, looks.tolist(), strict=True)
+                for face, odds in zip(sightings, looks, strict=True)
             ]
-            covered = self._is_covered(state.head)
-            place = by_place(state.last_seen, maps, covered=covered) * (not cut and not stranger)
+            covered, in_place = self._is_covered(state.head), state.cut_time is None and state.stranger_time is None
+            place = by_place(state.last_seen, maps, covered=covered) * in_place
             mean_looks = np.array([face.by_looks for face in sightings])
             p = probabilities(mean_looks, place, self._prior(state._replace(crowded=crowded), frame))
             best = int(p.argmax())
