@@ -38,6 +38,7 @@ from facetrack_cli.trackers.face import stabilized, window_ncc
 from facetrack_cli.trackers.face.evidence import (
     AGAIN,
     ALIKE,
+    BOUND,
     KNOWN,
     LOOKS_AGAIN,
     MAYBE,
@@ -69,7 +70,6 @@ from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, Sensor
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, mapped, moved, updated
 from facetrack_cli.trackers.people.descriptor import Picture, embedding_model
-from facetrack_cli.trackers.people.identity import SENSES
 from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
 
@@ -246,13 +246,14 @@ class FaceTarget(FaceParts):
         """`again` of the state with a look at the face that is seen in the target's place; None if it is recognised."""
         # faces look alike where they are laid out alike, which boxes drawn by hand and those of cascades are not
         laid_out = self.sensors.searched and view.detection is not None and view.detection.eyes is not None
-        if not laid_out or embedding_model() is None:
+        weight = min(view.similarity.scale * FACE / SEEN_PX, 1.0)
+        if not laid_out or weight * BOUND <= AGAIN or embedding_model() is None:
             return None
         in_place = by_place(state.last_seen, [view.similarity], covered=False)[0] > 0
         if not in_place or likeness(state.looks, look_of(view.image)) >= ALIKE:
             return None
         [odds] = by_looks(state.pictures, [view.similarity], frame, WHO).tolist()
-        again = (*(state.again or ()), odds * min(view.similarity.scale * FACE / SEEN_PX, 1.0))
+        again = (*(state.again or ()), weight * odds)
         return None if odds > KNOWN or (len(again) == LOOKS_AGAIN and mean(again) + AGAIN > 0) else again
 
     def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> FaceView:
@@ -433,15 +434,13 @@ class FaceTarget(FaceParts):
         if faces:
             sightings = [Sighting.of(face, frame) for face in faces]
             maps = [face.similarity for face in sightings]
-            cut = state.cut_time is not None
-            stranger = state.stranger_time is not None and not cut
-            looks = by_looks(state.pictures, maps, frame, WHO if stranger else SENSES)
+            looks = by_looks(state.pictures, maps, frame).tolist()
             sightings = [
                 face._replace(by_looks=odds, latest=odds).after(state.sighting)
-                for face, odds in zip(sightings, looks.tolist(), strict=True)
+                for face, odds in zip(sightings, looks, strict=True)
             ]
-            covered = self._is_covered(state.head)
-            place = by_place(state.last_seen, maps, covered=covered) * (not cut and not stranger)
+            covered, in_place = self._is_covered(state.head), state.cut_time is None and state.stranger_time is None
+            place = by_place(state.last_seen, maps, covered=covered) * in_place
             mean_looks = np.array([face.by_looks for face in sightings])
             p = probabilities(mean_looks, place, self._prior(state._replace(crowded=crowded), frame))
             best = int(p.argmax())
