@@ -9,8 +9,8 @@
 # callee is put into its caller by forceinline=True. Nothing is said. A filter that draws by weights goes another way from
 # such a bit, so a first run in a fresh container, as in CI, need not repeat the results of a later one.
 # Packages: numba 0.68.1, llvmlite 0.50.0, numpy 2.4.6.
-# Data: a made-up symmetric matrix.
-# Output seen, with digits that depend on the processor:
+# Data: a made-up symmetric matrix. Which digits differ depends on the processor.
+# Output seen:
 #   fastmath, callee by itself: compiled -0.362517550730043, cached -0.36251755073004305; same bytes: False
 #   fastmath, callee inlined: compiled -0.36251755073004305, cached -0.36251755073004305; same bytes: True
 #   no fastmath, callee by itself: compiled -0.3625175507300431, cached -0.3625175507300431; same bytes: True
