@@ -199,6 +199,9 @@ def side_by_side(
                         continue
                     memory = " (too little memory?)" * (code == -9)
                     result = FacetrackError(f"its process ended with code {code}{memory}")
+                except Exception as e:  # a result that cannot be put together here, as an error of a plug-in may be
+                    idle.append((pipe, process))
+                    result = e
                 yield index, result
             report(sum(frames))
     finally:

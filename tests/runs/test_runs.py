@@ -119,6 +119,22 @@ def _ends_itself(task, stop, report):
     return found
 
 
+class _PlugInError(Exception):
+    def __init__(self, what, where):
+        super().__init__(f"{what} in {where}")  # of which a pickle gives one argument
+
+
+def _refuses(task, stop, report):
+    if task == "bad":
+        raise _PlugInError("no weights", "a frame")
+    return task
+
+
+def test_an_error_that_cannot_be_put_together_again_costs_its_own_task_alone():
+    ended = dict(workers.side_by_side(["bad", "one", "two"], _refuses, 2, Stop()))
+    assert isinstance(ended[0], Exception) and (ended[1], ended[2]) == ("one", "two")
+
+
 def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch, tmp_path):
     monkeypatch.setattr(seeds, "_work", _ends_itself)
     one, dead = plan(seeds=(0,)), replace(plan(), label="dead")
