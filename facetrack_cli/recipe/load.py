@@ -232,11 +232,7 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
                 who = f"{recipe.name} says who somebody is, of the people of a gallery"
                 raise UsageError(f"--gallery is missing: {who}; {remedy}")
         return list(recipes)
-    there = False
-    with suppress(OSError, ValueError):  # a name that the file system does not take
-        there = Path(file).is_file()
-    if not there:
-        raise InputError(f"--gallery {printable(file)}: no such file; name one {_MADE_BY}")
+    gallery_file(file)
     recognising = any(map(_recognising, recipes))
     if not recognising and not any(map(_affine, recipes)):
         what = f"{recipes[0].name} follows no affine target, by which alone people are recognised"
@@ -256,6 +252,14 @@ def _affine(recipe: Recipe) -> list[str]:
 def wants_gallery(recipe: Recipe) -> bool:
     """Whether it recognises and does not say whom."""
     return any(settings.recognition and settings.recognition.gallery is None for settings in recipe.filters.values())
+
+
+def gallery_file(file: str) -> Path:
+    """The path of a file of --gallery. Raises InputError for what is no file."""
+    with suppress(OSError, ValueError):  # a name that the file system does not take
+        if Path(file).is_file():
+            return Path(file)
+    raise InputError(f"--gallery {printable(file)}: no such file; name one {_MADE_BY}")
 
 
 def put_gallery(recipe: Recipe, file: str) -> Recipe:

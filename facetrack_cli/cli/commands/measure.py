@@ -334,7 +334,7 @@ def regress_command(
     """
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.goldens import as_junit, regress, tasks
-    from facetrack_cli.recipe.load import load_recipe
+    from facetrack_cli.recipe.load import gallery_file, load_recipe
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trackers.appearance.gallery import load_gallery
@@ -346,7 +346,7 @@ def regress_command(
     if junit is not None:
         check_new(junit, overwrite=overwrite)
     if gallery is not None:  # a mistake in the option is no regression
-        load_gallery(gallery)
+        load_gallery(gallery_file(str(gallery)))
     names = {load_recipe(name, overrides, installed=False).name: name for name in config}
     asked = tasks(folder, names, update=update)
     fails, began, results = "not recorded" if update else "FAILS", time.monotonic(), []

@@ -82,8 +82,7 @@ def reduced(frame: Frame, factor: int) -> Image:
     if factor == 1 or frame.yuv is None or (planes := frame.planes(factor // 2, whole)) is None:
         return frame.reduced(factor, whole)[0]
     y, u, v = (plane[0] for plane in planes)
-    both = Planes(y[: 2 * u.shape[0], : 2 * u.shape[1]], u, v, frame.yuv.ours).joined()
-    image = cv2.cvtColor(both, cv2.COLOR_YUV2BGR_I420)
+    image = Planes(y[: 2 * u.shape[0], : 2 * u.shape[1]], u, v, frame.yuv.ours).bgr
     return np.asarray(cv2.resize(image, u.shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)
 
 

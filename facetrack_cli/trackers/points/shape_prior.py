@@ -36,6 +36,7 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.engine.protocols import Prior
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.recipe.load import resolve_file
+from facetrack_cli.trackers.points.point_kernels import LANES, PADDING, parzen
 from facetrack_cli.trackers.points.settings import ParzenSettings
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned
@@ -138,7 +139,7 @@ class BoundPrior(Prior):
         self.stable, self._width = parts.index(prior.stable), sigma * self.length
         self.moving = [k for k in range(len(parts)) if k != self.stable]
 
-    @cached_property  # the prior of a face has no use for tables, nor for their kernel
+    @cached_property  # the prior of a face has no use for tables
     def _all(self) -> tuple[Any, ...]:
         return self._table(self.moving, self.stable)
 
@@ -149,8 +150,6 @@ class BoundPrior(Prior):
 
     def _table(self, parts: list[int], stable: int) -> tuple[Any, ...]:
         """What the kernels need to compare hypotheses with all shapes over some of the parts."""
-        from facetrack_cli.trackers.points.point_kernels import LANES, PADDING
-
         h = self.shapes[:, parts] / self.sigma
         if stable < 0:
             h = h - h.mean(1, keepdims=True)
@@ -162,8 +161,6 @@ class BoundPrior(Prior):
         return np.array(parts, np.int64), self.first, stable, self._width, padded, bias
 
     def _log_sum(self, table: tuple[Any, ...], x: Array) -> Array:
-        from facetrack_cli.trackers.points.point_kernels import parzen
-
         return np.asarray(parzen(np.ascontiguousarray(x, np.float64), *table, np.empty(0))[0])
 
     def _spread(self, part: int) -> float:
@@ -175,8 +172,6 @@ class BoundPrior(Prior):
 
     def propose(self, rng: np.random.Generator, x: Array, part: int) -> Array:
         """(N, 2): part `part` drawn from the prior given the other parts of each particle; x[:, part] is not read."""
-        from facetrack_cli.trackers.points.point_kernels import parzen
-
         x = np.ascontiguousarray(x, np.float64)
         u, noise = rng.random(len(x)), rng.standard_normal((len(x), 2))
         chosen = parzen(x, *self._without[part], u)[1]
