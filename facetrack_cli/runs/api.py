@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-import threading
-import weakref
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any, Final, Literal, TypeAlias
 
 import cv2
@@ -31,12 +28,14 @@ from facetrack_cli.recipe.load import default_recipe, load_recipe
 from facetrack_cli.recipe.model import Recipe, seeded, to_dict
 from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.people import cast_in
-from facetrack_cli.runs.plan import Job, check_count, check_smoothing, completed, resolve, search, silent
+from facetrack_cli.runs.plan import Job, check_count, check_smoothing, completed, resolve, silent, with_names
 from facetrack_cli.runs.progress import Bar, Progress, watched
 from facetrack_cli.runs.record import ClipFacts, Recorder, Results, Rows, RunFolder, header_of, outputs
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import read_init
+from facetrack_cli.start.search import searching
+from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.people import under_names
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
@@ -341,7 +340,8 @@ class Tracker:
         self._by: DetectorName | None = None if isinstance(begin, Start) else begin
         self._size: tuple[int, int] | None = None
         self._next, self._last_s = 0, -1.0
-        self._search: _Search | None = None
+        self._search: Generator[Start | None, Frame | None, None] | None = None
+        self._waiting: list[Frame] = []  # for a start
         self._tracker: Any = None
         self._at = TrackState()
         if state is not None:
@@ -383,21 +383,20 @@ class Tracker:
 
         Where nobody is found, it begins to search `again`, or raises InputError.
         """
-        waiting = [] if frame is None else [frame]
+        self._waiting += [] if frame is None else [frame]
         if self.start is None:
-            self._search = self._search or _Search(self.recipe, self._by)
-            answer = self._search.give(frame)
-            if answer is None:
-                return
-            waiting, self._search = self._search.kept, None
-            if isinstance(answer, InputError):
-                if again:
+            try:
+                self._seek(frame)
+            except InputError:
+                several = self._search is not None and len(self._waiting) > 1
+                self._search, self._waiting = None, []
+                if again and several:
                     return
-                raise answer
-            self.start = answer
-        start = self.start
+                raise
+        if (start := self.start) is None:
+            return
+        waiting, self._waiting = [kept for kept in self._waiting if kept.index >= start.frame], []
         if self._tracker is None:
-            waiting = [kept for kept in waiting if kept.index >= start.frame]
             if not waiting and frame is None:
                 raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
             if not waiting:
@@ -406,6 +405,15 @@ class Tracker:
             self._tracker = tracker_for(self.recipe, start, waiting[0].size)
         for result in track(self._tracker, iter(waiting), self.recipe.seed, clip=IMAGES, at=self._at):
             yield replace(result, start=start) if result.frame.index == start.frame else result
+
+    def _seek(self, frame: Frame | None) -> None:
+        """Look for the start in one more frame, or at their end (None). InputError where there is none in them all."""
+        if self._search is None:
+            complete = partial(with_names, self.recipe, IMAGES)
+            search = searching(self.recipe.points, detector(self._by), IMAGES, complete)
+            next(search)
+            self._search = search
+        self.start = self._search.send(frame)
 
     def save(self, path: str | Path) -> None:
         """Write all that it knows, also while no target is found.
@@ -419,7 +427,7 @@ class Tracker:
         OutputError : for a file that cannot be written.
         UsageError : for a tracker of OpenCV, which does not give its state away.
         """
-        kept = [] if self._search is None else [(frame.index, frame.time_s, frame.bgr) for frame in self._search.kept]
+        kept = [(frame.index, frame.time_s, frame.bgr) for frame in self._waiting]
         state = self.start, self._at, self._size, self._next, self._last_s, kept
         try:
             arrays = flat_value("known", state)
@@ -435,53 +443,12 @@ class Tracker:
             return read_value(stored, "known")
 
         self.start, self._at, self._size, self._next, self._last_s, kept = KIND.read(path, make)
-        if kept:
-            self._search = _Search(self.recipe, self._by)
-            for index, time_s, image in kept:
-                self._search.give(Frame(index, time_s, image))
+        for index, time_s, image in kept:
+            self._waiting.append(Frame(index, time_s, image))
+            self._seek(self._waiting[-1])
         if self._at.states and self.start is not None and self._size is not None:
             self._tracker = tracker_for(self.recipe, self.start, self._size)
 
     @property
     def _key(self) -> str:
         return dumps([to_dict(self.recipe), self.fps])
-
-
-class _Search:
-    """A search for a face that is given its frames one by one; a thread of its own waits for the next.
-
-    `kept` are the frames so far.
-    """
-
-    def __init__(self, recipe: Recipe, by: DetectorName | None) -> None:
-        self.kept: list[Frame] = []
-        images, answers = SimpleQueue[Frame | None](), SimpleQueue[Start | Exception | None]()
-        self._given, self._answers = images, answers
-
-        def frames() -> Iterator[Frame]:
-            while True:
-                answers.put(None)  # it wants one more
-                if (frame := images.get()) is None:
-                    return
-                yield frame
-
-        def run() -> None:
-            try:
-                answers.put(search(recipe, frames(), IMAGES, by=by, whole=False))
-            except Exception as e:
-                answers.put(e)
-
-        threading.Thread(target=run, name="search", daemon=True).start()
-        weakref.finalize(self, images.put, None)
-        self._first = answers.get()
-
-    def give(self, frame: Frame | None) -> Start | InputError | None:
-        """The start, None while it is not known, or why there is none in all frames; `frame` None is their end."""
-        if isinstance(self._first, Exception):  # as of a detector that is not installed
-            raise self._first
-        self.kept += [] if frame is None else [frame]
-        self._given.put(frame)
-        answer = self._answers.get()
-        if isinstance(answer, Exception) and (not isinstance(answer, InputError) or len(self.kept) == 1):
-            raise answer
-        return answer if isinstance(answer, InputError | Start) else None

@@ -11,6 +11,7 @@ import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, fields, replace
 from fractions import Fraction
+from functools import partial
 from itertools import islice
 from numbers import Integral
 from pathlib import Path
@@ -128,7 +129,8 @@ class ClipRequest:
             faces: Faces = "all" if recipe.later else self.faces
             frames = frames_of(source, at, origin, stopped, looked)
             try:
-                start = search(recipe, frames, str(self.clip), by=self.by, faces=faces)
+                how = {"detector": detector(self.by), "faces": faces, "clip": str(self.clip)}
+                start = search_start(frames, recipe.points, complete=partial(with_names, recipe, str(self.clip)), **how)
             except InputError:
                 if stopped():
                     raise InputError(f"{self.clip}: stopped before a start was found") from None
@@ -201,7 +203,7 @@ def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: st
         if not set(recipe.followed) <= {*start.targets, *recipe.later}:
             frame = first()
             check_start(start, frame.size, ())
-        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later, clip=clip)
+        return with_names(recipe, clip, frame, start)
     name, target = next(iter(start.targets.items()))
     if len(start.targets) > 1 or target.points or target.box is None or not recipe.points:
         return start
@@ -210,22 +212,9 @@ def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: st
     return replace(start, targets={name: replace(placed, windows=target.windows)}, placed=start.detector != "")
 
 
-def search(
-    recipe: Recipe,
-    frames: Iterator[Frame],
-    clip: str,
-    *,
-    by: DetectorName | None = None,
-    faces: Faces = "one",
-    whole: bool = True,
-) -> Start:
-    """The start at the first face in `frames`, if not `whole` in the first ones alone. InputError if there is none."""
-
-    def complete(frame: Frame, start: Start) -> Start:
-        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later, clip=clip)
-
-    look = detector(by)
-    return search_start(frames, recipe.points, detector=look, faces=faces, whole=whole, clip=clip, complete=complete)
+def with_names(recipe: Recipe, clip: str, frame: Frame | None, start: Start) -> Start:
+    """The start with the targets that the recipe names, as the frame shows them."""
+    return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later, clip=clip)
 
 
 def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:

@@ -15,9 +15,8 @@ EVERY_JSON_S = 1.0  # between objects of JSON, which nobody reads
 
 def progress(quiet: bool) -> contextlib.closing[Progress]:
     """The kind that fits standard error, for a `with`."""
-    if as_json():
-        return contextlib.closing(Events(quiet))
-    return contextlib.closing(Bar() if sys.stderr.isatty() and not quiet else Progress(quiet))
+    has_bar = sys.stderr.isatty() and not quiet and not as_json()
+    return contextlib.closing(Bar() if has_bar else Progress(quiet))
 
 
 def watched() -> bool:
@@ -26,7 +25,10 @@ def watched() -> bool:
 
 
 class Progress:
-    """One task at a time, in `unit`s: frames of a clip, clips of a batch. A line every ten seconds, none if `quiet`."""
+    """One task at a time, in `unit`s: frames of a clip, clips of a batch. A line every ten seconds, none if `quiet`.
+
+    In JSON an object for each message, with the clip, and every second one with how far it is.
+    """
 
     _name = _unit = _doing = ""
 
@@ -51,11 +53,18 @@ class Progress:
         self._show(done, total, rate, self._unit)
 
     def _show(self, done: int, total: int | None, rate: float | None, unit: str) -> None:
-        if not self._quiet and self._due(EVERY_S):
+        if self._quiet or not self._due(EVERY_JSON_S if as_json() else EVERY_S):
+            return
+        speed = self._speed(done, rate, unit)
+        if as_json():
+            far = {"done": done, "total": total or None, "unit": unit, "frames_per_s": speed}
+            write_line(f"progress{self._doing}", clip=self._clip(), **far)
+        else:
             # the length that a file states is a guess
             of = "" if not total else f" of about {total}" if unit == "frames" else f" of {total}"
-            speed = "" if unit == "kernels" else f", {self._rate(done, rate):.1f} frames/s"
-            self.say(f"{self._name}{self._doing}: {done}{of} {unit}{speed}")
+            self.say(
+                f"{self._name}{self._doing}: {done}{of} {unit}{'' if speed is None else f', {speed:.1f} frames/s'}"
+            )
 
     def say(self, line: str) -> None:
         """A line that stays."""
@@ -66,7 +75,7 @@ class Progress:
         """A line for who sits before a terminal and waits."""
 
     def error(self, line: str) -> None:
-        write_line(line)
+        write_line(line, clip=self._clip())
 
     def close(self) -> None:
         pass
@@ -78,21 +87,10 @@ class Progress:
         self._last = now if due else self._last
         return due
 
-    def _rate(self, done: int, rate: float | None) -> float:
-        return done / (time.monotonic() - self._began) if rate is None else rate
-
-
-class Events(Progress):
-    """A line of JSON for each message, with the clip, and every second one with how far it is."""
-
-    def _show(self, done: int, total: int | None, rate: float | None, unit: str) -> None:
-        if not self._quiet and self._due(EVERY_JSON_S):
-            speed = None if unit == "kernels" else round(self._rate(done, rate), 1)
-            far = {"done": done, "total": total or None, "unit": unit, "frames_per_s": speed}
-            write_line(f"progress{self._doing}", clip=self._clip(), **far)
-
-    def error(self, line: str) -> None:
-        write_line(line, clip=self._clip())
+    def _speed(self, done: int, rate: float | None, unit: str) -> float | None:
+        """Frames per second; None of what has none."""
+        own = done / (time.monotonic() - self._began) if rate is None else rate
+        return None if unit == "kernels" else round(own, 1)
 
     def _clip(self) -> str | None:
         name = re.sub(r"^\[\d+/\d+\] ", "", self._name)  # without the count of a batch
@@ -122,12 +120,10 @@ class Bar(Progress):
         if self._bar.task_ids and self._due(0.1):
             total = total if total and done <= total else None  # a stated length may be wrong
             count = f"{done}{f'/{total}' if total else ''} {unit}"
-            [task] = self._bar.task_ids
-            name, speed = (
-                flat(f"{self._name}{self._doing}"),
-                "" if unit == "kernels" else f"{self._rate(done, rate):.1f} frames/s",
-            )
-            self._bar.update(task, description=name, completed=done, total=total, count=count, rate=speed)
+            speed = self._speed(done, rate, unit)
+            about = {"count": count, "rate": "" if speed is None else f"{speed:.1f} frames/s"}
+            description = flat(f"{self._name}{self._doing}")
+            self._bar.update(self._bar.task_ids[0], description=description, completed=done, total=total, **about)
 
     def say(self, line: str) -> None:
         self._bar.console.print(flat(line), markup=False, highlight=False, soft_wrap=True)

@@ -3,10 +3,8 @@
 A chunk is a run of some frames of the clip, in a folder of its own. Chunks overlap, and begin at keyframes where there
 are some about the wished place. In each but the first a detector looks for the face.
 
-Two tracks of a target agree in a frame if its boxes overlap by half (intersection over union), and its points are, in
-the mean, apart by at most half the distance between the eyes; of faces whose eyes are not followed half the largest
-distance between two points, of a single point half the width of its window. Chunks agree if every target does, in
-`SHARE` of the frames that both have. None of this is in the papers.
+Two tracks of a target agree in a frame if the boxes around its parts overlap by half (intersection over union). Chunks
+agree if every target does, in `SHARE` of the frames that both have. None of this is in the papers.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, Whole
+from facetrack_cli.core.types import Array, Frame, Mask, Start, Whole
 from facetrack_cli.run_folder.manifest import clip_stat, read_manifest, read_run
 from facetrack_cli.run_folder.status import CHUNKS, PLAN, chunk_name
 from facetrack_cli.runs.batch import check_all, run_batch
@@ -42,17 +40,15 @@ from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.trackers.face.detectors import check_parts, detector
 from facetrack_cli.trajectory.reader import InitHeader, to_record
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
-from facetrack_cli.trajectory.views import choose
+from facetrack_cli.trajectory.views import Around, choose, enclose, has_windows
 from facetrack_cli.video.decode import read_index
 from facetrack_cli.video.source import FolderSource
 
 OVERLAP_S: Final = 5.0  # of two chunks
-OVERLAP: Final = 0.5  # of boxes, intersection over union
-APART: Final = 0.5  # mean distance of points, in sizes of their shape
+OVERLAP: Final = 0.5  # of the boxes around a target's parts
 SHARE: Final = 0.8  # of the frames that both have, in which they must agree
 TABLE: Final = "trajectory.json"
 _SAME: Final = 0.5  # of those frames, in which tracks of several faces agree if they are of one face
-_EYES: Final = ("eye_left", "eye_right")
 _NOTHING: Final = np.zeros((0, 0, 3), np.uint8)  # the pixels of a frame that nobody draws
 
 
@@ -269,46 +265,13 @@ def renamed(rows: Trajectory, names: Mapping[str, str]) -> Trajectory:
 
 
 def agreeing(ours: Trajectory, theirs: Trajectory) -> Mask:
-    """(T,) whether two tracks of one target agree, of the T frames of both in which either shows a part that both have.
-
-    A part that one of them alone shows is in another place.
-    """
+    """(T,) whether two tracks of one target agree, of the T frames of both in which either shows it."""
     frames = np.intersect1d(ours.frames, theirs.frames)
-    fine, visible = np.ones(len(frames), bool), np.zeros(len(frames), bool)
-    points: list[tuple[str, Trajectory]] = []
-    apart: list[Array] = []
-    others = {part.part: part for part in theirs.parts}
-    for part in ours.parts:
-        if (other := others.get(part.part)) is None:
-            continue
-        a, b = part.take(np.isin(part.frame, frames)), other.take(np.isin(other.frame, frames))
-        shown = np.isfinite(a.x), np.isfinite(b.x)
-        visible |= shown[0] | shown[1]
-        fine &= shown[0] == shown[1]
-        if part.part == BOX:
-            fine &= ~(iou(a.boxes, b.boxes) < OVERLAP)
-        else:
-            points.append((part.part, a))
-            apart.append(np.hypot(a.x - b.x, a.y - b.y))
-    if points:
-        distance = np.stack(apart)
-        many = np.isfinite(distance).sum(axis=0)
-        mean = np.nansum(distance, axis=0) / np.maximum(many, 1)
-        fine &= ~(mean > APART * _size(points))
-    agree: Mask = fine[visible]
+    around: Around = "windows" if any(map(has_windows, ours.parts)) else "points"
+    a, b = (enclose(rows.take(np.isin(rows.frame, frames)).parts, around) for rows in (ours, theirs))
+    shown = np.isfinite(a.x), np.isfinite(b.x)
+    agree: Mask = (shown[0] & shown[1] & (iou(a.boxes, b.boxes) >= OVERLAP))[shown[0] | shown[1]]
     return agree
-
-
-def _size(points: list[tuple[str, Trajectory]]) -> Array:
-    """(T,) the size of a shape in pixels; nan where it is not known."""
-    places = {part: np.stack([rows.x, rows.y], axis=1) for part, rows in points}
-    if all(eye in places for eye in _EYES):
-        return np.asarray(np.hypot(*(places[_EYES[0]] - places[_EYES[1]]).T))
-    if len(points) == 1:
-        return points[0][1].w
-    each = np.stack([*places.values()])
-    between = np.hypot(*np.moveaxis(each[:, None] - each[None], -1, 0))
-    return np.asarray(np.fmax.reduce(between, axis=(0, 1)))
 
 
 def _named(later: Trajectory, pairs: Mapping[str, str], taken: Collection[str]) -> dict[str, str]:
@@ -348,51 +311,47 @@ class _Survey:
     """
 
     end: int
+    variable: bool | None
     parts: list[_Part] = field(default_factory=list)
     chunks: list[dict[str, object]] = field(default_factory=list)
     seams: list[Seam] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
     warnings: dict[str, None] = field(default_factory=dict)
     complete: bool = True
-    variable: bool | None = None
-
-    def read(self, folder: Path, first: int, *, everyone: bool) -> Trajectory | str:
-        """The rows of a chunk; if it has none, why."""
-        run = read_manifest(folder)
-        why = "was not tracked" if run is None else run.error or run.stopped
-        if run is None or (why is not None and (run.files or run.exit_code != ExitCode.INPUT)):
-            self.failed.append(f"{CHUNKS}/{folder.name}: {why}")
-        if run is None or not run.files:
-            self.complete = False
-            self.chunks.append({"first": first, "frames": 0, "error": why})
-            return str(why)
-        self.end = first + run.frames
-        if everyone and not run.lost_frames:
-            with (folder / TABLE).open("rb") as table:
-                if not any(line.startswith(b'{"frame":') for line in table):
-                    self.chunks.append({"first": first, "frames": run.frames})
-                    return "it shows nobody"
-        rows = read_run(folder / TABLE)
-        self.chunks.append({"first": int(rows.frames[0]), "frames": len(rows.frames)})
-        self.warnings |= dict.fromkeys(rows.header.get("warnings", ()))
-        self.complete &= bool(rows.header.get("complete")) and why is None
-        self.variable = self.variable or rows.header.get("variable_fps")
-        return rows
 
 
 def _survey(whole: Plan, plan: ChunkPlan) -> _Survey:
     """What the chunks hold; at most two of them are in memory at a time. Raises InputError if none has rows."""
-    job, everyone = whole.job, whole.everyone
+    job, everyone, stop = whole.job, whole.everyone, plan.start.frame  # up to which there are rows so far
     assert job.out is not None
-    found = _Survey(plan.start.frame, variable=None if plan.cuts[-1][1] else False)
+    survey = _Survey(stop, None if plan.cuts[-1][1] else False)
     matched, taken = job.faces == "all" and not job.recipe.followed, set[str]()
-    before, why, said, gaps = None, "", list[str](), list[tuple[int, int | None, str]]()
-    stop = plan.start.frame  # of the rows so far
+    before, why, said = None, "", list[str]()
+
+    def note_gap(begin: int | None) -> None:
+        if not everyone and (begin is None or stop < begin):  # of a film a frame may show nobody
+            survey.complete, until = False, "on" if begin is None else f"to {begin - 1}"
+            said.append(f"{job.clip}: no rows of frames {stop} {until}{f' ({why})' if why else ''}")
+
     for i, (first, _) in enumerate(plan.cuts):
-        rows = found.read(folder := job.out / chunk_name(i), first, everyone=everyone)
-        if isinstance(rows, str):
-            why = rows
+        run = read_manifest(folder := job.out / chunk_name(i))
+        ended = "was not tracked" if run is None else run.error or run.stopped
+        if run is None or (ended is not None and (run.files or run.exit_code != ExitCode.INPUT)):
+            survey.failed.append(f"{CHUNKS}/{folder.name}: {ended}")
+        if run is None or not run.files:
+            survey.complete, why = False, str(ended)
+            survey.chunks.append({"first": first, "frames": 0, "error": ended})
             continue
+        survey.end = first + run.frames
+        if everyone and not run.lost_frames and b'\n{"frame":' not in (folder / TABLE).read_bytes():
+            why = "it shows nobody"
+            survey.chunks.append({"first": first, "frames": run.frames})
+            continue
+        rows = read_run(folder / TABLE)
+        survey.chunks.append({"first": int(rows.frames[0]), "frames": len(rows.frames)})
+        survey.warnings |= dict.fromkeys(rows.header.get("warnings", ()))
+        survey.complete &= bool(rows.header.get("complete")) and ended is None
+        survey.variable = survey.variable or rows.header.get("variable_fps")
         begins = first if everyone else int(rows.frames[0])
         names, marked = {name: name for name in rows.targets}, frozenset[str]()
         if before is not None:
@@ -403,26 +362,21 @@ def _survey(whole: Plan, plan: ChunkPlan) -> _Survey:
                 if seam.agreement is not None:
                     share = f"they agree in {100 * seam.agreement:.0f} % of the frames that both have"
                     said.append(f"{job.clip}: two chunks differ where they meet at frame {seam.frame}: {share}")
-            found.seams.append(seam)
+            survey.seams.append(seam)
             stop = min(stop, begins)
-            found.parts[-1] = found.parts[-1]._replace(stop=stop)
-        gaps.append((stop, begins, why))
+            survey.parts[-1] = survey.parts[-1]._replace(stop=stop)
+        note_gap(begins)
         stop, why = int(rows.frames[-1]) + 1, ""
-        found.parts.append(_Part(folder / TABLE, begins, stop, names, marked))
+        survey.parts.append(_Part(folder / TABLE, begins, stop, names, marked))
         taken |= {*names.values()}
         # what a chunk after one that failed may still have in common
         before = renamed(rows.between(plan.cuts[min(i + 1, len(plan.cuts) - 1)][0], stop), names)
-    if not found.parts:
+    if not survey.parts:
         raise InputError(f"{job.clip}: no chunk has rows: {why}")
     if why:
-        gaps.append((stop, plan.cuts[-1][1], why))
-    for first, begin, why in () if everyone else gaps:  # of a film a frame may show nobody
-        if begin is None or first < begin:
-            found.complete = False
-            until = "on" if begin is None else f"to {begin - 1}"
-            said.append(f"{job.clip}: no rows of frames {first} {until}{f' ({why})' if why else ''}")
-    found.warnings |= dict.fromkeys(said)
-    return found
+        note_gap(plan.cuts[-1][1])
+    survey.warnings |= dict.fromkeys(said)
+    return survey
 
 
 def join_chunks(plan: Plan, folder: RunFolder, stop: Stop, report: Report) -> Outcome:

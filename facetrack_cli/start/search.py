@@ -11,10 +11,10 @@ those of the first frame: noise averages out, and a mouth that moves keeps its f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import chain, islice
+from itertools import chain
 from math import degrees, isfinite
 from typing import Final, Literal, NamedTuple, TypeAlias
 
@@ -157,21 +157,18 @@ def search_start(
     *,
     detector: Detector | None = None,
     faces: Faces = "one",
-    whole: bool = True,
     clip: str = "the clip",
     complete: Callable[[Frame, Start], Start] = lambda frame, start: start,
 ) -> Start:
     """The start at the first face that stays: its box, and the parts placed in it (pixels, to 0.01).
 
-    The frames of the first `SEARCHED_S` are searched.
+    The frames of the first `SEARCHED_S` are searched. If they show nobody, the search goes on in steps that grow to
+    `MAX_STEP_S`. Where a detector finds a face there, each of the next frames is searched again.
 
     Parameters
     ----------
     faces
         With "all", faces that are there at the same time are targets `face`, `face_2`, and so on, by their size.
-    whole
-        If the first frames show nobody, the search goes on in steps that grow to `MAX_STEP_S`. Where a detector finds a
-        face there, each of the next frames is searched again.
     complete
         Adds what else the frame must show, or raises NotHereError.
 
@@ -183,9 +180,9 @@ def search_start(
     check_parts(parts)
     finder, coming = detector or Haar(), iter(frames)
     search = first = _Search(parts, finder, complete, 0.0)
-    rivals = search.through(coming if whole else islice(coming, SEARCHED_FRAMES), SEARCHED_S)
+    rivals = search.through(coming, SEARCHED_S)
     last, looked = (first.frames[-1], first.times[-1]) if first.frames else (0, 0.0)
-    for frame in coming if whole and not rivals else ():
+    for frame in () if rivals else coming:
         last = frame.index
         if frame.time_s - looked < min(max(STEP * frame.time_s, LOOK_S), MAX_STEP_S):
             continue
@@ -197,6 +194,25 @@ def search_start(
     if not rivals:
         raise first.nobody(clip, last)
     return search.start(rivals if faces == "all" else rivals[:1], rivals)
+
+
+def searching(
+    parts: Sequence[str], detector: Detector, clip: str, complete: Callable[[Frame, Start], Start]
+) -> Generator[Start | None, Frame | None, None]:
+    """A search that is sent the first frames, one by one, and None at their end; it yields the start once it is known.
+
+    InputError as `search_start`, after `SEARCHED_FRAMES` at the latest: whoever sends frames keeps them all.
+    """
+    check_parts(parts)
+    search, rivals = _Search(parts, detector, complete, 0.0), None
+    for _ in range(SEARCHED_FRAMES):
+        frame = yield None
+        if frame is None or (rivals := search.take(frame, SEARCHED_S)) is not None:
+            break
+    rivals = search.ended() if rivals is None else rivals
+    if not rivals:
+        raise search.nobody(clip, search.frames[-1] if search.frames else 0)
+    yield search.start(rivals[:1], rivals)
 
 
 class _Search:
@@ -211,19 +227,27 @@ class _Search:
         self.lacking: NotHereError | None = None
 
     def through(self, frames: Iterable[Frame], most: float, *, least: float = 0.0) -> list[_Candidate]:
-        """The faces in `most` seconds of the frames, as soon as they are certain.
+        """The faces in `most` seconds of the frames, as soon as they are certain; as `take`."""
+        taken = (self.take(frame, most, least=least) for frame in frames)
+        found = next((faces for faces in taken if faces is not None), None)
+        return self.ended(least) if found is None else found
 
-        None if the looks are of less than `least` seconds; those end where nobody is left.
+    def take(self, frame: Frame, most: float, *, least: float = 0.0) -> list[_Candidate] | None:
+        """The faces after one frame more; None: the next frames are to tell, up to `most` seconds.
+
+        No faces if the looks are of less than `least` seconds; those end where nobody is left.
         """
-        for frame in frames:
-            since = frame.time_s - self.times[-1] if self.times else 0.0
-            if 0 < since < (LOOK_S if self.ready is None and not self._dark() else WAITING_S):
-                continue
-            self.look(frame)
-            if faces := self.faces():
-                return faces
-            if (least and not self._open()) or self.times[-1] - self.times[0] >= most - LOOK_S:
-                break
+        since = frame.time_s - self.times[-1] if self.times else 0.0
+        if 0 < since < (LOOK_S if self.ready is None and not self._dark() else WAITING_S):
+            return None
+        self.look(frame)
+        if faces := self.faces():
+            return faces
+        at_end = (least and not self._open()) or self.times[-1] - self.times[0] >= most - LOOK_S
+        return self.ended(least) if at_end else None
+
+    def ended(self, least: float = 0.0) -> list[_Candidate]:
+        """The faces where no frame is to follow."""
         return self.faces(ended=True) if self.times and self.times[-1] - self.times[0] >= least else []
 
     def _open(self) -> list[_Candidate]:
