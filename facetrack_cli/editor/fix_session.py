@@ -26,7 +26,8 @@ from facetrack_cli.editor.session import Answer, Draft, Json, Page, Proposer, Re
 from facetrack_cli.engine.corrected import correctable_parts
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.run_folder.finished import Run
-from facetrack_cli.runs.people import film_of, people_in, recast, rows_in, still_of
+from facetrack_cli.run_folder.manifest import read_run
+from facetrack_cli.runs.people import film_of, people_in, recast, still_of
 from facetrack_cli.runs.plan import Report
 from facetrack_cli.trackers.face.detectors import PARTS
 from facetrack_cli.trajectory import people as changes
@@ -349,7 +350,7 @@ class CastSession(Page):
 
     def __init__(self, folder: Path, elsewhere: Path | None = None, *, video: bool = True) -> None:
         super().__init__()
-        self.before, self._rows = people_in(folder), rows_in(folder)
+        self.before, self._rows = people_in(folder), read_run(folder)
         clip, how = film_of(self.before, self._rows, elsewhere)
         if clip is None:
             raise UsageError(f"{folder}: does not name its clip; give it with --clip")
@@ -446,7 +447,7 @@ class CastSession(Page):
                 report=lambda done, total, *_: report(done, total),
             )  # fmt: skip
         with self.lock:
-            self.before, self._rows, self._steps = people_in(self.folder), rows_in(self.folder), []
+            self.before, self._rows, self._steps = people_in(self.folder), read_run(self.folder), []
             self._still.cache_clear()
             self.saved += len(steps)
             self.revision += 1

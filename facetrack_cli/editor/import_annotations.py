@@ -16,7 +16,7 @@ from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Correction, Mask, TargetStart
 from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.run_folder.finished import Run
-from facetrack_cli.runs.people import rows_in
+from facetrack_cli.run_folder.manifest import read_run
 from facetrack_cli.trajectory.formats.annotation import read_cvat, read_labelstudio
 from facetrack_cli.trajectory.formats.eaf import Tier, read_tiers, seen_in, spans_of
 from facetrack_cli.trajectory.trajectory import DECIMALS, UNSEEN, Trajectory
@@ -165,7 +165,7 @@ def read_annotations(path: Path, run: Run, rows: Trajectory) -> Trajectory:
     with reading(path, "name a file of CVAT, Label Studio or ELAN"), path.open("rb") as file:
         begins = file.read(256).decode("utf-8-sig", "replace").lstrip()
     if begins[:1] in ("[", "{"):
-        whole = rows_in(run.folder) if run.film else rows  # the file has all frames of the film
+        whole = read_run(run.folder) if run.film else rows  # the file has all frames of the film
         return read_labelstudio(path, run.header.source.size, every_frame(whole), fps=run.header.source.fps)
     return read_cvat(path)
 

@@ -19,9 +19,9 @@ from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe
 from facetrack_cli.run_folder.finished import Run, recipe_of, run_files, stamp
 from facetrack_cli.run_folder.lease import FolderLease
-from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest, write_rows
+from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest, read_run, write_rows
 from facetrack_cli.runs.clip import past_end
-from facetrack_cli.runs.people import ORIGIN, film_of, painted, people_in, rows_in, write_people
+from facetrack_cli.runs.people import ORIGIN, film_of, painted, people_in, write_people
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import Write, given_all, repaint, replace_files
@@ -142,7 +142,7 @@ def open_track(folder: Path, person: str, frame: int, clip: Path | None = None) 
 
     Raises InputError where the person is not seen in the frame, or the film is gone.
     """
-    people, whole = people_in(folder), rows_in(folder)
+    people, whole = people_in(folder), read_run(folder)
     track = next((each for each in people.tracks if each.person == person and each.first <= frame < each.stop), None)
     if track is None:
         raise InputError(f"{folder}: {person} is not seen in frame {frame}; facetrack people {folder} says who is when")
@@ -179,7 +179,7 @@ def _save_track(run: Run, rows: Trajectory, *, video: bool, report: Report, stop
     """Write the film of a run with these rows of one of its tracks; a line on each file. Raises as `save` does."""
     folder, [person] = run.folder, rows.targets
     with FolderLease(folder) as lease:
-        people, whole = people_in(folder), rows_in(folder)
+        people, whole = people_in(folder), read_run(folder)
         if not any((span.person, span.first, span.stop) == (person, run.first, run.last + 1) for span in people.tracks):
             raise InputError(f"{folder}: who is who was changed meanwhile; open the page again")
         pieces = [choose(whole, name) for name in whole.targets]

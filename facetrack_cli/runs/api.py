@@ -30,7 +30,7 @@ from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.people import cast_in
 from facetrack_cli.runs.plan import Job, check_count, check_smoothing, completed, resolve, silent, with_names
 from facetrack_cli.runs.progress import Bar, Progress, watched
-from facetrack_cli.runs.record import ClipFacts, Recorder, Results, Rows, RunFolder, header_of, outputs
+from facetrack_cli.runs.record import ClipFacts, Recorder, Results, Rows, header_of, outputs
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import read_init
@@ -102,9 +102,10 @@ def track_video(
     with contextlib.closing(Bar() if report is None and watched() else Progress(True)) as shown:
         shown.begin(job.clip.name)
         sink = Rows()
-        done = track_clip(plan, None, Stop(), report or shown.update, shown.looked, sink)
-    if done.error is not None and not isinstance(done.error, FacetrackError):
-        raise done.error  # a fault of ours is not the end of a clip
+        with Recorder(plan) as into:
+            done = track_clip(into, Stop(), report or shown.update, shown.looked, sink)
+    if done.failure is not None and not isinstance(done.failure, FacetrackError):
+        raise done.failure  # a fault of ours is not the end of a clip
     rows = sink.trajectory(done)
     if plan.everyone:
         film = cast_in(job, rows, never, silent)
@@ -200,10 +201,8 @@ class Recording:
 
     @named_as_arguments()
     def __enter__(self) -> Recording:
-        with contextlib.ExitStack() as opened:
-            folder = opened.enter_context(RunFolder(resolve(self.job)))
-            self._into = opened.enter_context(Recorder(folder.plan, outputs(folder.plan, folder), folder))
-            self._opened = opened.pop_all()
+        self._into = Recorder(resolve(self.job)).__enter__()
+        self._into.open(outputs(self._into))
         return self
 
     def write(self, result: FrameResult) -> None:
@@ -222,12 +221,14 @@ class Recording:
 
     def __exit__(self, kind: Any = None, error: BaseException | None = None, trace: Any = None) -> None:
         done = None
-        with self._opened:
+        try:
             if self._into.outcome.frames:
                 stopped = "interrupted" if isinstance(error, KeyboardInterrupt) else None
                 done = self._into.close(stopped, error if isinstance(error, Exception) else None)
-        if done is not None and done.error is not None and error is None:
-            raise done.error
+        finally:
+            self._into.__exit__()
+        if done is not None and done.failure is not None and error is None:
+            raise done.failure
 
 
 def draw(result: FrameResult, overlay: Overlay | None = None) -> Image:

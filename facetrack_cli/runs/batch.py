@@ -3,6 +3,10 @@
 What is done, and what failed, is what the folders say, before a clip is begun and again once its folder is claimed. So
 several batches on the same folders, also of several machines, share the clips.
 
+They are tracked by processes of this machine, or by the workers of a Dask cluster: jobs go out, outcomes come back,
+results go straight to the folders. Dask finds a worker for each clip, replaces a worker that dies (its nanny does), and
+tries again what fails. What a killed worker leaves in a folder is taken up by the next run there, as after any kill.
+
 Of the inputs of a command line a folder of images is one clip. In a folder that holds videos, animations or archives of
 images each of them is a clip; in one that holds none of these, those of its sub-folders are.
 """
@@ -13,17 +17,37 @@ import contextlib
 import glob
 import hashlib
 import itertools
+import json
+import logging
+import math
 import os
+import pickle
 import re
+import secrets
+import socket
 import sys
+import threading
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from facetrack_cli.core.errors import BusyError, FacetrackError, InputError, UsageError, about, from_system, reason
+from facetrack_cli.core import __version__
+from facetrack_cli.core.errors import (
+    BusyError,
+    ExitCode,
+    FacetrackError,
+    InputError,
+    UsageError,
+    about,
+    from_system,
+    needed,
+    reason,
+)
 from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, read_bounded
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.lease import FolderLease, here, is_held
@@ -40,6 +64,10 @@ from facetrack_cli.video.source import check_local, is_clip, is_image
 
 TRIES: Final = 2  # of a clip whose process a signal ends
 LOOK_S: Final = 0.5  # between two looks whether a clip of somebody else is free
+RETRIES: Final = 2  # of a clip on a cluster that is not itself at fault
+ANSWER_S = 30.0  # for a scheduler to answer
+ANSWER_LOOK_S = 0.1  # between two looks at the clips that are out
+STOP_S = 30.0  # for clips on a cluster that are told to end, to close their files
 _LONGEST: Final = 60  # characters of settings in the name of a folder
 
 
@@ -89,7 +117,7 @@ def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
         try:
             outcome = resolve(job).ended()
         except FacetrackError as e:
-            outcome = Outcome(clip=job.clip, error=as_line(e))
+            outcome = Outcome(source=job.clip, failure=as_line(e))
         if outcome is None:
             left.append(job)
         else:
@@ -116,7 +144,7 @@ def run_shared(
     left, busy, said = list(jobs), list[Job](), False
     while (left or busy) and not stop():
         for job, outcome in turn(left):
-            if isinstance(outcome.error, BusyError):
+            if isinstance(outcome.failure, BusyError):
                 busy.append(job)
             else:
                 yield outcome
@@ -178,7 +206,7 @@ def outcome_of_crash(job: Job, error: Exception) -> Outcome:
     if job.out is not None and job.batch:
         with contextlib.suppress(FacetrackError), FolderLease(job.out) as lease:
             note_failure(lease, job.out, Manifest(asked=asked, host=here()[0]), job.clip, error_line)
-    return Outcome(clip=job.clip, error=error_line)
+    return Outcome(source=job.clip, failure=error_line)
 
 
 def attempt(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
@@ -187,9 +215,180 @@ def attempt(job: Job, stop: Stop, report: Report = silent, looked: Report = sile
         try:
             outcome = run(job, stop, report, looked)
         except Exception as e:
-            outcome = Outcome(clip=job.clip, error=e)
-        outcome.error = outcome.error and as_line(outcome.error)
+            outcome = Outcome(source=job.clip, failure=e)
+        outcome.failure = outcome.failure and as_line(outcome.failure)
     return outcome
+
+
+# --- on a cluster of Dask --------------------------------------------------------------------------------------------
+
+
+def run_cluster(jobs: Sequence[Job], where: str, stop: Stop, progress: Progress) -> Iterator[Outcome]:
+    """Run `jobs` on the cluster `where`; as `run_shared`.
+
+    Once `stop` says so, the clips at work close their files as far as they can within `STOP_S`. Raises UsageError if no
+    scheduler answers.
+    """
+    client = _client(where)
+    try:
+        if not client.nthreads():
+            progress.say(f"facetrack: the scheduler of {where} has no worker; waiting for one")
+        yield from run_shared(jobs, partial(_cluster_turn, client, stop, progress), stop, progress)
+    finally:
+        with contextlib.suppress(Exception):
+            client.close(timeout=ANSWER_S)
+
+
+def _client(where: str) -> Any:
+    """A client of the scheduler. Raises UsageError if none answers within `ANSWER_S`."""
+    from distributed import Client
+
+    address = address_of(where)
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # our lines say what matters
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return Client(address, timeout=ANSWER_S, set_as_default=False)
+    except OSError as e:
+        said = f"no scheduler of Dask answers at {address} within {ANSWER_S:.0f} s"
+        raise UsageError(f"--cluster {where}: {said} ({reason(e)}); start one with `dask scheduler`, or take -j") from e
+
+
+def _cluster_turn(client: Any, stop: Stop, progress: Progress, jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
+    """Run each of the jobs until it is decided what becomes of it."""
+    batch, folder, killed = secrets.token_hex(8), str(Path.cwd()), set[Path]()
+
+    def submit(job: Job) -> Any:
+        sent = pickle.dumps(replace(job, retry_failed=True))
+        return client.submit(_on_worker, __version__, folder, batch, sent, pure=False, retries=RETRIES)
+
+    began, ended, frames, deadline = time.monotonic(), 0, 0, math.inf
+    progress.begin(f"{len(jobs)} clips", "clips", len(jobs))
+    out = {submit(job): job for job in jobs}
+    while out and time.monotonic() < deadline and client.status == "running":
+        if stop() and deadline == math.inf:
+            deadline = time.monotonic() + STOP_S
+            _tell(client, batch)
+        for future, job in [(future, job) for future, job in out.items() if future.done()]:
+            outcome = _outcome(job, future, killed)
+            left = outcome is None or (outcome.stopped is not None and outcome.failure is None)  # by its worker
+            if left and not stop():
+                if client.status != "running":
+                    break
+                begun = outcome is not None and outcome.paths  # what is there is of this batch
+                again = replace(job, overwrite=False) if begun else job
+                out[submit(again)] = again
+            elif outcome is not None:
+                ended, frames = ended + 1, frames + outcome.frames
+                yield job, outcome
+            del out[future]
+        progress.update(ended, len(jobs), frames / (time.monotonic() - began))
+        time.sleep(ANSWER_LOOK_S)
+    for job in () if stop() else out.values():
+        gone = "not tracked, as the scheduler is gone; the same command again goes on"
+        yield job, Outcome(source=job.clip, failure=FacetrackError(f"{job.clip}: {gone}"))
+
+
+def _outcome(job: Job, future: Any, killed: set[Path]) -> Outcome | None:
+    """What became of a job; None if its worker ended, or was told to leave, before it had begun."""
+    from distributed import KilledWorker
+
+    try:
+        outcome: Outcome | None = future.result(timeout=ANSWER_S)
+        return outcome
+    except KilledWorker as e:
+        if job.clip not in killed:  # Dask suspects all clips that the workers had, so each is tried once more
+            killed.add(job.clip)
+            return None
+        last = e.last_worker.address
+        error = FacetrackError(f"it ended worker after worker, as by taking all of the memory, at last {last}")
+    except Exception as e:
+        if future.status in ("cancelled", "lost", "pending"):  # with the worker
+            return None
+        what = str(e) if isinstance(e, FacetrackError) else f"{type(e).__name__}: {e}"
+        error = FacetrackError(f"{what}; tried {RETRIES + 1} times")
+    return outcome_of_crash(job, error)
+
+
+def _tell(client: Any, batch: str) -> None:
+    """Let the workers end the clips of this batch; nobody waits for a worker that hangs."""
+
+    def say() -> None:
+        with contextlib.suppress(Exception):
+            client.run(_end, batch, on_error="ignore")
+
+    threading.Thread(target=say, daemon=True).start()
+
+
+# --- on a worker -----------------------------------------------------------------------------------------------------
+
+_ended_batches: set[str] = set()  # whose clips are to end
+_alone: Final = threading.Lock()  # the working directory is that of the process
+
+
+def _end(batch: str) -> None:
+    _ended_batches.add(batch)
+
+
+def _on_worker(version: str, folder: str, batch: str, sent: bytes) -> Outcome | None:
+    """A task: the outcome of the job that is `sent`, None if it is not begun any more.
+
+    Raises FacetrackError for what Dask is to try again: all but a clip that is itself at fault, or is busy.
+    """
+    from distributed import get_worker
+
+    worker, host = get_worker(), socket.gethostname()
+
+    def asked() -> ExitCode | None:
+        leaving = worker.status.name in ("closing", "closed", "failed", "stopping")
+        return ExitCode.TERMINATED if leaving or batch in _ended_batches else None
+
+    stop = Stop(asked)
+    with _alone:
+        if stop():
+            return None
+        if version != __version__:
+            said = f"facetrack {__version__} is installed on {host}, and {version} where the batch is"
+            raise FacetrackError(f"{said}; install the same version")
+        try:
+            os.chdir(folder)
+        except OSError as e:
+            raise FacetrackError(f"{folder}: {e.strerror} on {host}; all machines must see the same folders") from None
+        job = pickle.loads(sent)
+        share_threads(job.threads)
+        outcome = attempt(job, stop)
+    if outcome.failure is not None and not isinstance(outcome.failure, InputError | BusyError) and not stop():
+        raise outcome.failure
+    return outcome
+
+
+def check_cluster(where: str) -> int | None:
+    """N of local:N, the processes of this machine; None for a scheduler, whose workers do the clips.
+
+    Raises UsageError for a value of --cluster that names neither, and where the packages that it takes are missing.
+    """
+    if os.name != "posix":
+        raise UsageError("--cluster is for Linux and macOS; take -j")
+    if found := re.fullmatch(r"local:([1-9]\d{0,3})", where):
+        return int(found[1])
+    address_of(where)
+    with needed("workers of --cluster", "distributed", "cluster"):
+        import distributed  # noqa: F401
+    return None
+
+
+def address_of(where: str) -> str:
+    """The address of a scheduler, which may stand in a file. UsageError for what is neither."""
+    if re.fullmatch(r"(tcp|tls)://[^\s/]+:\d{1,5}", where):
+        return where
+    with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+        if isinstance(address := json.loads(read_bounded(Path(where), what="scheduler file"))["address"], str):
+            return address
+    forms = "give local:N, tcp://HOST:PORT, or the scheduler file of `dask scheduler --scheduler-file`"
+    raise UsageError(f"--cluster {where}: names no scheduler; {forms}")
+
+
+# --- what a command line names ----------------------------------------------------------------------------------------
 
 
 def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: None) -> tuple[list[Path], bool]:

@@ -41,23 +41,21 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
         from facetrack_cli.runs.people import name_run
     if (ended := plan.ended()) is not None:
         return ended
-    if job.out is None:
-        return track_clip(plan, None, stop, report, looked)
     tracked, kept = plan.tracked, {POSTERIOR, VIDEO} if job.video else {POSTERIOR}
     if tracked is not None and (plan.names or kept <= {*tracked.files}):  # only named or smoothed it is not
-        done = replace(Outcome.of(job, tracked), again=None)
+        done = replace(Outcome.of(job, tracked), again=False)
     else:
-        with record.RunFolder(plan, stop) as folder:
-            plan = folder.plan
+        with record.Recorder(plan, stop) as into:
+            plan = into.plan
             if (ended := plan.ended()) is not None:  # meanwhile, by another process
                 return ended
             if job.split is None:
-                done = track_clip(plan, folder, stop, report, looked)
+                done = track_clip(into, stop, report, looked)
             else:
                 from facetrack_cli.runs.split import join_chunks
 
-                done = join_chunks(plan, folder, stop, report)
-    if done.error is not None or done.stopped is not None:
+                done = join_chunks(into, stop, report)
+    if done.failure is not None or done.stopped is not None:
         return done
     if plan.names:
         return name_run(plan, done, stop, looked)
@@ -74,18 +72,16 @@ def _smoothed(job: Job, done: Outcome, stop: Stop, looked: Report) -> Outcome:
     except StoppedError:
         done.warnings = (*done.warnings, "not smoothed; the same command again does it")
     except FacetrackError as e:
-        done.error = e
+        done.failure = e
     else:
-        done.smoothed, done.files = True, files
+        done.smoothed, done.paths = True, files
         done.warnings = (*done.warnings, *notes)
     return done
 
 
-def track_clip(
-    plan: Plan, folder: record.RunFolder | None, stop: Stop, report: Report, looked: Report, *into: record.Sink
-) -> Outcome:
+def track_clip(into: record.Recorder, stop: Stop, report: Report, looked: Report, *sinks: record.Sink) -> Outcome:
     """Track one clip into some sinks, without any into its tables, and what else its folder holds. Raises as `run`."""
-    job = plan.job
+    plan, job = into.plan, into.plan.job
     try:
         with precompiling(to_dict(job.recipe), job.threads) as compile_all:  # while the start is looked for
             if plan.everyone:
@@ -98,20 +94,19 @@ def track_clip(
     except InputError:
         if not stop():
             raise
-        return Outcome(clip=job.clip, streamed=job.out is None, stopped=stop.reason)
-    resumed, sinks = None, [*into] or record.outputs(plan, folder)
-    if folder is not None:
-        sinks.append(RunMonitor.of(job.recipe, start))
+        return Outcome(source=job.clip, streamed=job.out is None, stopped=stop.reason)
+    kept = [*sinks] or record.outputs(into)
+    if job.out is not None:
+        kept.append(RunMonitor.of(job.recipe, start))
         if job.smooth:
             from facetrack_cli.runs.smooth import PosteriorWriter
 
-            sinks.append(PosteriorWriter(folder.path))
-        resumed = folder.resume(start, sinks)
-    with record.Recorder(plan, sinks, folder, resumed) as recorder:
-        state = recorder.state
-        state.frame, recorder.outcome.note = state.frame if resumed else start.frame, start.note
-        with follow(plan, start, shots, state, stop) as results:
-            done = record.record(results, recorder, stop, report)
+            kept.append(PosteriorWriter(job.out))
+    into.open(kept, start)
+    state = into.state
+    state.frame, into.outcome.note = state.frame if into.outcome.resumed else start.frame, start.note
+    with follow(plan, start, shots, state, stop) as results:
+        done = into.record(results, stop, report)
     if done.verdict and job.fps is None and done.frames > 1 and not brings_rate(job.clip):
         done.verdict += f"; images have no rate: {results.clip.fps} frames/s is taken, or that of --fps"
     return done
@@ -161,7 +156,7 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: record.RunState, 
                 warnings += (f"--faces all: {alone}; recipe face with --init haar follows everybody, over cuts",)
             done.complete, done.warnings, done.variable_fps = source.complete, warnings, source.variable
 
-        yield record.Results(clip, partial(record.header_of, job, clip, start, more), tracked(), state.at, ended)
+        yield record.Results(clip, partial(record.header_of, job, clip, start, more), tracked(), ended)
 
 
 def past_end(corrections: Iterable[Correction], last: int, origin: str) -> tuple[str, ...]:

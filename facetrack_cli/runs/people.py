@@ -98,7 +98,7 @@ def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop
 
     Raises InputError where the clip is gone, OutputError, and StoppedError.
     """
-    people, rows = people_in(folder), rows_in(folder)
+    people, rows = people_in(folder), read_run(folder)
     where, how = film_of(people, rows, clip)
     if where is None:
         raise InputError(f"{rows.path}: does not name its clip; give it with --clip")
@@ -223,7 +223,7 @@ def name_run(plan: Plan, outcome: Outcome, stop: Stop, looked: Report) -> Outcom
     """
     job = plan.job
     assert job.out is not None
-    rows = rows_in(job.out)
+    rows = read_run(job.out)
     try:
         film = cast_in(job, rows, stop, looked)
         after = under_names(rows, film.tracks)
@@ -235,7 +235,7 @@ def name_run(plan: Plan, outcome: Outcome, stop: Stop, looked: Report) -> Outcom
     if (run := read_manifest(job.out)) is None:
         raise InputError(f"{job.out}: its run.json is gone; run again")
     about = {name: getattr(outcome, name) for name in ("frames_per_s", "warnings", "resumed")}
-    return replace(Outcome.of(job, run), again=None, note=cast_line(film.people), **about)
+    return replace(Outcome.of(job, run), again=False, note=cast_line(film.people), **about)
 
 
 def write_people(
@@ -291,7 +291,7 @@ def recast(
     """
     check_run(folder)  # which ends what a kill left, before the folder is ours
     with FolderLease(folder) as lock:
-        people, rows = people_in(folder), rows_in(folder)
+        people, rows = people_in(folder), read_run(folder)
         tracks = tracks_of(people)
         for _, change in changes:
             tracks = change(tracks)
@@ -332,15 +332,6 @@ def painted(folder: Path, people: People, rows: Trajectory, clip: Path | None) -
     if where is None or run is None or not (folder / VIDEO).is_file():
         return None
     return where, (first, first + run.frames - 1)
-
-
-def rows_in(folder: Path) -> Trajectory:
-    """The rows of a run, with their header if a file has one. InputError without any."""
-    files = run_files(folder)
-    for form in ("json", "jsonl", "csv"):
-        if form in files:
-            return read_run(files[form])
-    raise InputError(f"{folder}: its trajectory is gone; run again")
 
 
 def people_in(folder: Path) -> People:

@@ -39,7 +39,7 @@ from facetrack_cli.trackers.people.descriptor import load_people
 from facetrack_cli.trackers.skin.settings import CloudSettings
 from facetrack_cli.trajectory.reader import PEOPLE, to_record
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
-from facetrack_cli.trajectory.writers import FORMATS, Format, RunSummary, by_frame
+from facetrack_cli.trajectory.writers import FORMATS, Format, by_frame
 from facetrack_cli.video.source import Source, open_source
 
 SIGNS_FRAMES: Final = 50  # in which hands are looked at, where a recipe follows those of one of several faces
@@ -129,8 +129,9 @@ class ClipRequest:
             faces: Faces = "all" if recipe.later else self.faces
             frames = frames_of(source, at, origin, stopped, looked)
             try:
-                how = {"detector": detector(self.by), "faces": faces, "clip": str(self.clip)}
-                start = search_start(frames, recipe.points, complete=partial(with_names, recipe, str(self.clip)), **how)
+                look, clip = detector(self.by), str(self.clip)
+                complete = partial(with_names, recipe, clip)
+                start = search_start(frames, recipe.points, detector=look, faces=faces, clip=clip, complete=complete)
             except InputError:
                 if stopped():
                     raise InputError(f"{self.clip}: stopped before a start was found") from None
@@ -422,60 +423,46 @@ def _check_options(job: Job, everyone: bool, kept: bool) -> None:
 
 
 @dataclass
-class Outcome(RunSummary):
-    """What became of one clip.
+class Outcome(manifest.Manifest):
+    """What became of one clip: what its run.json says, and what is said of it.
 
-    `error` ended the run early; what was tracked until then is kept. `note` says where the search for a face began it.
-    `again`: the run was done before, and nothing was tracked now. `resumed`: the frame from which it went on.
-    `network` says which one placed points. `doubts` and `look` are those of run.json, `borne_out` too.
+    `source` is the clip, `paths` are the files. `failure` ended the run early; what was tracked until then is kept.
+    `note` says where the search for a face began it. `again`: the run was done before, and nothing was tracked now.
     """
 
-    clip: Path = Path()
-    files: Sequence[Path] = ()
+    source: Path = Path()
+    paths: Sequence[Path] = ()
     frames_per_s: float = 0.0
-    error: Exception | None = None
+    failure: Exception | None = None
     streamed: bool = False
     note: str = ""
     verdict: str = ""
-    doubts: str = ""
-    look: tuple[tuple[int, int], ...] = ()
-    borne_out: float | None = None
-    again: manifest.Manifest | None = None
-    smoothed: bool = False
-    resumed: int | None = None
-    network: str = ""
+    again: bool = False
 
     @classmethod
     def of(cls, job: Job, run: manifest.Manifest) -> Outcome:
         """That of a run that its folder holds already."""
         assert job.out is not None
-        return cls(
-            frames=run.frames,
-            lost_frames=run.lost_frames,
-            lost_at_end=run.lost_at_end,
-            complete=run.complete,
-            clip=job.clip,
-            files=[job.out / name for name in run.files],
-            error=manifest.error_of(run) or (InputError(run.warnings[-1]) if job.strict and not run.complete else None),
-            again=run,
-            network=run.network,
-            smoothed=run.smoothed,
-        )
+        paths, failure = [job.out / name for name in run.files], manifest.error_of(run)
+        if job.strict and not run.complete:
+            failure = failure or InputError(run.warnings[-1])
+        said = {"warnings": (), "stopped": None, "resumed": 0}
+        return cls(**{**vars(run), **said}, source=job.clip, paths=paths, failure=failure, again=True)
 
     def next_step(self) -> str:
         """The commands that show and correct what was written; "" where they could not."""
-        if not self.files or not any(file.suffix in (".json", ".jsonl") for file in self.files):
+        if not self.paths or not any(file.suffix in (".json", ".jsonl") for file in self.paths):
             return ""
-        folder = shlex.quote(str(self.files[0].parent))
-        by = "people" if any(file.name == PEOPLE for file in self.files) else "fix"
+        folder = shlex.quote(str(self.paths[0].parent))
+        by = "people" if any(file.name == PEOPLE for file in self.paths) else "fix"
         return f"look: facetrack report {folder}; correct: facetrack {by} {folder}"
 
     def summary(self) -> str:
         """One line: what was written, how fast, what was lost."""
         if self.frames == 0:
-            return f"{self.clip}: {self.stopped or 'ended'} before the first frame; nothing was written"
+            return f"{self.source}: {self.stopped or 'ended'} before the first frame; nothing was written"
         parts = [f"{self.frames} frames" if self.frames > 1 else "1 frame"]
-        if self.again is not None:
+        if self.again:
             parts.insert(0, "done before")
         elif self.frames > 1 and self.frames_per_s:
             parts.append(f"{self.frames_per_s:.1f} frames/s")
@@ -483,8 +470,8 @@ class Outcome(RunSummary):
             parts.append(self.network)
         if self.smoothed:
             parts.append("smoothed")
-        if self.resumed is not None:
-            parts.append(f"went on from frame {self.resumed}")
+        if self.resumed:
+            parts.append(f"went on after {self.resumed} frames")
         if self.lost_frames:
             worst = sorted(self.lost_frames.items(), key=lambda item: -item[1])[:MOST_NAMED]
             named = ", ".join(f"{name.replace('/', ' ')} in {n}" for name, n in worst)
@@ -493,9 +480,9 @@ class Outcome(RunSummary):
         if self.stopped or not self.complete:
             parts.append(self.stopped or "incomplete")
         where = "standard output" if self.streamed else "nothing"
-        if self.files:
-            where = f"{self.files[0].parent}{os.sep} ({', '.join(file.name for file in self.files)})"
-        return f"{self.clip} -> {where}: {'; '.join(parts)}"
+        if self.paths:
+            where = f"{self.paths[0].parent}{os.sep} ({', '.join(file.name for file in self.paths)})"
+        return f"{self.source} -> {where}: {'; '.join(parts)}"
 
 
 def check_smoothing(recipe: Recipe) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import re
 import sys
 import time
+from typing import Any
 
 from facetrack_cli.core.errors import as_json, flat, write_line
 
@@ -121,7 +122,7 @@ class Bar(Progress):
             total = total if total and done <= total else None  # a stated length may be wrong
             count = f"{done}{f'/{total}' if total else ''} {unit}"
             speed = self._speed(done, rate, unit)
-            about = {"count": count, "rate": "" if speed is None else f"{speed:.1f} frames/s"}
+            about: Any = {"count": count, "rate": "" if speed is None else f"{speed:.1f} frames/s"}
             description = flat(f"{self._name}{self._doing}")
             self._bar.update(self._bar.task_ids[0], description=description, completed=done, total=total, **about)
 

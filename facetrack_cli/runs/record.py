@@ -78,15 +78,13 @@ class Results:
     """The results of a clip, of a film, of joined chunks: whatever is written as a run.
 
     `header` gives what JSON says at its beginning, by the rows of the first frame. `frames` raises StoppedError where
-    nothing is to be kept. `state` is that of the tracker after the last result, for a checkpoint. `ended` adds to the
-    outcome how they ended, and is told whether nothing ended them early; it raises InputError where nothing is to be
-    kept.
+    nothing is to be kept. `ended` adds to the outcome how they ended, and is told whether nothing ended them early; it
+    raises InputError where nothing is to be kept.
     """
 
     clip: ClipFacts
     header: Callable[[Trajectory], Header]
     frames: Generator[FrameResult, None, None] | None = None  # of who writes them one by one
-    state: TrackState = field(default_factory=TrackState)
     ended: Callable[[Outcome, bool], None] = lambda done, whole: None
 
 
@@ -130,129 +128,73 @@ class RunState:
     sinks: tuple[Any, ...] = ()
 
 
-class RunFolder:
-    """The folder of a run, in a `with`, while it is written: its lease, its checkpoints, and its run.json.
+class Recorder:
+    """A run while it is written, in a `with`: `open` its sinks, `begin`, `write` each result, `close`.
 
-    Raises OutputError, and BusyError where another process writes there. In a batch it notes that its clip failed.
+    Without `close` nothing is left. A run with a folder has its lease, keeps checkpoints, and writes run.json; one
+    without is streamed, or stays in memory. Raises OutputError, and BusyError where another process writes there. In a
+    batch it notes that its clip failed.
     """
 
     def __init__(self, plan: Plan, stopped: Stopped = never) -> None:
-        assert plan.job.out is not None
-        self.plan, self.path = plan, plan.job.out
+        self.plan, self.sinks = plan, list[Sink]()
+        job = plan.job
+        self.lease = None if job.out is None else FolderLease(job.out, stopped)
         self.checkpoints: Checkpoints | None = None
-        self.lease = FolderLease(self.path, stopped)
-        self._run = manifest.Manifest(networks=plan.job.recipe.networks, host=here()[0])
+        self.state = RunState(0, Outcome(source=job.clip, streamed=job.out is None))
+        self.total: int | None = None  # the number of frames that the clip says it has, if it does
 
-    def __enter__(self) -> RunFolder:
+    @property
+    def outcome(self) -> Outcome:
+        return self.state.outcome
+
+    def __enter__(self) -> Recorder:
         with contextlib.ExitStack() as opened:
-            opened.callback(files.remove_folders, files.make_folder(self.path))
-            opened.enter_context(self.lease)
-            self._entered_s = time.monotonic()
-            manifest.recover(self.path, self.lease)
-            self.plan = resolve(self.plan.job, locked=True)  # somebody may have written since
-            self._run.began, self._run.asked = utc_now(), self.plan.asked
+            if self.lease is not None and (out := self.plan.job.out) is not None:
+                opened.callback(files.remove_folders, files.make_folder(out))
+                opened.enter_context(self.lease)
+                self._entered_s = time.monotonic()
+                manifest.recover(out, self.lease)
+                self.plan = resolve(self.plan.job, locked=True)  # somebody may have written since
+                self._about = {"asked": self.plan.asked, "networks": self.plan.job.recipe.networks}
+                self._about |= {"began": utc_now(), "host": here()[0]}
+                vars(self.outcome).update(self._about)
             self._opened = opened.pop_all()
         return self
 
-    def resume(self, start: Start, sinks: Sequence[Sink]) -> RunState | None:
-        """The last checkpoint of the same job; None if there is none, or it is not to be used."""
-        job, last = self.plan.job, None
+    def open(self, sinks: Sequence[Sink], start: Start | None = None) -> None:
+        """Take the sinks, in whose order a result is written. With a `start` it goes on from the last checkpoint of
+        the same job, if that is to be used; the sinks have what was written until then.
+        """
+        job, last, self.sinks = self.plan.job, None, list(sinks)
+        if start is None or job.out is None:
+            return
         if job.recipe.filters and not job.lag:
             clip = manifest.clip_stat(job.clip)
-            same = [self._run.asked, _versions(), to_record(start), clip and (clip.bytes, clip.changed_ns)]
+            same = [self.plan.asked, _versions(), to_record(start), clip and (clip.bytes, clip.changed_ns)]
             key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
-            self.checkpoints = Checkpoints(self.path, key, video=self.plan.draws)
+            self.checkpoints = Checkpoints(job.out, key, video=self.plan.draws)
             last = self.checkpoints.find() if job.resume and not job.overwrite else None
         if isinstance(last, RunState):
             with contextlib.suppress(InputError, OSError):  # a table was edited, or is gone
                 for sink in sinks:
                     if isinstance(sink, Table) and sink.path is not None:
                         manifest.check_belongs(sink.path)
-                last.outcome.resumed = last.frame
-                return last
-        remove_checkpoints(self.path)
-        return None
-
-    def begin(self, digest: manifest.ClipDigest, frames: int, total: int | None) -> None:
-        """Note what is being written."""
-        self._run.clip = digest.clip
-        self.lease.note({"clip": str(self.plan.job.clip), "run": self._run.record(), "frame": frames, "frames": total})
-
-    def end_checkpoints(self, *_: object) -> None:
-        """Wait until every checkpoint is written."""
-        if self.checkpoints is not None:
-            self.checkpoints.end()
-
-    def commit(
-        self, done: Outcome, clip: manifest.Clip | None, resumed: int, error: Exception | None, errors: list[Exception]
-    ) -> list[str]:
-        """Let the finished files replace the old ones. Returns lines on files that are left of an earlier track.
-
-        `error` ended the run; those of writing are added to `errors`.
-        """
-        members = ("frames", "lost_frames", "lost_at_end", "warnings", "doubts", "look", "borne_out")
-        stopped = done.stopped or next((str(e) for e in errors), None)
-        run = replace(
-            self._run,
-            **{name: getattr(done, name) for name in members},
-            stopped=stopped,
-            complete=done.complete and stopped is None,
-            clip=clip,
-            resumed=resumed,
-            ended=utc_now(),
-            seconds=round(time.monotonic() - self._entered_s, 3),
-        )
-        done.network = run.network
-        if self.plan.job.batch and error is not None and not isinstance(error, OutputError):
-            run = manifest.failed(run, error)
-        try:
-            manifest.commit(self.lease, self.path, done.files, run)
-            init = os.path.realpath(self.plan.job.init) if isinstance(self.plan.job.init, Path) else ""
-            kept = [path for path in (self.path / CORRECTED, self.path / UNSAVED) if path.is_file()]
-            apart = [path for path in kept if os.path.realpath(path) != init]
-            said = "holds corrections that this track does not have; take them with --init"
-            return [*manifest.outdated(self.path), *(f"{path}: {said} {path}" for path in apart)]
-        except OutputError as e:  # the lease is lost
-            errors.append(e)
-        except OSError as e:
-            errors.append(files.cannot_write(Path(e.filename or self.path), e))
-        done.files = ()
-        return []
-
-    def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
-        with self._opened:
-            self.end_checkpoints()
-            if self.plan.job.batch and isinstance(error, Exception):
-                manifest.note_failure(self.lease, self.path, self._run, self.plan.job.clip, error)
-
-
-class Recorder:
-    """Writes results into sinks, in a `with`: `begin`, `write` each, `close`. Without `close` they leave nothing.
-
-    Sinks take a result in their order. `folder` is None of a stream, and of what stays in memory; `resumed` is the last
-    checkpoint of a run that goes on.
-    """
-
-    def __init__(
-        self, plan: Plan, sinks: Sequence[Sink], folder: RunFolder | None = None, resumed: RunState | None = None
-    ) -> None:
-        self.plan, self.sinks, self._folder = plan, sinks, folder
-        job = plan.job
-        self.state = resumed or RunState(0, Outcome(clip=job.clip, streamed=job.out is None))
-        self.outcome, self._before = self.state.outcome, self.state.outcome.frames
-        self.total: int | None = None  # the number of frames that the clip says it has, if it does
-
-    def __enter__(self) -> Recorder:
-        return self
+                vars(last.outcome).update(self._about, resumed=last.outcome.frames)
+                self.state = last
+                return
+        remove_checkpoints(job.out)
 
     def begin(self, results: Results, first: FrameResult) -> None:
         """Begin the files, before the `first` result is written."""
         self._results, self._began_s = results, time.perf_counter()  # the rate leaves the start-up out
-        self.state.at, hint = results.state, results.clip.frames_hint
-        self.total = hint and hint + self._before
+        hint = results.clip.frames_hint
+        self.total = hint and hint + self.outcome.resumed
         self._digest = manifest.ClipDigest(self.plan.job.clip, whole=not self.plan.job.chunk)
-        if self._folder is not None:
-            self._folder.begin(self._digest, self._before, self.total)
+        if self.lease is not None:
+            self.outcome.clip = self._digest.clip
+            far = {"frame": self.outcome.frames, "frames": self.total}
+            self.lease.note({"clip": str(self.plan.job.clip), "run": self.outcome.record(), **far})
         header = results.header(first.rows)
         for sink, mark in zip(self.sinks, self.state.sinks or [None] * len(self.sinks), strict=True):
             sink.begin(results.clip, header, mark)
@@ -267,89 +209,116 @@ class Recorder:
         if counts:
             self.outcome.count(result.rows)
         self.state.frame = result.frame.index + 1
-        if self._folder is not None:
-            self._folder.lease.progress(self.outcome.frames, self.total)
-            if (checkpoints := self._folder.checkpoints) is not None:
-                checkpoints.release()
-                if self.state.at.states and checkpoints.is_due(self.outcome.frames):
-                    self.state.sinks = tuple(sink.mark() for sink in self.sinks)
-                    if any(sink.missing for sink in self.sinks):
-                        return  # a run without its video begins anew
-                    checkpoints.mark(self.outcome.frames, self.state, [sink.sync for sink in self.sinks])
+        if self.lease is not None:
+            self.lease.progress(self.outcome.frames, self.total)
+        if self.checkpoints is not None:
+            self.checkpoints.release()
+            if self.state.at.states and self.checkpoints.is_due(self.outcome.frames):
+                self.state.sinks = tuple(sink.mark() for sink in self.sinks)
+                if not any(sink.missing for sink in self.sinks):  # a run without its video begins anew
+                    self.checkpoints.mark(self.outcome.frames, self.state, [sink.sync for sink in self.sinks])
+
+    def record(self, results: Results, stop: Stop, report: Report = silent) -> Outcome:
+        """Write the results until they end, also because `stop` says so, or an error.
+
+        `report` hears how many frames are written, and how many there are, None if that is not known. An error after
+        the first frame is in the outcome, beside what was kept; before it, it is raised, and no file is left.
+        """
+        assert results.frames is not None
+        begun, error = False, None
+        with contextlib.closing(results.frames):
+            try:
+                for result in results.frames:
+                    if not begun:
+                        self.begin(results, result)
+                        begun = True
+                    self.write(result)
+                    report(self.outcome.frames, self.total)
+                    del result  # or two frames are in memory while the next one is tracked
+            except StoppedError:
+                return Outcome(source=self.plan.job.clip, stopped=stop.reason)
+            except Exception as e:  # whatever it is, what was tracked is kept
+                error = e
+        if self.outcome.frames > self.outcome.resumed:
+            return self.close(stop.reason if stop() else None, error)
+        if error is not None:
+            raise error
+        self.outcome.stopped = stop.reason
+        return self.outcome
 
     def close(self, stopped: str | None = None, error: Exception | None = None) -> Outcome:
         """Finish every file, let all of them replace the old ones, and return what became of the clip.
 
         `stopped` says why the run ended early, `error` goes into the outcome.
         """
-        done, job, folder = self.outcome, self.plan.job, self._folder
+        done, job = self.outcome, self.plan.job
         self._results.ended(done, stopped is None and error is None)
-        error = error or done.error
+        error = error or done.failure
         done.stopped = stopped or (None if error is None else str(error))
         done.complete = done.complete and done.stopped is None
-        clip = self._digest.end(whole=done.stopped is None)
-        done.source_sha256 = clip.sha256 if clip else ""
+        done.clip = self._digest.end(whole=done.stopped is None)
+        done.source_sha256 = done.clip.sha256 if done.clip else ""
         errors: list[Exception] = []
         steps: list[Callable[[Outcome], None]] = [sink.end for sink in reversed(self.sinks)]
-        steps += [] if folder is None else [folder.end_checkpoints]
-        for step in (*steps, *(sink.close for sink in self.sinks)):
+        for step in (*steps, self._end_checkpoints, *(sink.close for sink in self.sinks)):
             try:
                 step(done)
             except Exception as e:
                 errors.append(e)
         missing = next((sink.missing for sink in self.sinks if sink.missing is not None), None)
-        if folder is not None:
+        if self.lease is not None and job.out is not None:
             # a text file that a full disk cut short is kept, a video is not
             paths = [sink.path for sink in self.sinks if sink.path is not None]
-            done.files = [path for path in paths if files.temporary_path(path).is_file()]
-            lines = folder.commit(done, clip, self._before, error, errors)
+            done.paths = [path for path in paths if files.temporary_path(path).is_file()]
+            try:
+                self._commit(self.lease, job.out, error, next((str(e) for e in errors), None))
+            except (OutputError, OSError) as e:  # the lease is lost, or the disk is full
+                errors.append(files.cannot_write(Path(e.filename or job.out), e) if isinstance(e, OSError) else e)
+                done.paths = ()
             if done.stopped is None and not errors and missing is None:
-                remove_checkpoints(folder.path)
-            done.warnings = (*done.warnings, *lines)
+                remove_checkpoints(job.out)
         error = error or next(iter(errors), None)
         if job.strict and not done.complete and done.stopped is None:
             error = error or InputError(done.warnings[-1])
         done.stopped = done.stopped if error is None else None
         done.complete = done.complete and error is None
-        done.error = error or missing  # said last, as the command's error
-        done.warnings = tuple(line for line in done.warnings if line != str(done.error) and line not in done.verdict)
-        done.frames_per_s = (done.frames - self._before - 1) / max(time.perf_counter() - self._began_s, 1e-9)
+        done.failure = error or missing  # said last, as the command's error
+        done.warnings = tuple(line for line in done.warnings if line != str(done.failure) and line not in done.verdict)
+        done.frames_per_s = (done.frames - done.resumed - 1) / max(time.perf_counter() - self._began_s, 1e-9)
         return done
 
-    def __exit__(self, *_: object) -> None:
+    def _commit(self, lease: FolderLease, out: Path, error: Exception | None, unwritten: str | None) -> None:
+        """Let the finished files replace the old ones; `error` ended the run, `unwritten` says what cannot be written.
+
+        What is left in the folder of an earlier track is warned of. Raises OutputError and OSError.
+        """
+        done, job = self.outcome, self.plan.job
+        done.ended, done.seconds = utc_now(), round(time.monotonic() - self._entered_s, 3)
+        complete = done.complete and unwritten is None
+        run: manifest.Manifest = replace(done, stopped=done.stopped or unwritten, complete=complete)
+        if job.batch and error is not None and not isinstance(error, OutputError):
+            run = manifest.failed(run, error)
+        manifest.commit(lease, out, done.paths, run)
+        init = os.path.realpath(job.init) if isinstance(job.init, Path) else ""
+        said = "holds corrections that this track does not have; take them with --init"
+        kept = [path for path in (out / CORRECTED, out / UNSAVED) if path.is_file() and os.path.realpath(path) != init]
+        done.warnings += (*manifest.outdated(out), *(f"{path}: {said} {path}" for path in kept))
+
+    def _end_checkpoints(self, *_: object) -> None:
+        """Wait until every checkpoint is written."""
+        if self.checkpoints is not None:
+            self.checkpoints.end()
+
+    def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
         """Drop what was not closed."""
-        for sink in self.sinks:
-            with contextlib.suppress(Exception):
-                sink.discard()
-
-
-def record(results: Results, into: Recorder, stop: Stop, report: Report = silent) -> Outcome:
-    """Write the results until they end, also because `stop` says so, or an error.
-
-    `report` hears how many frames are written, and how many there are, None if that is not known. An error after the
-    first frame is in the outcome, beside what was kept; before it, it is raised, and no file is left.
-    """
-    assert results.frames is not None
-    before, begun, error = into.outcome.frames, False, None
-    with contextlib.closing(results.frames):
-        try:
-            for result in results.frames:
-                if not begun:
-                    into.begin(results, result)
-                    begun = True
-                into.write(result)
-                report(into.outcome.frames, into.total)
-                del result  # or two frames are in memory while the next one is tracked
-        except StoppedError:
-            return Outcome(clip=into.plan.job.clip, stopped=stop.reason)
-        except Exception as e:  # whatever it is, what was tracked is kept
-            error = e
-    if into.outcome.frames == before:
-        if error is not None:
-            raise error
-        into.outcome.stopped = stop.reason
-        return into.outcome
-    return into.close(stop.reason if stop() else None, error)
+        with self._opened:
+            for sink in self.sinks:
+                with contextlib.suppress(Exception):
+                    sink.discard()
+            self._end_checkpoints()
+            job = self.plan.job
+            if self.lease is not None and job.out is not None and job.batch and isinstance(error, Exception):
+                manifest.note_failure(self.lease, job.out, self.outcome, job.clip, error)
 
 
 def header_of(job: Job, clip: ClipFacts, start: Start, more: Header, rows: Trajectory) -> Header:
@@ -375,10 +344,11 @@ def _versions() -> Mapping[str, str]:
     return {"python": platform.python_version(), **{name: module.__version__ for name, module in modules.items()}}
 
 
-def outputs(plan: Plan, folder: RunFolder | None) -> list[Sink]:
+def outputs(into: Recorder) -> list[Sink]:
     """The video, if one is drawn, and a table of each format that was asked for."""
-    video = [Video(plan, folder)] if folder is not None and plan.draws else []
-    return [*video, *(Table(plan.job.out, form) for form in plan.job.formats)]
+    job = into.plan.job
+    video = [Video(into, job.out)] if job.out is not None and into.plan.draws else []
+    return [*video, *(Table(job.out, form) for form in job.formats)]
 
 
 class Table(Sink):
@@ -436,7 +406,7 @@ class Rows(Sink):
     def trajectory(self, done: Outcome) -> Trajectory:
         """The rows, whose header says what a JSON file says of its run."""
         header = {**self._header, **{name: getattr(done, name) for name in FOOTER}, "stopped": self._halted}
-        return self._collected.trajectory(header=header, path=done.clip)
+        return self._collected.trajectory(header=header, path=done.source)
 
 
 class Video(Sink):
@@ -448,9 +418,8 @@ class Video(Sink):
     every = True
     path: Path
 
-    def __init__(self, plan: Plan, folder: RunFolder) -> None:
-        self.path = folder.path / manifest.VIDEO
-        self._title, self._threaded, self._folder = plan.job.recipe.name, plan.job.threads > 1, folder
+    def __init__(self, into: Recorder, out: Path) -> None:
+        self.path, self._into = out / manifest.VIDEO, into
         self._video: VideoWriter | None = None
         self._painter: Painter | None = None
         self._mark: Any = None
@@ -459,13 +428,14 @@ class Video(Sink):
         from facetrack_cli.video.overlay import Overlay
         from facetrack_cli.video.writer import Cut, VideoWriter
 
-        self._overlay, cut = Overlay(clip.size, fps=float(clip.fps), title=self._title), Cut()
+        job, checkpoints, cut = self._into.plan.job, self._into.checkpoints, Cut()
+        self._overlay = Overlay(clip.size, fps=float(clip.fps), title=job.recipe.name)
         if mark is not None:
             cut, self._overlay.memory = mark
-        self._painted, self._pieces = cut.frames, self._folder.checkpoints and self._folder.checkpoints.folder
+        self._painted, self._pieces = cut.frames, checkpoints and checkpoints.folder
         about: dict[str, Any] = {"audio_from": clip.sound, "replace": False, "pieces": self._pieces, "after": cut}
         self._video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, **about)
-        self._painter = Painter(self._paint, threaded=self._threaded)
+        self._painter = Painter(self._paint, threaded=job.threads > 1)
 
     def write(self, result: FrameResult) -> None:
         assert self._painter is not None

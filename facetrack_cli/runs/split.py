@@ -33,7 +33,7 @@ from facetrack_cli.runs.batch import check_all, run_batch
 from facetrack_cli.runs.people import ORIGIN
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, digest_of, resolve
 from facetrack_cli.runs.progress import Progress
-from facetrack_cli.runs.record import ClipFacts, Recorder, Results, RunFolder, header_of, outputs, record
+from facetrack_cli.runs.record import ClipFacts, Recorder, Results, header_of, outputs
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.runs.workers import decoded_ahead
@@ -379,12 +379,12 @@ def _survey(whole: Plan, plan: ChunkPlan) -> _Survey:
     return survey
 
 
-def join_chunks(plan: Plan, folder: RunFolder, stop: Stop, report: Report) -> Outcome:
+def join_chunks(into: Recorder, stop: Stop, report: Report) -> Outcome:
     """Join the chunks of a clip, which are there. A chunk that failed leaves a gap. Nothing is written once `stop`.
 
     Raises InputError if no chunk has rows.
     """
-    job = plan.job
+    plan, job = into.plan, into.plan.job
     assert job.out is not None and job.split is not None
     chunks = read_plan(job.out)
     survey, start, error = _survey(plan, chunks), chunks.start, None
@@ -422,13 +422,13 @@ def join_chunks(plan: Plan, folder: RunFolder, stop: Stop, report: Report) -> Ou
                 raise StoppedError
 
         def ended(done: Outcome, whole: bool) -> None:
-            done.complete, done.variable_fps, done.error = survey.complete, survey.variable, error
+            done.complete, done.variable_fps, done.failure = survey.complete, survey.variable, error
             done.warnings = tuple(survey.warnings)
 
         monitor = RunMonitor.of(job.recipe, start)
         monitor.detector = None  # it has looked at the chunks as they were tracked
-        with Recorder(plan, [*outputs(plan, folder), monitor], folder) as into:
-            into.outcome.note = start.note
-            done = record(Results(clip, lambda _: header, joined(), ended=ended), into, stop, report)
+        into.open([*outputs(into), monitor])
+        into.outcome.note = start.note
+        done = into.record(Results(clip, lambda _: header, joined(), ended), stop, report)
     done.frames_per_s = 0.0  # rows were joined, not tracked
     return done

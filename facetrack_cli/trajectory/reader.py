@@ -76,7 +76,7 @@ def read_trajectory(path: Path | str) -> Trajectory:
 
 def table_in(path: Path) -> Path:
     """The trajectory in the folder of a run; any other path is itself."""
-    inside = (path / f"trajectory.{form}" for form in ("json", "csv", "jsonl"))
+    inside = (path / f"trajectory.{form}" for form in ("json", "jsonl", "csv"))
     return next((file for file in inside if file.is_file()), path) if path.is_dir() else path
 
 

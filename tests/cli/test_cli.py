@@ -78,7 +78,7 @@ def test_a_run_imports_nothing_that_it_does_not_use(tmp_path):
     clip = Path(__file__).parents[2] / "sample_videos" / "occlusion.mp4"
     run = "run", str(clip), "--stop", "3", "--no-video", "-o", str(tmp_path / "out"), "--overwrite"
     unused = (
-        "runs.people runs.smooth runs.cluster runs.live runs.api start.presence trackers.smoothed trackers.opencv "
+        "runs.people runs.smooth runs.live runs.api start.presence trackers.smoothed trackers.opencv "
         "trackers.hands.target trackers.skin.likelihoods trackers.appearance.appearance trajectory.people video.writer "
         "video.overlay"
     )

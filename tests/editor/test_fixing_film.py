@@ -13,7 +13,8 @@ from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor.history import fixing
 from facetrack_cli.editor.import_annotations import imported_corrections
 from facetrack_cli.editor.save import keep, open_track, save
-from facetrack_cli.runs.people import people_in, recast, rows_in
+from facetrack_cli.run_folder.manifest import read_run
+from facetrack_cli.runs.people import people_in, recast
 from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trajectory import people as changes
 from facetrack_cli.trajectory.reader import UNSAVED
@@ -48,13 +49,13 @@ def fixer(film):
 
 
 def test_a_track_is_corrected_and_takes_its_place_in_the_film(film, fixer):
-    before, run = rows_in(film), fixer.run
+    before, run = read_run(film), fixer.run
     at = run.first + 8
     fixer.put([moved(run, fixer.rows, at)])
     fixer.put([Correction(run.first + 2, "person_1", confirmed=("nose",))])
     lines = save(fixer, video=False)
     assert f"{film / 'trajectory.json'}: written" in lines
-    after = rows_in(film)
+    after = read_run(film)
     assert after.names == before.names and len(after) == len(before)
     nose, was = after.find("person_1", "nose"), before.find("person_1", "nose")
     differ = nose.frame[nose.x != was.x]
@@ -123,7 +124,7 @@ def test_the_command_applies_a_file_to_a_track(film, tmp_path, capsys):
     init.write_text(f"frame: {run.first}\nperson_1:\n  box: {list(run.start.targets['person_1'].box)}\n"
                     f"corrections:\n- frame: 5\n  person_1:\n    confirmed: [nose]\n")  # fmt: skip
     assert main(["fix", str(film), "--person", "person_1@0:00", "--init", str(init), "--no-video"]) == 0
-    nose = rows_in(film).find("person_1", "nose")
+    nose = read_run(film).find("person_1", "nose")
     assert nose.frame[nose.by_hand].tolist() == [5]
     assert "trajectory.json: written" in capsys.readouterr().err
 
@@ -146,7 +147,7 @@ def test_the_export_of_a_film_comes_back_to_one_track(film, export, capsys):
     assert (one.frame, one.target, dict(one.given.points)) == (at, "person_1", {"nose": (100.0, 90.0)})
     who = ["--person", f"person_1@{at}f", "--import", str(file), "--no-video"]
     assert main(["fix", str(film), *who]) == 0
-    nose = rows_in(film).find("person_1", "nose")
+    nose = read_run(film).find("person_1", "nose")
     assert nose.frame[nose.by_hand].tolist() == [at]
     file.write_text(file.read_text().replace('label="person_', 'label="nobody_'))
     capsys.readouterr()
@@ -166,5 +167,5 @@ def test_segments_of_elan_are_taken_of_one_person(film, tmp_path, capsys):
     assert main(["fix", str(film), "--import", str(file)]) == 0
     assert "segments count with --person NAME@TIME" in capsys.readouterr().err
     assert main(["fix", str(film), "--person", "person_1@0:00", "--import", str(file), "--no-video"]) == 0
-    nose = rows_in(film).find("person_1", "nose")
+    nose = read_run(film).find("person_1", "nose")
     assert nose.frame[nose.status == "absent"].tolist() == [*range(25, 35)]

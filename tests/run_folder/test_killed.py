@@ -221,8 +221,7 @@ def test_a_kill_between_two_renames_is_finished_by_whoever_reads(clip, tmp_path,
 
     assert run(clip, "-o", tmp_path, "--stop", 5, *SMALL, "--seed", 1, "-q") == 0
     monkeypatch.setattr(locks, "finish_replacing", torn)
-    monkeypatch.setattr("facetrack_cli.runs.record.Recorder.__exit__", lambda *_: None)
-    monkeypatch.setattr("facetrack_cli.runs.record.RunFolder.__exit__", lambda folder, *_: abandon(folder.lease))
+    monkeypatch.setattr("facetrack_cli.runs.record.Recorder.__exit__", lambda into, *_: abandon(into.lease))
     with pytest.raises(SystemExit):
         run(clip, "-o", tmp_path, "--stop", 4, *SMALL, "--seed", 2, "--overwrite", "-q")
     monkeypatch.undo()

@@ -50,7 +50,7 @@ def run(asked, until=None):
             stop.code = ExitCode.INTERRUPTED
 
     done = clip.run(asked, stop, report)
-    assert done.error is None and (done.stopped is None) == (until is None)
+    assert done.failure is None and (done.stopped is None) == (until is None)
     return done
 
 
@@ -79,7 +79,7 @@ def ended_twice(tmp_path, recipe, *settings, **more):
     assert (out / FOLDER / "state.npz").is_file()
     assert run(job(recipe, out, *settings, **more), 21).resumed == EVERY
     done = run(job(recipe, out, *settings, **more))
-    assert done.resumed == 2 * EVERY and done.frames == 26 and "went on from frame 16" in done.summary()
+    assert done.resumed == 2 * EVERY and done.frames == 26 and "went on after 16 frames" in done.summary()
     return out, whole
 
 
@@ -124,7 +124,7 @@ def test_so_is_what_was_begun_by_a_search(tmp_path):
 def test_a_run_that_was_not_interrupted_keeps_no_checkpoint(tmp_path):
     asked = job("factorized", tmp_path / "out", video=True)
     run(asked)
-    assert not (asked.out / FOLDER).exists() and run(asked).again is not None
+    assert not (asked.out / FOLDER).exists() and run(asked).again
 
 
 @pytest.mark.parametrize("video", [False, True])
@@ -138,14 +138,14 @@ def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video):
 @pytest.mark.parametrize("how", [{"resume": False}, {"overwrite": True}, {}])
 def test_without_resuming_it_begins_at_its_start(interrupted, tmp_path, how):
     out = shutil.copytree(interrupted, tmp_path / "out")
-    assert run(job("factorized", out, smooth=True, **how)).resumed == (None if how else EVERY)
+    assert run(job("factorized", out, smooth=True, **how)).resumed == (0 if how else EVERY)
 
 
 def test_opencvs_trackers_and_a_lag_begin_anew(tmp_path):
     for recipe, more in (("mil", {"box": (140.0, 120.0, 40.0, 40.0)}), ("factorized", {"lag": 3})):
         asked = job(recipe, tmp_path / recipe, video=True, **more)
         run(asked, 11)
-        assert not (asked.out / FOLDER).exists() and run(asked).resumed is None
+        assert not (asked.out / FOLDER).exists() and run(asked).resumed == 0
 
 
 def edit(path, change):
@@ -180,7 +180,7 @@ def test_a_checkpoint_that_does_not_fit_is_left_out(interrupted, tmp_path, monke
     if change == "another numpy":
         monkeypatch.setattr(record, "_versions", lambda: {"numpy": "0"})
     done = run(job("factorized", out, smooth=True, overwrite=change == "rows gone"))
-    assert done.resumed is None and done.frames == 26
+    assert done.resumed == 0 and done.frames == 26
 
 
 def test_a_disk_without_space_for_a_checkpoint_is_no_harm(tmp_path, monkeypatch):
@@ -206,5 +206,5 @@ def test_a_piece_that_is_missing_is_said(tmp_path):
     run(asked, 11)
     (asked.out / FOLDER / "00000.mp4").unlink()
     done = clip.run(asked, Stop())
-    assert done.error is None or "annotated.mp4" in str(done.error)
+    assert done.failure is None or "annotated.mp4" in str(done.failure)
     assert Path(asked.out / "trajectory.csv").is_file()

@@ -22,11 +22,11 @@ psutil = pytest.importorskip("psutil")
 
 from facetrack_cli.__main__ import main  # noqa: E402
 from facetrack_cli.core import __version__  # noqa: E402
-from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError  # noqa: E402
+from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError  # noqa: E402
 from facetrack_cli.recipe.load import load_recipe  # noqa: E402
 from facetrack_cli.run_folder.lease import LOCK, NOTE  # noqa: E402
 from facetrack_cli.run_folder.manifest import NAME, read_manifest  # noqa: E402
-from facetrack_cli.runs import cluster  # noqa: E402
+from facetrack_cli.runs import batch as cluster  # noqa: E402
 from facetrack_cli.runs.plan import Job, Outcome  # noqa: E402
 from facetrack_cli.runs.progress import Progress  # noqa: E402
 from facetrack_cli.runs.signals import Stop  # noqa: E402
@@ -265,9 +265,9 @@ def test_dask_tries_again_what_is_not_the_clip_s_fault(worker, tmp_path, monkeyp
     sent = pickle.dumps(Job(tmp_path / "a.mp4", load_recipe("sir"), tmp_path / "a"))
     monkeypatch.chdir(tmp_path)
     for error in (InputError("no video"), FacetrackError("no space left")):
-        monkeypatch.setattr(cluster, "attempt", lambda job, stop, error=error: Outcome(error=error))
+        monkeypatch.setattr(cluster, "attempt", lambda job, stop, error=error: Outcome(failure=error))
         if isinstance(error, InputError):
-            assert cluster._on_worker(__version__, str(tmp_path), "batch", sent).error is error
+            assert cluster._on_worker(__version__, str(tmp_path), "batch", sent).failure is error
             continue
         with pytest.raises(FacetrackError, match="no space left"):
             cluster._on_worker(__version__, str(tmp_path), "batch", sent)
@@ -307,15 +307,15 @@ class Scheduler:
 
 def outcomes(monkeypatch, scheduler, tmp_path):
     """The outcomes of a batch by clip."""
-    monkeypatch.setattr(cluster, "_client", lambda address, patience_s: scheduler)
-    monkeypatch.setattr(cluster, "LOOK_S", 0.0)
+    monkeypatch.setattr(cluster, "_client", lambda where: scheduler)
+    monkeypatch.setattr(cluster, "ANSWER_LOOK_S", 0.0)
     recipe = load_recipe("sir")
     jobs = [Job(Path(name), recipe, tmp_path / name, batch=True, overwrite=True) for name in scheduler.scripts]
-    return {one.clip.stem: one for one in cluster.run_cluster(jobs, "tcp://one:9", Stop(), Progress(quiet=True))}
+    return {one.source.stem: one for one in cluster.run_cluster(jobs, "tcp://one:9", Stop(), Progress(quiet=True))}
 
 
 def answer(name, error=None, **more):
-    return Outcome(clip=Path(f"{name}.mp4"), frames=9, error=error, **more)
+    return Outcome(source=Path(f"{name}.mp4"), frames=9, failure=error, **more)
 
 
 def test_what_becomes_of_each_answer(tmp_path, monkeypatch):
@@ -323,17 +323,17 @@ def test_what_becomes_of_each_answer(tmp_path, monkeypatch):
     scheduler = Scheduler(
         a=[FacetrackError("no space left")],
         b=[answer("b", InputError("not a video"))],
-        c=[CancelledError(), None, answer("c", stopped="terminated", files=[tmp_path / "c.csv"]), answer("c")],
+        c=[CancelledError(), None, answer("c", stopped="terminated", paths=[tmp_path / "c.csv"]), answer("c")],
         d=[killed, killed],
         e=[killed, answer("e")],
     )
     found = outcomes(monkeypatch, scheduler, tmp_path)
     assert not any(scheduler.scripts.values()), "each answer was asked for"
-    assert str(found["a"].error).startswith("a.mp4: no space left; tried 3 times")
-    assert str(found["b"].error) == "not a video"
-    assert found["c"].error is None and found["c"].stopped is None and found["e"].error is None
+    assert str(found["a"].failure).startswith("a.mp4: no space left; tried 3 times")
+    assert str(found["b"].failure) == "not a video"
+    assert found["c"].failure is None and found["c"].stopped is None and found["e"].failure is None
     assert [job.overwrite for job in scheduler.sent if job.clip.stem == "c"] == [True, True, True, False]
-    assert "it ended worker after worker" in str(found["d"].error)
+    assert "it ended worker after worker" in str(found["d"].failure)
     assert "ended worker after worker" in read_manifest(tmp_path / "d.mp4").error
 
 
@@ -341,23 +341,4 @@ def test_a_scheduler_that_is_gone(tmp_path, monkeypatch):
     scheduler = Scheduler(a=[answer("a")])
     monkeypatch.setattr(scheduler, "status", "closed", raising=False)
     found = outcomes(monkeypatch, scheduler, tmp_path)
-    assert "not tracked, as the scheduler is gone; the same command again goes on" in str(found["a"].error)
-
-
-def test_a_scheduler_on_another_machine_is_warned_of_once(monkeypatch):
-    """It may run code here: it is said before anything is sent or read."""
-    lines, asked = [], []
-
-    def refuse(address, patience_s):
-        asked.append(len(lines))
-        raise OSError("nobody")
-
-    monkeypatch.setattr(cluster, "_client", refuse)
-    monkeypatch.setattr(cluster, "ANSWER_S", 0.3)
-    for where, said in (("tcp://192.0.2.1:8786", 1), ("tcp://127.0.0.1:8786", 0), ("tls://localhost:1", 0)):
-        lines.clear()
-        asked.clear()
-        with pytest.raises(UsageError, match="no scheduler of Dask answers"):
-            cluster._connect(where, SimpleNamespace(say=lines.append))
-        assert asked == [said]
-        assert sum("is another machine; a scheduler of Dask may run code on this one" in line for line in lines) == said
+    assert "not tracked, as the scheduler is gone; the same command again goes on" in str(found["a"].failure)

@@ -72,7 +72,7 @@ def tracked(tmp_path_factory):
 def named(tracked):
     """The same, named by the next run."""
     out = shutil.copytree(tracked, tracked.parent / "named")
-    assert read_people(out) is None and clip.run(job(out), Stop()).error is None
+    assert read_people(out) is None and clip.run(job(out), Stop()).failure is None
     assert read_trajectory(out / "trajectory.json").targets == ("person_1", "person_2")
     return out
 
@@ -331,7 +331,7 @@ def test_more_views_are_embedded_where_somebody_is_in_doubt(tracked, tmp_path, m
     looks, asked = Describer.looks, []
     monkeypatch.setattr(Describer, "looks", lambda self, most=VIEWS: asked.append(most) or looks(self, most))
     monkeypatch.setattr(runs_people, "cast_of", lambda tracks, *more: replace(cast_of(tracks), doubts=doubts))
-    assert clip.run(job(shutil.copytree(tracked, tmp_path / "out")), Stop()).error is None
+    assert clip.run(job(shutil.copytree(tracked, tmp_path / "out")), Stop()).failure is None
     few = asked.count(runs_people.FIRST_VIEWS)
     assert few > 0 and asked[few:] == [VIEWS] * (few if doubts else 0)
 
@@ -342,7 +342,7 @@ def test_the_report_shows_the_cast_and_doubts_side_by_side(tracked, tmp_path, mo
 
     out, page = shutil.copytree(tracked, tmp_path / "out"), tmp_path / "page.html"
     monkeypatch.setattr(runs_people, "cast_of", unsure)
-    assert clip.run(job(out), Stop()).error is None
+    assert clip.run(job(out), Stop()).failure is None
     doubts = read_people(out).doubts
     assert len(doubts) == 2 and all((out / one.still).is_file() for one in doubts)
     assert main(["report", str(out), "-o", str(page), "-q"]) == 0
@@ -423,7 +423,7 @@ def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(named, tmp_path,
     assert main(["people", str(out)]) == ExitCode.INPUT
     assert f"{out}: has no people.json; facetrack run --faces all writes it at its end" in capsys.readouterr().err
     done = clip.run(job(out), Stop())
-    assert done.error is None and done.resumed
+    assert done.failure is None and done.resumed
     for name in ("trajectory.csv", "trajectory.json", "people.json"):
         assert (out / name).read_bytes() == (named / name).read_bytes()
 
@@ -432,7 +432,7 @@ def test_a_crowd_is_bounded_and_said(tmp_path, monkeypatch):
     monkeypatch.setattr(presence, "MAX_FACES", 1)
     monkeypatch.setattr(runs_people, "MAX_FACES", 1)
     done = clip.run(job(tmp_path / "out"), Stop())
-    assert done.error is None
+    assert done.failure is None
     [said] = [line for line in done.warnings if "faces at a time" in line]
     assert said.startswith("more than 1 faces at a time, first in frame 9")
     boxes = [one for one in read_trajectory(tmp_path / "out" / "trajectory.json").parts if one.part == "box"]

@@ -83,7 +83,8 @@ def fix_command(
     from facetrack_cli.editor.history import fixing
     from facetrack_cli.editor.save import open_track
     from facetrack_cli.run_folder.finished import open_run
-    from facetrack_cli.runs.people import people_in, rows_in
+    from facetrack_cli.run_folder.manifest import read_run
+    from facetrack_cli.runs.people import people_in
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.reader import PEOPLE
     from facetrack_cli.trajectory.views import Clock
@@ -101,7 +102,7 @@ def fix_command(
     if person is None:
         opened = open_run(folder, clip)
     else:
-        at = frame_at(person[1], Clock(rows_in(folder), people_in(folder).fps))
+        at = frame_at(person[1], Clock(read_run(folder), people_in(folder).fps))
         opened = open_track(folder, person[0], at, clip)
     if file is None:
         with Stop().listening() as stop:
@@ -153,11 +154,12 @@ def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) ->
 def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: bool) -> int:
     """Take the names that a film's people have in a file of ELAN; the exit code."""
     from facetrack_cli.editor.import_annotations import renames
-    from facetrack_cli.runs.people import people_in, recast, rows_in
+    from facetrack_cli.run_folder.manifest import read_run
+    from facetrack_cli.runs.people import people_in, recast
     from facetrack_cli.trajectory.people import rename
     from facetrack_cli.trajectory.reader import clip_of
 
-    at = clip or clip_of(rows_in(folder))
+    at = clip or clip_of(read_run(folder))
     names = renames(file, people_in(folder).names, at.name if at else "")
     if not names:
         say(f"facetrack: {file}: the names are the run's, nothing was written; segments count with --person NAME@TIME")
@@ -211,14 +213,15 @@ def people_command(
       facetrack people out --save people.npz
     """
     from facetrack_cli.core.files import check_new
-    from facetrack_cli.runs.people import people_in, recast, rows_in, save_looks
+    from facetrack_cli.run_folder.manifest import read_run
+    from facetrack_cli.runs.people import people_in, recast, save_looks
     from facetrack_cli.trajectory.views import Clock
 
     refuse((as_json and as_csv, "--json and --csv both go to standard output; give one of them"))
     others = split or give or merge or rename or save is not None or as_json or as_csv
     refuse((edit and others, "--page corrects on the page alone; correct, save and print in a command without it"))
     people = people_in(folder)
-    clock = Clock(rows_in(folder) if split or give else None, people.fps)
+    clock = Clock(read_run(folder) if split or give else None, people.fps)
     changes = _changes(clock, split, give, merge, rename)
     if edit:
         from facetrack_cli.editor.fix_session import CastSession
@@ -240,7 +243,7 @@ def people_command(
     if as_json or as_csv:
         click.echo(people.text().decode() if as_json else _intervals(people), nl=False)
     elif not quiet:
-        _show(people, Clock(rows_in(folder), people.fps))
+        _show(people, Clock(read_run(folder), people.fps))
     return 0
 
 

@@ -177,7 +177,7 @@ def run_command(
     )
     local = None
     if cluster is not None:
-        from facetrack_cli.runs.cluster import check_cluster, run_cluster
+        from facetrack_cli.runs.batch import check_cluster, run_cluster
 
         local = check_cluster(cluster)  # the processes of local:N
     with progress(quiet) as shown:
@@ -293,11 +293,11 @@ def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
     shown.begin(job.clip.name)
     outcome = run(job, stop, shown.update, shown.looked)
     shown.close()
-    if isinstance(outcome.error, BrokenPipeError):
-        raise outcome.error
+    if isinstance(outcome.failure, BrokenPipeError):
+        raise outcome.failure
     _report(outcome, shown)
-    if outcome.error is not None:
-        raise outcome.error
+    if outcome.failure is not None:
+        raise outcome.failure
     return stop.code or (ExitCode.LOST if outcome.lost_at_end else ExitCode.DONE)
 
 
@@ -311,19 +311,19 @@ def _chunks(job: Job, workers: int, stop: Stop, shown: Progress, shard: tuple[in
         for chunk, outcome in run_chunks(job, workers, stop, shown, shard):
             if not chunk:
                 whole = outcome
-            elif outcome.error is not None:
-                shown.say(f"facetrack: warning: {chunk}: {outcome.error}")
-            elif outcome.again is None and outcome.frames:
+            elif outcome.failure is not None:
+                shown.say(f"facetrack: warning: {chunk}: {outcome.failure}")
+            elif not outcome.again and outcome.frames:
                 shown.say(outcome.summary())
         shown.close()
         if whole is None:
             return stop.code or ExitCode.DONE
-        if whole.error is not None and not whole.frames:
-            raise whole.error
+        if whole.failure is not None and not whole.frames:
+            raise whole.failure
         _report(whole, shown)
-        if whole.error is not None:
-            shown.error(f"facetrack: error: {whole.error}")
-            return stop.code or (ExitCode.INPUT if isinstance(whole.error, InputError) else ExitCode.BATCH)
+        if whole.failure is not None:
+            shown.error(f"facetrack: error: {whole.failure}")
+            return stop.code or (ExitCode.INPUT if isinstance(whole.failure, InputError) else ExitCode.BATCH)
     return stop.code or (ExitCode.LOST if whole.lost_at_end else ExitCode.DONE)
 
 
@@ -334,21 +334,21 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress) -> Exit
     from facetrack_cli.runs.batch import check_all
 
     decided, left = check_all(jobs)
-    done = sum(outcome.again is not None and outcome.error is None for outcome in decided)
+    done = sum(outcome.again and outcome.failure is None for outcome in decided)
     if done > MAX_DONE_LINES:
         shown.say(f"{done} clips: done before")
     failed = before = lost = 0
     for outcome in itertools.chain(decided, batch(left, stop=stop, progress=shown)):
-        with about(outcome.clip.name):
-            if outcome.frames or outcome.error is None:
-                if outcome.again is None or done <= MAX_DONE_LINES:
+        with about(outcome.source.name):
+            if outcome.frames or outcome.failure is None:
+                if not outcome.again or done <= MAX_DONE_LINES:
                     _report(outcome, shown, named=True)
                 lost += bool(outcome.lost_at_end)
-            if outcome.error is not None:
+            if outcome.failure is not None:
                 failed += 1
-                before += outcome.again is not None
-                of = "" if str(outcome.clip) in str(outcome.error) else f"{outcome.clip}: "
-                shown.error(f"facetrack: error: {of}{outcome.error}")
+                before += outcome.again
+                of = "" if str(outcome.source) in str(outcome.failure) else f"{outcome.source}: "
+                shown.error(f"facetrack: error: {of}{outcome.failure}")
     shown.close()
     if stop.code is not None:
         return stop.code
@@ -365,14 +365,14 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress) -> Exit
 def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
     """What the search took, warnings, the summary, the verdict; the next step, if no other clip is `named`."""
     if outcome.note:
-        shown.say(f"{outcome.clip}: {outcome.note}")
+        shown.say(f"{outcome.source}: {outcome.note}")
     for warning in outcome.warnings:
-        of = f"{outcome.clip}: " if named and str(outcome.clip) not in warning else ""
+        of = f"{outcome.source}: " if named and str(outcome.source) not in warning else ""
         shown.say(f"facetrack: warning: {of}{warning}")
     shown.say(outcome.summary())
-    if outcome.stopped or outcome.error is not None:
+    if outcome.stopped or outcome.failure is not None:
         return
     if outcome.verdict and not (named and not outcome.doubts):
-        shown.say(f"{outcome.clip}: {outcome.verdict}")
+        shown.say(f"{outcome.source}: {outcome.verdict}")
     if not named and (what := outcome.next_step()):
         shown.say(what)
