@@ -27,7 +27,7 @@ OFTEN = 20  # frames between two checkpoints, in place of 1,000
 
 
 def command(every: int, piece: int, *words: str | Path) -> list[str]:
-    code = f"from facetrack_cli.run_folder import checkpoint as c; c.EVERY_FRAMES = {every}; "
+    code = f"from facetrack_cli.runs import record as c; c.EVERY_FRAMES = {every}; "
     code += f"c.EVERY_S = 1e9; c.PIECE_FRAMES = {piece}; "
     code += "import sys; from facetrack_cli.__main__ import main; sys.exit(main())"
     return [sys.executable, "-c", code, "run", *map(str, words), "-q"]

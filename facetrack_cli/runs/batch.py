@@ -29,7 +29,7 @@ import sys
 import threading
 import time
 import warnings
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -82,17 +82,19 @@ def variant_name(recipe: str, settings: Sequence[str]) -> str:
 def folders(clips: Sequence[Path], recipe: str) -> list[str]:
     """A folder name for the results of each clip, `<clip>-<recipe>`; no two are the same.
 
-    Clips of one name are told apart by the folders they lie in, as many as it takes; in one folder, by their suffix.
+    Clips of one name are told apart by the folders in which they lie; in one folder, by their suffix.
     """
-    places, names = [absolute(clip) for clip in clips], [title(clip) for clip in clips]
-    for depth in range(1, max((len(clip.parts) for clip in places), default=0) + 2):
-        count = Counter(map(str.casefold, names))
-        clashing = [i for i, name in enumerate(names) if count[name.casefold()] > 1]
-        beside = Counter(places[i].parent for i in clashing)
-        for i in clashing:
-            clip = places[i]
-            last = clip.name.replace(".", "-") if beside[clip.parent] > 1 else title(clip)
-            names[i] = "-".join([*clip.parent.parts[1:][-depth:], last])
+    names, groups = [title(clip) for clip in clips], defaultdict[str, list[int]](list)
+    for i, name in enumerate(names):
+        groups[name.casefold()].append(i)
+    for group in (group for group in groups.values() if len(group) > 1):
+        places = [absolute(clips[i]) for i in group]
+        levels = zip(*(place.parts[:-2] for place in places), strict=False)
+        above = len([*itertools.takewhile(lambda level: len({*level}) == 1, levels)])
+        beside = Counter(place.parent for place in places)
+        for i, place in zip(group, places, strict=True):
+            last = place.name.replace(".", "-") if beside[place.parent] > 1 else names[i]
+            names[i] = "-".join([*place.parts[max(above, 1) : -1], last])
     taken: set[str] = set()
     for i, name in enumerate(names):
         free = (f"{name}-{n}" if n > 1 else name for n in itertools.count(1))
@@ -152,9 +154,18 @@ def run_shared(
             said = True
             clips, them = ("1 clip is", "it") if len(busy) == 1 else (f"{len(busy)} clips are", "them")
             progress.say(f"{clips} being tracked by another facetrack; waiting for {them}")
-        free, busy = _wait(busy, stop)
+        free: list[Job] = []
+        while busy and not free and not stop():
+            free = [job for job in busy if not _is_busy(job, stop)]
+            time.sleep(0 if free else LOOK_S)
+        busy = [job for job in busy if job not in free]
         decided, left = check_all(free)
         yield from decided
+
+
+def _is_busy(job: Job, stop: Stop) -> bool:
+    """Whether somebody else tracks a clip; a claim that is stale is ended."""
+    return job.out is not None and (recover_interrupted(job.out, stop) >= 0 and is_held(job.out))
 
 
 def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[tuple[Job, Outcome]]:
@@ -179,20 +190,6 @@ def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> 
     for i, result in results:
         finished += 1
         yield jobs[i], outcome_of_crash(jobs[i], result) if isinstance(result, Exception) else result
-
-
-def _wait(busy: Sequence[Job], stop: Stop) -> tuple[list[Job], list[Job]]:
-    """The clips of others, once one of them at least is not being tracked any more: those, and the rest."""
-    while busy and not stop():
-        held = []
-        for job in busy:
-            if job.out is not None:
-                recover_interrupted(job.out, stop)  # which ends a claim that is stale
-                held += [job] if is_held(job.out) else []
-        if len(held) < len(busy):
-            return [job for job in busy if job not in held], held
-        time.sleep(LOOK_S)
-    return [], []
 
 
 def outcome_of_crash(job: Job, error: Exception) -> Outcome:

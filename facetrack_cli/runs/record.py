@@ -11,9 +11,11 @@ import contextlib
 import hashlib
 import os
 import platform
+import shutil
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -25,13 +27,13 @@ import numpy as np
 
 from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.npz import Arrays, Kind, Stored, flat_value, read_value
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder import checkpoint, manifest
-from facetrack_cli.run_folder.checkpoint import Checkpoints, remove_checkpoints
-from facetrack_cli.run_folder.lease import FolderLease, here, utc_now
+from facetrack_cli.run_folder import manifest
+from facetrack_cli.run_folder.lease import FolderLease, here, sweep, utc_now
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.workers import Painter
@@ -44,6 +46,11 @@ from facetrack_cli.video.source import Source
 if TYPE_CHECKING:
     from facetrack_cli.video.writer import VideoWriter
 
+FOLDER: Final = ".checkpoint"
+KIND: Final = Kind("facetrack-checkpoint", 1, "checkpoint of a run", "facetrack run")
+PIECE_FRAMES = 250  # of a piece of the video
+EVERY_S, EVERY_FRAMES = 30.0, 1000  # between two checkpoints, whichever is less
+STATE: Final = "state.npz"
 _MAX_NOTES: Final = 5  # lines that the tracker has for the user, which are kept
 
 
@@ -117,6 +124,70 @@ class Sink:
         """Remove the temporary file, if it is still there."""
 
 
+class Checkpoints:
+    """The whole state of the run into `out` that `key` tells from all others, kept now and then by a thread of its own.
+
+    The same run again goes on from there, and gives byte for byte what a run that was never ended gives: rows, and the
+    decoded frames of the video. So the video is always encoded in pieces of `PIECE_FRAMES`, and a checkpoint falls
+    between two of them. Trackers of OpenCV do not give their state away, and with a lag rows wait in memory: those runs
+    begin anew. `video`: whether the run writes a video.
+    """
+
+    def __init__(self, out: Path, key: str, *, video: bool) -> None:
+        self.folder, self._key, self._video = out / FOLDER, key, video
+        files.check_plain(self.folder, self.folder / STATE)
+        self._worker = ThreadPoolExecutor(1, "checkpoint")
+        self._ready: tuple[Arrays, Sequence[Callable[[], None]]] | None = None
+        self._last_s, self._last_frames = time.monotonic(), 0
+
+    def find(self) -> Any:
+        """The last state of this very run; None if none can be read."""
+
+        def make(stored: Stored) -> Any:
+            if stored.text("key") != self._key:
+                return None
+            self._last_frames = int(stored.file["frames"])
+            return read_value(stored, "run")
+
+        if (self.folder / STATE).is_file():
+            sweep(self.folder)
+            with contextlib.suppress(InputError):  # a file that is damaged
+                return KIND.read(self.folder / STATE, make)
+        return None
+
+    def is_due(self, frames: int) -> bool:
+        """Whether the run is to be marked after so many frames."""
+        if self._video and frames % PIECE_FRAMES:
+            return False
+        return frames - self._last_frames >= EVERY_FRAMES or time.monotonic() - self._last_s >= EVERY_S
+
+    def mark(self, frames: int, state: Any, steps: Sequence[Callable[[], None]]) -> None:
+        """Keep the `state` after so many frames, once there is one more, since after the last nothing is kept.
+
+        The `steps` come before.
+        """
+        self._last_s, self._last_frames = time.monotonic(), frames
+        self._ready = {"frames": np.array(frames), **flat_value("run", state)}, steps
+
+    def release(self) -> None:
+        """Keep what is marked."""
+        if self._ready is not None:
+            self._worker.submit(self._keep, *self._ready)
+            self._ready = None
+
+    def _keep(self, arrays: Arrays, steps: Sequence[Callable[[], None]]) -> None:
+        # whoever writes what could not be finished says so; without a checkpoint the run goes on all the same
+        with contextlib.suppress(OutputError, OSError):
+            self.folder.mkdir(exist_ok=True)
+            for step in steps:
+                step()
+            KIND.write(self.folder / STATE, {"key": np.array(self._key), **arrays})
+
+    def end(self) -> None:
+        """Wait until all is kept."""
+        self._worker.shutdown()
+
+
 @dataclass
 class RunState:
     """The state of a run: the `frame` to track next, the outcome so far, the tracker's state, the sinks' marks."""
@@ -183,7 +254,7 @@ class Recorder:
                 vars(last.outcome).update(self._about, resumed=last.outcome.frames)
                 self.state = last
                 return
-        remove_checkpoints(job.out)
+        shutil.rmtree(job.out / FOLDER, ignore_errors=True)
 
     def begin(self, results: Results, first: FrameResult) -> None:
         """Begin the files, before the `first` result is written."""
@@ -276,7 +347,7 @@ class Recorder:
                 errors.append(files.cannot_write(Path(e.filename or job.out), e) if isinstance(e, OSError) else e)
                 done.paths = ()
             if done.stopped is None and not errors and missing is None:
-                remove_checkpoints(job.out)
+                shutil.rmtree(job.out / FOLDER, ignore_errors=True)
         error = error or next(iter(errors), None)
         if job.strict and not done.complete and done.stopped is None:
             error = error or InputError(done.warnings[-1])
@@ -450,7 +521,7 @@ class Video(Sink):
         try:
             self._video.write(image, result.frame.time_s)
             self._painted += 1
-            if self._pieces and self._painted % checkpoint.PIECE_FRAMES == 0:
+            if self._pieces and self._painted % PIECE_FRAMES == 0:
                 cut, finish = self._video.cut()
                 finish()
                 self._mark = cut, self._overlay.memory

@@ -21,11 +21,10 @@ from facetrack_cli.core.numbers import dumps
 from facetrack_cli.engine.protocols import Linear
 from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.run_folder import manifest
-from facetrack_cli.run_folder.checkpoint import FOLDER
 from facetrack_cli.run_folder.finished import read_files, run_files
 from facetrack_cli.run_folder.lease import FolderLease, sweep
 from facetrack_cli.runs.plan import Report
-from facetrack_cli.runs.record import ClipFacts, Sink
+from facetrack_cli.runs.record import FOLDER, ClipFacts, Sink
 from facetrack_cli.runs.signals import Stopped, StoppedError
 from facetrack_cli.trackers.smoothed import Beliefs, renamed_hands, smoothed_rows
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, header_value, recorded, successive

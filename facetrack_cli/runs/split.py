@@ -1,7 +1,7 @@
 """One long clip in chunks that are tracked side by side, by one process or several, and joined once all are done.
 
-A chunk is a run of some frames of the clip, in a folder of its own. Chunks overlap, and begin at keyframes where there
-are some about the wished place. In each but the first a detector looks for the face.
+A chunk is a run of some frames of the clip, in a folder of its own. Chunks overlap. In each but the first a detector
+looks for the face.
 
 Two tracks of a target agree in a frame if the boxes around its parts overlap by half (intersection over union). Chunks
 agree if every target does, in `SHARE` of the frames that both have. None of this is in the papers.
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain, count
@@ -26,7 +26,7 @@ from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import Array, Frame, Mask, Start, Whole
+from facetrack_cli.core.types import Array, Frame, Mask, Start
 from facetrack_cli.run_folder.manifest import clip_stat, read_manifest, read_run
 from facetrack_cli.run_folder.status import CHUNKS, PLAN, chunk_name
 from facetrack_cli.runs.batch import check_all, run_batch
@@ -116,8 +116,7 @@ def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
     else:
         start = job.find(job.recipe, stopped=stop, looked=progress.looked)
         _check_detector(job, start)
-    times, keys = _frames(job, start, stop, progress)
-    cuts = cut_by_length(start.frame, times, job.split, keys, str(job.clip))
+    cuts = cut_by_length(start.frame, _times(job, start, stop, progress), job.split, str(job.clip))
     made = {"key": key, "init": {"from": start.origin, **to_record(start)}, "note": start.note}
     make_folder(folder)
     text = dumps({**made, "cuts": [*cuts[:-1], (cuts[-1][0], job.stop)]})
@@ -141,8 +140,8 @@ def _check_detector(job: Job, start: Start) -> None:
         raise UsageError(f"{job.clip}: --split: {e}; {fix}") from None
 
 
-def _frames(job: Job, start: Start, stop: Stop, progress: Progress) -> tuple[Array, Whole]:
-    """The times (T,) of the clip's frames up to --stop, in s, and the keyframes (M,), as far as they are known."""
+def _times(job: Job, start: Start, stop: Stop, progress: Progress) -> Array:
+    """The times (T,) of the clip's frames up to --stop, in s."""
     with job.open(start.frame) as source:
         claimed = None if source.frames_hint is None else start.frame + source.frames_hint
         count, fps = len(source.files) if isinstance(source, FolderSource) else claimed, float(source.fps)
@@ -151,20 +150,15 @@ def _frames(job: Job, start: Start, stop: Stop, progress: Progress) -> tuple[Arr
         if stop():
             raise InputError(f"{job.clip}: stopped before it was cut")
         if index is not None:
-            return index.times[: job.stop], index.keys
+            return index.times[: job.stop]
         progress.say(f"{job.clip}: its frames cannot be sought: every chunk decodes the clip from its start")
     if count is None:
         raise UsageError(f"{job.clip}: does not say how long it is; convert it to MP4, or leave --split out")
-    return np.arange(count)[: job.stop] / fps, np.zeros(0, np.int64)
+    return np.arange(count)[: job.stop] / fps
 
 
-def cut_by_length(
-    first: int, times: Array, split: Split, keys: Sequence[int] | Whole, clip: str
-) -> list[tuple[int, int]]:
-    """[first, stop) of chunks of the frames from `first` to the last of `times` (T,), in s; each overlaps the next.
-
-    A chunk begins at the last of `keys` before the wished place, if that is not half a chunk away.
-    """
+def cut_by_length(first: int, times: Array, split: Split, clip: str) -> list[tuple[int, int]]:
+    """[first, stop) of chunks of the frames from `first` to the last of `times` (T,), in s; each overlaps the next."""
     end, steps = len(times), np.diff(times[first:])
     overlap = OVERLAP_S
     if split.frames and len(steps):
@@ -173,15 +167,13 @@ def cut_by_length(
         least = f"{round(2 * overlap)}f" if split.frames else f"{2 * overlap:g}s"
         raise UsageError(f"{clip}: chunks overlap by {OVERLAP_S:g} s; give --split {least} or more")
     clock = np.arange(end, dtype=np.float64) if split.frames else times
-    begins, sought = [first], np.asarray(keys, np.int64)
+    begins = [first]
     while True:
         wished = clock[begins[-1]] + split.length
         at = int(np.searchsorted(clock, wished))
         if at >= end or clock[-1] - wished < 2 * overlap:
             break
-        half = int(np.searchsorted(clock, wished - split.length / 2))
-        near = sought[(sought >= half) & (sought <= at)]
-        begins.append(int(near[-1]) if len(near) else at)
+        begins.append(at)
     stops = [min(int(np.searchsorted(times, times[begin] + OVERLAP_S)), end) for begin in begins[1:]]
     return list(zip(begins, [*stops, end], strict=True))
 

@@ -243,9 +243,8 @@ def test_a_box_must_be_drawn_first(app, clips):
 
 
 OFTEN = """
-from facetrack_cli.run_folder import checkpoint
-from facetrack_cli.runs import progress
-checkpoint.EVERY_FRAMES, checkpoint.PIECE_FRAMES, progress.EVERY_JSON_S = 40, 20, 0.05
+from facetrack_cli.runs import progress, record
+record.EVERY_FRAMES, record.PIECE_FRAMES, progress.EVERY_JSON_S = 40, 20, 0.05
 """
 
 

@@ -28,9 +28,9 @@ def parsers() -> dict[str, Callable[[Path, bytes], object]]:
     from facetrack_cli.engine.confidence import load_calibration
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.run_folder import lease
-    from facetrack_cli.run_folder.checkpoint import KIND
     from facetrack_cli.run_folder.manifest import read_manifest, recover_interrupted
     from facetrack_cli.runs.live import piped
+    from facetrack_cli.runs.record import KIND
     from facetrack_cli.start.init_file import read_init
     from facetrack_cli.trackers.appearance.gallery import load_gallery
     from facetrack_cli.trackers.people.descriptor import load_people

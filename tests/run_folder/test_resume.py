@@ -13,11 +13,10 @@ import pytest
 
 from facetrack_cli.core.errors import ExitCode, OutputError
 from facetrack_cli.core.npz import Kind
-from facetrack_cli.run_folder import checkpoint
-from facetrack_cli.run_folder.checkpoint import FOLDER
 from facetrack_cli.run_folder.manifest import NAME, VIDEO, read_manifest
 from facetrack_cli.runs import clip, record, smooth
 from facetrack_cli.runs.plan import Job
+from facetrack_cli.runs.record import FOLDER
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.start.init_file import read_init
@@ -30,8 +29,8 @@ EVERY = 8  # frames between checkpoints here
 
 @pytest.fixture(autouse=True)
 def _often(monkeypatch):
-    monkeypatch.setattr(checkpoint, "EVERY_FRAMES", EVERY)
-    monkeypatch.setattr(checkpoint, "PIECE_FRAMES", EVERY)
+    monkeypatch.setattr(record, "EVERY_FRAMES", EVERY)
+    monkeypatch.setattr(record, "PIECE_FRAMES", EVERY)
 
 
 def job(recipe, out, *settings, source=None, stop=26, **more):
@@ -116,11 +115,6 @@ def test_so_are_corrected_tracks(tmp_path):
     assert same(*ended_twice(tmp_path, "factorized", init=init))
 
 
-@pytest.mark.nightly
-def test_so_is_what_was_begun_by_a_search(tmp_path):
-    assert same(*ended_twice(tmp_path, "factorized", init="haar"))
-
-
 def test_a_run_that_was_not_interrupted_keeps_no_checkpoint(tmp_path):
     asked = job("factorized", tmp_path / "out", video=True)
     run(asked)
@@ -165,7 +159,7 @@ CHANGES = {
 def interrupted(tmp_path_factory):
     """The folder of a run that was interrupted; nobody may change it."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(checkpoint, "EVERY_FRAMES", EVERY)
+        patched.setattr(record, "EVERY_FRAMES", EVERY)
         patched.setattr(smooth, "_BLOCK_FRAMES", 5)
         asked = job("factorized", tmp_path_factory.mktemp("interrupted") / "out", smooth=True)
         run(asked, 11)
@@ -197,8 +191,8 @@ def test_parts_of_a_damaged_state_are_refused(tmp_path):
     """What would make objects of other kinds is none of ours."""
     path = tmp_path / FOLDER / "state.npz"
     path.parent.mkdir()
-    checkpoint.KIND.write(path, {"key": np.array("k"), "run": np.array('{"of": "os:system", "fields": {}}')})
-    assert checkpoint.Checkpoints(tmp_path, "k", video=False).find() is None
+    record.KIND.write(path, {"key": np.array("k"), "run": np.array('{"of": "os:system", "fields": {}}')})
+    assert record.Checkpoints(tmp_path, "k", video=False).find() is None
 
 
 def test_a_piece_that_is_missing_is_said(tmp_path):

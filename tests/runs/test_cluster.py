@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import pickle
-import secrets
 import shutil
 import signal
 import subprocess
@@ -36,37 +34,30 @@ from tests.support.terminal import refusal  # noqa: E402
 
 
 class Dask:
-    """Processes that are ended together, in a `with`; all that they start has the same MARK."""
+    """Processes that are ended together, in a `with`, with all that they start."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.file, self.mark = folder, folder / "scheduler.json", secrets.token_hex(8)
+        self.folder, self.file = folder, folder / "scheduler.json"
         self.environment = os.environ | {
             "PYTHONPATH": str(FOLDER.parent),
-            "MARK": self.mark,
             "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
             "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "false",
         }
-        self.processes: list[psutil.Popen] = []
+        self.processes: list[subprocess.Popen[bytes]] = []
 
     def __enter__(self) -> Dask:
-        self.schedule()
+        self.start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-show")
+        until(self.file.exists)
+        for _ in range(2):
+            self.start("dask_worker", "--nthreads", "1")
         return self
 
-    def schedule(self) -> None:
-        self.file.unlink(missing_ok=True)
-        self.scheduler = self.start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-show")
-        until(self.file.exists)
-
-    def work(self, count: int) -> None:
-        for _ in range(count):
-            self.start("dask_worker", "--nthreads", "1")
-
-    def start(self, module: str, *words: str) -> psutil.Popen:
+    def start(self, module: str, *words: str) -> None:
         command = [sys.executable, "-m", f"distributed.cli.{module}", "--no-dashboard"]
         command += ["--scheduler-file", str(self.file), *words]
         with (self.folder / "log.txt").open("ab") as log:
-            self.processes.append(psutil.Popen(command, env=self.environment, stderr=log, stdout=log, cwd=self.folder))
-        return self.processes[-1]
+            more = {"env": self.environment, "cwd": self.folder, "start_new_session": True}
+            self.processes.append(subprocess.Popen(command, stderr=log, stdout=log, **more))
 
     def run(self, *words: object, cwd: Path, wait: bool = True) -> subprocess.Popen[str]:
         """`facetrack run`; it has ended unless not waited for."""
@@ -78,11 +69,8 @@ class Dask:
         return process
 
     def __exit__(self, *_: object) -> None:
-        for one in psutil.process_iter():
-            with contextlib.suppress(psutil.Error):
-                if one.environ().get("MARK") == self.mark:
-                    one.kill()
         for one in self.processes:
+            os.killpg(one.pid, signal.SIGKILL)
             one.wait()
 
 
@@ -107,7 +95,6 @@ def place(tmp_path_factory):
 @pytest.fixture(scope="module")
 def dask(tmp_path_factory):
     with Dask(tmp_path_factory.mktemp("dask")) as found:
-        found.work(count=2)
         yield found
 
 
@@ -185,23 +172,6 @@ def test_ctrl_c_closes_the_files_on_the_workers(dask, place):
     assert not list(place.glob(f"stopped/*/{LOCK}")) and not list(place.glob("stopped/*/.*.part*"))
     assert dask.run(*words, cwd=place).returncode == 0
     check_equal(place, "stopped")
-
-
-@pytest.mark.nightly
-def test_a_scheduler_that_is_killed(place, tmp_path):
-    with Dask(tmp_path) as dask:
-        dask.work(count=2)
-        words = [*SIR, "-o", "again", "--cluster", dask.file, *names()]
-        head = dask.run(*words, cwd=place, wait=False)
-        begun(place / "again" / "c0-sir")
-        dask.scheduler.kill()
-        dask.scheduler.wait()
-        said = head.communicate(timeout=100)[1]
-        assert head.returncode == 5 and "the scheduler is gone; the same command again goes on" in said
-        dask.schedule()
-        dask.work(count=2)
-        assert dask.run(*words, cwd=place).returncode == 0
-        check_equal(place, "again")
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------

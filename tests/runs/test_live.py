@@ -16,7 +16,6 @@ import threading
 import time
 from collections import Counter
 from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 from urllib.request import urlopen
 
@@ -35,7 +34,7 @@ from facetrack_cli.trackers.face.detectors import check_cascades
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.people import read_people
 from facetrack_cli.video.shots import find_cuts, passing_shots
-from facetrack_cli.video.source import is_live, open_source
+from facetrack_cli.video.source import open_source
 from tests.support.film_run import FILM, film_run
 from tests.support.samples import FOLDER
 from tests.test_docs import ROOT, blocks
@@ -51,15 +50,21 @@ MORE = {
 }
 
 
-def camera(images, fps=25):
-    """The address of a camera that shows the images to its first visitor, at their rate, and then is taken away."""
+def camera(images, fps=25, visits=1):
+    """The address of a camera that shows the images to so many visitors, at their rate, and then is taken away."""
     server = socket.create_server(("127.0.0.1", 0))
-    threading.Thread(target=_serve, args=(server, images, fps), daemon=True).start()
+
+    def serve():
+        with server:
+            for _ in range(visits):
+                _serve(server, images, fps)
+
+    threading.Thread(target=serve, daemon=True).start()
     return f"rtsp://127.0.0.1:{server.getsockname()[1]}/live"
 
 
 def _serve(server, images, fps):
-    with server, server.accept()[0] as visitor, visitor.makefile("rb") as asked:
+    with server.accept()[0] as visitor, visitor.makefile("rb") as asked:
         method = ""
         while method != "PLAY":
             lines = list(iter(lambda: asked.readline().decode().strip(), ""))
@@ -174,43 +179,10 @@ def test_a_pipe_that_is_no_clip_is_one_line(data):
     assert "Errno" not in str(error.value)
 
 
-def served(data, times):
-    """The port of a server that sends the data to each of so many visitors."""
-    server = socket.create_server(("127.0.0.1", 0))
-
-    def serve():
-        with server:
-            for _ in range(times):
-                visitor, _ = server.accept()
-                with visitor:
-                    visitor.sendall(data)
-
-    threading.Thread(target=serve, daemon=True).start()
-    return server.getsockname()[1]
-
-
-def test_an_address_is_opened_again_when_it_ends(monkeypatch):
-    monkeypatch.setattr(live, "LEAST_WAIT_S", 0.01)
-    port, said = served(mpegts(IMAGES), 2), []
-    images = received(f"tcp://127.0.0.1:{port}", said.append)
-    found = list(itertools.islice(images, 12))
-    images.close()
-    assert [one.shape for one in found] == [IMAGES[0].shape] * 12
-    assert said == [f"tcp://127.0.0.1:{port}: it has ended; it is opened again in 0.01 s"]
-
-
 def test_an_address_that_gives_nothing_is_one_line_and_no_waiting():
     with pytest.raises(InputError, match=r"^tcp://127\.0\.0\.1:9: ") as error:
         next(received("tcp://127.0.0.1:9", print))
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "live"),
-    [("-", True), ("0", True), ("/dev/video2", True), ("rtsp://host/a", False), ("clip.mp4", False)],
-)  # fmt: skip
-def test_what_comes_as_it_is_shown(name, live):
-    assert is_live(Path(name)) == live
 
 
 def test_lines_come_as_the_frames_do_with_their_age():
@@ -283,20 +255,12 @@ def test_a_pipe_that_stalls_is_ended_by_a_signal(number):
     assert seconds < 5, "a second, and what a busy machine takes"
 
 
-def test_a_pipe_from_which_nothing_comes_is_ended():
-    out, into = os.pipe()
-    until = time.monotonic() + 0.3
-    with open(out, "rb") as stream:  # noqa: PTH123 -- a number
-        assert followed(piped(stream), print, lambda: time.monotonic() > until) == 0
-        assert time.monotonic() < until + 2
-        os.close(into)  # the thread that reads ends
-
-
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
         (["-"], 2, "has no end; give --live"),
         (["0"], 2, "0: has no end; give --live"),
+        (["/dev/video2"], 2, "/dev/video2: has no end; give --live"),
         (["7", "--live", "--box", "1,1,9,9"], 3, "7: there is no camera of this number"),  # OpenCV says nothing
         (["-", "--live", "-o", "x"], 2, "leave --out out"),
         (["0", "--live", "--stop", "3"], 2, "--live has no --stop"),
@@ -313,15 +277,16 @@ def test_what_live_cannot_be(capfd, tmp_path, monkeypatch, words, code, said):
     assert said in err and (code == 2 or err.count("\n") == 1)
 
 
-def test_a_camera_of_rtsp_is_followed_and_said_when_it_ends(monkeypatch, capsys):
-    """It shows its images once: then nobody answers there, and a signal ends the wait."""
-    address, lines, said = camera(IMAGES), [], []
+def test_a_camera_of_rtsp_is_followed_again_when_it_ends_and_that_is_said(monkeypatch):
+    """It shows its images twice: then nobody answers there, and a signal ends the wait."""
+    address, lines, said = camera(IMAGES, visits=2), [], []
     monkeypatch.setattr(live, "LEAST_WAIT_S", 0.01)
     images = received(address, said.append)
-    found = followed(images, lines.append, lambda: len(lines) == 6 and len(said) > 1)
-    assert found == 6 and [json.loads(line)["frame"] for line in lines] == list(range(6))
-    assert json.loads(lines[-1])["targets"][0]["parts"][0]["x"] == pytest.approx(56.5, abs=2)
-    assert said[0] == f"{address}: it has ended; it is opened again in 0.01 s"
+    found = followed(images, lines.append, lambda: len(lines) == 12 and len(said) > 2)
+    assert found == 12 and [json.loads(line)["frame"] for line in lines] == list(range(12))
+    for at in (5, 11):
+        assert json.loads(lines[at])["targets"][0]["parts"][0]["x"] == pytest.approx(56.5, abs=2)
+    assert said[:2] == [f"{address}: it has ended; it is opened again in 0.01 s"] * 2
 
 
 def test_the_service_of_the_page_follows_a_camera(tmp_path):
