@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.types import Correction, Start
@@ -144,7 +143,7 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: record.RunState, 
         def ended(done: Outcome, whole: bool) -> None:
             if shots and whole and not job.chunk and not state.outcome.evidence:
                 raise InputError(f"{job.clip}: no face found in frames {start.frame} to {state.frame - 1}")
-            warnings = (*source.warnings, *state.notes)
+            warnings = (*source.warnings, *done.warnings)
             if shots:
                 from facetrack_cli.runs.people import crowded
 
@@ -156,7 +155,7 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: record.RunState, 
                 warnings += (f"--faces all: {alone}; recipe face with --init haar follows everybody, over cuts",)
             done.complete, done.warnings, done.variable_fps = source.complete, warnings, source.variable
 
-        yield record.Results(clip, partial(record.header_of, job, clip, start, more), tracked(), ended)
+        yield record.Results(clip, start, more, tracked(), ended)
 
 
 def past_end(corrections: Iterable[Correction], last: int, origin: str) -> tuple[str, ...]:

@@ -84,13 +84,14 @@ class ClipFacts(NamedTuple):
 class Results:
     """The results of a clip, of a film, of joined chunks: whatever is written as a run.
 
-    `header` gives what JSON says at its beginning, by the rows of the first frame. `frames` raises StoppedError where
-    nothing is to be kept. `ended` adds to the outcome how they ended, and is told whether nothing ended them early; it
-    raises InputError where nothing is to be kept.
+    `more` is what JSON says at its beginning beside clip, recipe and start. `frames` raises StoppedError where nothing
+    is to be kept. `ended` adds to the outcome how they ended, and is told whether nothing ended them early; it raises
+    InputError where nothing is to be kept.
     """
 
     clip: ClipFacts
-    header: Callable[[Trajectory], Header]
+    start: Start
+    more: Header
     frames: Generator[FrameResult, None, None] | None = None  # of who writes them one by one
     ended: Callable[[Outcome, bool], None] = lambda done, whole: None
 
@@ -195,7 +196,6 @@ class RunState:
     frame: int
     outcome: Outcome
     at: TrackState = field(default_factory=TrackState)
-    notes: tuple[str, ...] = ()
     sinks: tuple[Any, ...] = ()
 
 
@@ -266,13 +266,13 @@ class Recorder:
             self.outcome.clip = self._digest.clip
             far = {"frame": self.outcome.frames, "frames": self.total}
             self.lease.note({"clip": str(self.plan.job.clip), "run": self.outcome.record(), **far})
-        header = results.header(first.rows)
+        header = _header(self.plan.job, results, first.rows)
         for sink, mark in zip(self.sinks, self.state.sinks or [None] * len(self.sinks), strict=True):
             sink.begin(results.clip, header, mark)
 
     def write(self, result: FrameResult) -> None:
         """Write one more frame. Without targets it counts in a film; between joined chunks it is only drawn."""
-        self.state.notes = (*self.state.notes, *result.notes)[:_MAX_NOTES]
+        self.outcome.warnings = (*self.outcome.warnings, *result.notes)[:_MAX_NOTES]
         counts = bool(result.targets) or self.plan.everyone
         for sink in self.sinks:
             if counts or sink.every:
@@ -392,20 +392,20 @@ class Recorder:
                 manifest.note_failure(self.lease, job.out, self.outcome, job.clip, error)
 
 
-def header_of(job: Job, clip: ClipFacts, start: Start, more: Header, rows: Trajectory) -> Header:
-    """What JSON says at its beginning, with `more`; `rows` are those of the first frame."""
+def _header(job: Job, results: Results, rows: Trajectory) -> Header:
+    """What JSON says at its beginning; `rows` are those of the first frame."""
     # those that every facetrack knows are not declared
     kinds = [kind for reported in rows.diagnostics.values() for kind in reported.declared if kind.name not in KNOWN]
     declared = {kind.name: kind for kind in kinds}
     return {
         "versions": _versions(),
-        "source": clip.record(),
+        "source": results.clip.record(),
         "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
         "seed": job.recipe.seed,
-        "init": {"from": start.origin, **to_record(start)},
+        "init": {"from": results.start.origin, **to_record(results.start)},
         **({"smoothed": {"lag": job.lag}} if job.lag else {}),
         **({"diagnostics": [kind.record() for kind in declared.values()]} if declared else {}),
-        **more,
+        **results.more,
     }
 
 

@@ -33,7 +33,7 @@ from facetrack_cli.runs.batch import check_all, run_batch
 from facetrack_cli.runs.people import ORIGIN
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, digest_of, resolve
 from facetrack_cli.runs.progress import Progress
-from facetrack_cli.runs.record import ClipFacts, Recorder, Results, header_of, outputs
+from facetrack_cli.runs.record import ClipFacts, Recorder, Results, outputs
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.runs.workers import decoded_ahead
@@ -389,7 +389,6 @@ def join_chunks(into: Recorder, stop: Stop, report: Report) -> Outcome:
         about = {name: first.header[name] for name in ("diagnostics",) if name in first.header}
         about |= {"split": job.split.record(), "chunks": survey.chunks}
         about |= {"seams": [seam._asdict() for seam in survey.seams]} if survey.seams else {}
-        header = header_of(job, clip, start, about, first)
 
         def frames() -> Iterator[Frame]:
             """Those of the clip, if they are drawn; then, up to the end of the rows, frames without pixels."""
@@ -421,6 +420,6 @@ def join_chunks(into: Recorder, stop: Stop, report: Report) -> Outcome:
         monitor.detector = None  # it has looked at the chunks as they were tracked
         into.open([*outputs(into), monitor])
         into.outcome.note = start.note
-        done = into.record(Results(clip, lambda _: header, joined(), ended), stop, report)
+        done = into.record(Results(clip, start, about, joined(), ended), stop, report)
     done.frames_per_s = 0.0  # rows were joined, not tracked
     return done

@@ -444,11 +444,23 @@ def test_a_film_of_nobody(tmp_path, capsys):
     assert "grey.mp4: no face found in frames 0 to 19" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("given", [["--smooth"], ["--lag", "5"], ["-o", "-"]])
-def test_what_a_film_cannot_is_refused(given, tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--smooth"], "no row is smoothed over a cut"),
+        (["--lag", "5"], "no row is smoothed over a cut"),
+        (["-o", "-"], "name a folder"),
+        (
+            ["--config", "signer"],
+            "recipe signer follows the hands of one person",
+        ),
+    ],
+)
+def test_what_a_film_cannot_is_refused(given, said, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["run", str(FILM), "--faces", "all", *given]) == ExitCode.USAGE
-    assert "--faces all" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "--faces all" in told and said in told and told.count("\n") == 1 and not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize(

@@ -116,12 +116,6 @@ def test_a_hand_that_is_taken_for_a_face_is_said_to_be_doubtful(facetrack):
     assert "facetrack fix" not in facetrack(*start, "d", "--format", "csv")[2], "which needs the JSON"
 
 
-def test_hands_of_everybody_are_refused_in_one_line(facetrack):
-    code, _, err = facetrack("run", "IN/signing.mp4", "--config", "signer", "--faces", "all", "--init", "yunet")
-    assert code == 2 and "--faces all: recipe signer follows the hands of one person" in err
-    assert "--box X,Y,W,H" in err and "Traceback" not in err and not [*Path().iterdir()]
-
-
 @pytest.mark.parametrize("recipe", ["face", "head_hands", "adaptive"])
 def test_the_face_of_a_recipe_is_looked_at(recipe):
     start = Start(0, {"face": TargetStart((30.0, 20.0, 20.0, 20.0))}, "haar")
