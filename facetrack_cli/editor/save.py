@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
 from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
@@ -19,12 +20,12 @@ from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe
 from facetrack_cli.run_folder.finished import Run, recipe_of, run_files, stamp
 from facetrack_cli.run_folder.lease import FolderLease
-from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest, read_run, write_rows
+from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_run, write_rows
 from facetrack_cli.runs.clip import past_end
-from facetrack_cli.runs.people import ORIGIN, film_of, painted, people_in, write_people
+from facetrack_cli.runs.people import ORIGIN, film_of, people_in, write_people
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
-from facetrack_cli.runs.smooth import Write, given_all, repaint, replace_files
+from facetrack_cli.runs.smooth import Write, given_all, rewrite
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import as_yaml, write_init
 from facetrack_cli.trackers.smoothed import lagged
@@ -32,7 +33,7 @@ from facetrack_cli.trajectory.people import read_still
 from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, read_header
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.views import choose
-from facetrack_cli.trajectory.writers import as_written, summary_of
+from facetrack_cli.trajectory.writers import as_written
 from facetrack_cli.video.source import open_source
 
 
@@ -55,15 +56,10 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
         filtered, rows = _tracked_again(fixer, report, stop)
         if filtered is not None:
             files[folder / FILTERED] = partial(write_rows, "csv", rows=filtered)
-    for form, (path, _) in run.files.items():
-        files[path] = partial(write_rows, form, rows=rows, corrections=fixer.corrections)
     files[folder / CORRECTED] = lambda write: write(as_yaml(fixer.start, run.clip.name).encode())
-    manifest, paint = read_manifest(folder), None
-    if manifest is not None:
-        manifest = replace(manifest, lost_frames=summary_of(rows).lost_frames)
-    if video and run.video is not None:
-        paint = partial(repaint, rows, run.clip, report=report, stop=stop)
-    written, notes = replace_files(folder, files, manifest, [folder / UNSAVED], paint, lambda: _check(run))
+    clip = run.clip if video and run.video is not None else None
+    how: Any = {"report": report, "stop": stop, "corrections": fixer.corrections, "check": lambda: _check(run)}
+    written, notes = rewrite(folder, rows, files, [folder / UNSAVED], clip, **how)
     notes += past_end(fixer.corrections, run.last, str(folder / CORRECTED))
     if run.video is not None and not video:
         notes.append(f"{run.video}: left as it was, it shows the track of before")
@@ -190,6 +186,6 @@ def _save_track(run: Run, rows: Trajectory, *, video: bool, report: Report, stop
         people = people.model_copy(update={"corrections": (*people.corrections, f"fix {person}@{run.first}f")})
         names = {record.still for record in people.people} | {record.still for record in people.tracks}
         stills = {name: read_still(folder, name) for name in names if name}
-        paint = painted(folder, people, whole, run.clip) if video else None
-        notes = write_people(folder, film, people, stills, paint, report, stop, lease)
+        clip = run.clip if video and run.video is not None else None
+        notes = write_people(folder, film, people, stills, clip, report, stop, lease)
     return [*(f"{path}: written" for path, _ in run.files.values()), *notes]

@@ -11,7 +11,7 @@ from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.engine.corrected import restored
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.manifest import POSTERIOR, VIDEO
+from facetrack_cli.run_folder.manifest import POSTERIOR, VIDEO, read_manifest
 from facetrack_cli.runs import record
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, resolve, silent
 from facetrack_cli.runs.signals import Stop, StoppedError
@@ -36,8 +36,6 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
     kept. Raises FacetrackError if nothing was tracked; no file is left then.
     """
     plan = resolve(job)
-    if plan.names:  # imported where a run asks for it, as below: a short run takes as long as its imports
-        from facetrack_cli.runs.people import name_run
     if (ended := plan.ended()) is not None:
         return ended
     tracked, kept = plan.tracked, {POSTERIOR, VIDEO} if job.video else {POSTERIOR}
@@ -54,27 +52,32 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
                 from facetrack_cli.runs.split import join_chunks
 
                 done = join_chunks(into, stop, report)
-    if done.failure is not None or done.stopped is not None:
-        return done
-    if plan.names:
-        return name_run(plan, done, stop, looked)
-    return _smoothed(job, done, stop, looked) if job.smooth else done
+    whole = done.failure is None and done.stopped is None
+    return _finished(plan, done, stop, looked) if whole and (plan.names or job.smooth) else done
 
 
-def _smoothed(job: Job, done: Outcome, stop: Stop, looked: Report) -> Outcome:
-    """Smooth a run that was tracked; an error is in the outcome. Once `stop`, the same command does it."""
-    from facetrack_cli.runs.smooth import save_smoothed
-
-    assert job.out is not None
+def _finished(plan: Plan, done: Outcome, stop: Stop, looked: Report) -> Outcome:
+    """Name or smooth a run that was tracked; an error is in the outcome. Once `stop`, the same command does it."""
+    job, out = plan.job, plan.job.out
+    assert out is not None
     try:
-        files, notes = save_smoothed(job.out, job.clip, lambda n, of: looked(n, of, "smoothing"), stop)
+        # imported where a run asks for it: a short run takes as long as its imports
+        if plan.names:
+            from facetrack_cli.runs.people import name_run
+
+            done.note = name_run(job, stop, looked)
+        else:
+            from facetrack_cli.runs.smooth import save_smoothed
+
+            done.warnings += (*save_smoothed(out, job.clip, lambda n, of: looked(n, of, "smoothing"), stop),)
     except StoppedError:
-        done.warnings = (*done.warnings, "not smoothed; the same command again does it")
+        done.stopped = stop.reason
+        done.warnings += (f"not {'named' if plan.names else 'smoothed'}; the same command again does it",)
     except FacetrackError as e:
         done.failure = e
-    else:
-        done.smoothed, done.paths = True, files
-        done.warnings = (*done.warnings, *notes)
+    if (run := read_manifest(out)) is not None:
+        done.paths = [out / name for name in run.files]
+        done.lost_frames, done.lost_at_end, done.smoothed = run.lost_frames, run.lost_at_end, run.smoothed
     return done
 
 

@@ -1,7 +1,8 @@
 """Tracking of images as they come: from a camera, an address of the network, or a pipe.
 
-Two images wait at most. Each frame gives a line of JSON with its age, as soon as it is tracked. Of everybody in a
-film (`LiveCast`, ours) a line comes up to eight frames late: so many take a cut and a look of the detector.
+Two images wait at most. Each frame gives a line of JSON, as in JSON lines but with its age, as soon as it is tracked.
+Of everybody in a film (`LiveCast`, ours) a line comes up to eight frames late: so many take a cut and a look of the
+detector.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from facetrack_cli.trackers.people.descriptor import VIEWS, Describer, FaceDescr
 from facetrack_cli.trackers.people.identity import UNKNOWN, TrackSummary, cast_of
 from facetrack_cli.trajectory.people import new_name
 from facetrack_cli.trajectory.trajectory import FrameResult
+from facetrack_cli.trajectory.writers import json_frames
 from facetrack_cli.video.decode import FORMATS, pixels, silence
 from facetrack_cli.video.images import MOST_PIXELS, check_pixels
 from facetrack_cli.video.shots import Shot, passing_shots
@@ -102,10 +104,12 @@ def follow(
                 at = came[result.frame.index]
                 for index in [index for index in came if index <= result.frame.index]:
                     del came[index]
-                line = record(result, result.frame.time_s, time.monotonic() - at)
+                nobody = f'"frame":{result.frame.index},"time_s":{result.frame.time_s:.4f},"targets":[]'
+                line = [f'"age_s":{time.monotonic() - at:.4f}', next(json_frames(result.rows), nobody)]
                 if cast is not None:
-                    line["people"] = {one: cast.names.get(one) for one in (each["target"] for each in line["targets"])}
-                write(json.dumps(line, allow_nan=False))
+                    there = [target.rows.target for target in result.targets]
+                    line.append(f'"people":{json.dumps({name: cast.names.get(name) for name in there})}')
+                write(f"{{{','.join(line)}}}")
                 count += 1
             if cast is not None:
                 write(json.dumps({"people": cast.cast()}))
@@ -113,19 +117,6 @@ def follow(
         if not stopped():
             raise
     return count
-
-
-def record(result: FrameResult, time_s: float, age_s: float) -> dict[str, Any]:
-    """A frame as JSON: what is not finite is null."""
-    targets = []
-    for rows in (target.rows for target in result.targets):
-        parts: list[dict[str, Any]] = []
-        for i, which in enumerate(rows.which.tolist()):
-            values = {name: float(getattr(rows, name)[i]) for name in ("x", "y", "w", "h", "confidence")}
-            finite = {name: round(value, 4) if math.isfinite(value) else None for name, value in values.items()}
-            parts.append({"part": rows.names[which][1], **finite, "status": str(rows.status[i])})
-        targets.append({"target": rows.target, "parts": parts})
-    return {"frame": result.frame.index, "time_s": round(time_s, 4), "age_s": round(age_s, 4), "targets": targets}
 
 
 def camera(number: int) -> Iterator[Image]:

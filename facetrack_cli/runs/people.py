@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -16,12 +15,11 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import check_plain, make_folder, remove_folders
 from facetrack_cli.core.types import BOX, Frame, Image
 from facetrack_cli.engine.loop import TrackState
-from facetrack_cli.run_folder.finished import run_files
 from facetrack_cli.run_folder.lease import IN_A_COPY, FolderLease
-from facetrack_cli.run_folder.manifest import VIDEO, check_run, other_clip, read_manifest, read_run, write_rows
-from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, silent
+from facetrack_cli.run_folder.manifest import VIDEO, check_run, other_clip, read_manifest, read_run
+from facetrack_cli.runs.plan import Job, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
-from facetrack_cli.runs.smooth import repaint, replace_files
+from facetrack_cli.runs.smooth import rewrite
 from facetrack_cli.start.presence import MAX_FACES
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import Describer, load_people, save_people, still, views_of
@@ -216,26 +214,17 @@ def crowded(at: TrackState) -> tuple[str, ...]:
     return (f"more than {MAX_FACES} faces at a time, first in frame {at.states[0].crowd}; the largest are followed",)
 
 
-def name_run(plan: Plan, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
-    """Name everyone in a run that was tracked, and write its files again under their names; what became of it.
+def name_run(job: Job, stop: Stop, looked: Report) -> str:
+    """Name everyone in a run that was tracked, and write its files again under their names; who is in it, in one line.
 
-    Raises InputError where the film shows nobody. Once `stop` says so, the files stay as they are.
+    Raises InputError where the film shows nobody, StoppedError once `stop` says so; the files stay as they are.
     """
-    job = plan.job
     assert job.out is not None
     rows = read_run(job.out)
-    try:
-        film = cast_in(job, rows, stop, looked)
-        after = under_names(rows, film.tracks)
-        paint = (job.clip, (job.first, job.first + outcome.frames - 1)) if job.video else None
-        write_people(job.out, after, film.people, film.stills, paint, lambda n, of: looked(n, of, "drawing"), stop)
-    except StoppedError:
-        outcome.stopped = stop.reason
-        return outcome
-    if (run := read_manifest(job.out)) is None:
-        raise InputError(f"{job.out}: its run.json is gone; run again")
-    about = {name: getattr(outcome, name) for name in ("frames_per_s", "warnings", "resumed")}
-    return replace(Outcome.of(job, run), again=False, note=cast_line(film.people), **about)
+    film = cast_in(job, rows, stop, looked)
+    drawing, clip = (lambda n, of: looked(n, of, "drawing")), job.clip if job.video else None
+    write_people(job.out, under_names(rows, film.tracks), film.people, film.stills, clip, drawing, stop)
+    return cast_line(film.people)
 
 
 def write_people(
@@ -243,30 +232,26 @@ def write_people(
     rows: Trajectory,
     people: People,
     stills: Mapping[str, bytes],
-    paint: tuple[Path, tuple[int, int]] | None,
+    clip: Path | None,
     report: Report,
     stop: Stopped,
     lock: FolderLease | None = None,
 ) -> list[str]:
-    """Write the rows of a run under the names of people, people.json, pictures and video, all or none; warnings.
+    """Write the rows of a run under the names of people, people.json and pictures, all or none; warnings.
 
-    `paint`: the clip, and the first and last frames that the video shows.
+    The video is drawn again on the `clip`, if there is one.
     """
-    counted = summary_of(rows)
+    counted, first, run = summary_of(rows), people.shots[0].first, read_manifest(folder)
     header = {**rows.header, "lost_frames": counted.lost_frames, "evidence": counted.evidence}
-    rows = replace(rows, header=header)
-    files: dict[Path, Any] = {path: partial(write_rows, form, rows=rows) for form, path in run_files(folder).items()}
-    files[folder / PEOPLE] = lambda write: write(people.text())
+    files: dict[Path, Any] = {folder / PEOPLE: lambda write: write(people.text())}
     files |= {folder / still: lambda write, data=data: write(data) for still, data in stills.items()}
     check_plain(folder / STILLS)
     made = make_folder(folder / STILLS, IN_A_COPY)
     gone = [path for path in (folder / STILLS).iterdir() if path not in files and not path.is_dir()]
-    if (ended := read_manifest(folder)) is not None:
-        kept = {name: file for name, file in ended.files.items() if name != VIDEO or paint is None}
-        ended = replace(ended, files=kept, lost_frames=counted.lost_frames, lost_at_end=counted.lost_at_end)
-    draw = None if paint is None else partial(repaint, rows, *paint, report=report, stop=stop, order=people.names)
+    span, clip = (None, None) if run is None else ((first, first + run.frames - 1), clip)
+    how: Any = {"report": report, "stop": stop, "order": people.names, "lock": lock}
     try:
-        return replace_files(folder, files, ended, gone, draw, lock=lock)[1]
+        return rewrite(folder, replace(rows, header=header), files, gone, clip, span, **how)[1]
     finally:
         remove_folders(made)
 
@@ -321,17 +306,9 @@ def recast(
         ]
         words = (*people.corrections, *(word for word, _ in changes))
         after = people_of(Clock(rows, people.fps), people.shots, records, stills, photographs(people, tracks), words)
-        paint = painted(folder, people, rows, where) if video else None
-        write_people(folder, named, after, pictures, paint, report, stop, lock)
+        where = where if video and (folder / VIDEO).is_file() else None
+        write_people(folder, named, after, pictures, where, report, stop, lock)
     return after
-
-
-def painted(folder: Path, people: People, rows: Trajectory, clip: Path | None) -> tuple[Path, tuple[int, int]] | None:
-    """What the annotated video of a film is drawn on, for `write_people`; None without it, or without its clip."""
-    where, run, first = clip or clip_of(rows), read_manifest(folder), people.shots[0].first
-    if where is None or run is None or not (folder / VIDEO).is_file():
-        return None
-    return where, (first, first + run.frames - 1)
 
 
 def people_in(folder: Path) -> People:

@@ -18,6 +18,7 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FULL, check_plain, discard, publish, temporary_path, writing
 from facetrack_cli.core.npz import Kind, Stored, write_arrays
 from facetrack_cli.core.numbers import dumps
+from facetrack_cli.core.types import Correction
 from facetrack_cli.engine.protocols import Linear
 from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.run_folder import manifest
@@ -29,7 +30,7 @@ from facetrack_cli.runs.signals import Stopped, StoppedError
 from facetrack_cli.trackers.smoothed import Beliefs, renamed_hands, smoothed_rows
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, header_value, recorded, successive
 from facetrack_cli.trajectory.views import choose
-from facetrack_cli.trajectory.writers import Header
+from facetrack_cli.trajectory.writers import Header, summary_of
 from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import given_rate, open_source
 from facetrack_cli.video.writer import VideoWriter
@@ -37,22 +38,17 @@ from facetrack_cli.video.writer import VideoWriter
 Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
 
 
-def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> tuple[list[Path], list[str]]:
-    """Smooth a run of `clip` in its folder, with its video; the files, and warnings.
+def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> list[str]:
+    """Smooth a run of `clip` in its folder, with its video; warnings.
 
     The filter's rows are kept in trajectory.filtered.csv, and the posterior is removed. Raises OutputError or
     InputError, StoppedError once `stop` says so; nothing is written then.
     """
-    rows = read_files(run_files(folder))
-    after = given_all(rows, read_posterior(folder / manifest.POSTERIOR, rows))
-    files = {folder / manifest.FILTERED: partial(manifest.write_rows, "csv", rows=rows)}
-    files |= {path: partial(manifest.write_rows, form, rows=after) for form, path in run_files(folder).items()}
-    run, paint = manifest.read_manifest(folder), None
-    kept = {name: file for name, file in run.files.items() if name != manifest.POSTERIOR} if run else {}
-    if (folder / manifest.VIDEO).is_file():
-        paint = partial(repaint, after, clip, report=report, stop=stop)
-    ended = run and replace(run, smoothed=True, files=kept)
-    return replace_files(folder, files, ended, [folder / manifest.POSTERIOR], paint)
+    rows, posterior = read_files(run_files(folder)), folder / manifest.POSTERIOR
+    after = given_all(rows, read_posterior(posterior, rows))
+    filtered = {folder / manifest.FILTERED: partial(manifest.write_rows, "csv", rows=rows)}
+    video = clip if (folder / manifest.VIDEO).is_file() else None
+    return rewrite(folder, after, filtered, [posterior], video, report=report, stop=stop)[1]
 
 
 def given_all(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> Trajectory:
@@ -62,38 +58,50 @@ def given_all(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> Trajectory:
     return replace(after, header={**rows.header, "smoothed": {"lag": None}})
 
 
-def replace_files(
+def rewrite(
     folder: Path,
-    files: Mapping[Path, Write],
-    ended: manifest.Manifest | None,
-    gone: Sequence[Path] = (),
-    paint: Callable[..., Sequence[str]] | None = None,
+    rows: Trajectory,
+    others: Mapping[Path, Write],
+    gone: Sequence[Path],
+    clip: Path | None,
+    span: tuple[int, int] | None = None,
+    *,
+    report: Report,
+    stop: Stopped,
+    order: Sequence[str] = (),
+    corrections: Sequence[Correction] | None = None,
     check: Callable[[], None] = lambda: None,
     lock: FolderLease | None = None,
 ) -> tuple[list[Path], list[str]]:
-    """Write all files of a run's `folder`, then let them replace the old ones together; the files, and warnings.
+    """Write the tables of a run's `folder` again with these rows, and `others`; all replace the old files together.
 
-    Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video of `path` into
-    its temporary file. `check` raises, at the beginning and before anything is replaced, if the folder has changed;
-    `lock` is the folder's, if it is held. `ended` is the new run.json, `gone` are files to remove. OutputError for a
-    file that cannot be written; the folder is then as it was.
+    Returns the files, and warnings. Each value of `others` writes one file by calls of `write(data)`, `gone` are files
+    to remove. The video is drawn again on the `clip`, if there is one, as `repaint` does. `corrections` are those of
+    the start. `check` raises, at the beginning and before anything is replaced, if the folder has changed; `lock` is
+    the folder's, if it is held. OutputError for a file that cannot be written; the folder is then as it was.
     """
-    written: list[Path] = []
-    notes: list[str] = []
+    made = partial(manifest.write_rows, rows=rows, corrections=corrections)
+    files: dict[Path, Write] = {path: partial(made, form) for form, path in run_files(folder).items()} | dict(others)
+    written, notes = list[Path](), list[str]()
     check_plain(folder / manifest.VIDEO, *files)
+    if (run := manifest.read_manifest(folder)) is not None:
+        kept = {name: file for name, file in run.files.items() if folder / name not in gone}
+        counted, smoothed = summary_of(rows), run.smoothed or rows.header.get("smoothed") == {"lag": None}
+        lost = counted.lost_frames, counted.lost_at_end
+        run = replace(run, files=kept, smoothed=smoothed, lost_frames=lost[0], lost_at_end=lost[1])
     try:
         with nullcontext(lock) if lock else FolderLease(folder) as lock:
             check()
             sweep(folder)
-            if paint is not None:
+            if clip is not None:
                 written.append(folder / manifest.VIDEO)
-                notes += paint(path=folder / manifest.VIDEO)
+                notes += repaint(rows, clip, span, path=written[0], report=report, stop=stop, order=order)
             for path, write in files.items():
                 written.append(path)
                 with temporary_path(path).open("wb") as file:
                     write(file.write)
             check()
-            manifest.commit(lock, folder, written, ended, gone)
+            manifest.commit(lock, folder, written, run, gone)
     except OSError as e:
         remedy = "free some space" if e.errno in FULL else "make it writable"
         at = written[-1] if written else folder

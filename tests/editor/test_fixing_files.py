@@ -19,8 +19,10 @@ from facetrack_cli.editor.history import fixing
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
+from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.finished import check_size, open_run, read_files, recipe_of
 from facetrack_cli.run_folder.lease import NOTE, FolderLease
+from facetrack_cli.runs import smooth
 from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED
 from tests.support.leases import abandon
 from tests.support.samples import FOLDER
@@ -95,7 +97,7 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
 
 @pytest.mark.parametrize("name", ["trajectory.jsonl", CORRECTED, "annotated.mp4"])
 def test_a_save_that_fails_leaves_the_folder_as_it_was(out, monkeypatch, name):
-    before, whole = files_of(out), saving.write_rows
+    before, whole = files_of(out), manifest.write_rows
 
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -107,8 +109,8 @@ def test_a_save_that_fails_leaves_the_folder_as_it_was(out, monkeypatch, name):
 
     with fixing(open_run(out)) as (fixer, _), monkeypatch.context() as patch:
         fixer.put([NOSE])
-        broken = {CORRECTED: ("as_yaml", full), "annotated.mp4": ("repaint", full)}
-        patch.setattr(saving, *broken.get(name, ("write_rows", write)))
+        broken = {CORRECTED: (saving, "as_yaml", full), "annotated.mp4": (smooth, "repaint", full)}
+        patch.setattr(*broken.get(name, (manifest, "write_rows", write)))
         with pytest.raises(OutputError, match=r"No space left on device; free some space, and save again"):
             save(fixer)
         assert files_of(out) == before and fixer.changed
