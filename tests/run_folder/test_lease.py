@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -208,6 +209,41 @@ def test_what_was_not_recovered_stays_in_the_next_note(tmp_path):
     with FolderLease(tmp_path) as lease:
         lease.note({"before": None})
         assert "run" not in holder(tmp_path)
+
+
+def _take(folders, barrier, mine):
+    """Take over the stale lease of each folder, at the same moment as another process; write who got it."""
+    leases.LEASE_S = LEASE_S
+    for folder in folders:
+        barrier.wait(60)
+        try:
+            with FolderLease(folder):
+                with (folder / "log").open("a") as log:
+                    log.write(f"{mine}\n")
+                barrier.wait(60)
+        except BusyError:
+            barrier.wait(60)
+
+
+def test_of_two_at_once_one_wins(tmp_path, soon):
+    kinds = ["here"] * 4 + ["elsewhere"] + ["nothing"] * 4
+    folders = [tmp_path / f"{i}" for i in range(len(kinds))]
+    for folder, left in zip(folders, kinds, strict=True):
+        folder.mkdir()
+        if left == "here":
+            leave_here(folder, note_here(ended_process()))
+        elif left == "elsewhere":
+            leave(folder, ELSEWHERE, silent_s=70)
+    context = multiprocessing.get_context("spawn")
+    barrier = context.Barrier(2)
+    both = [context.Process(target=_take, args=(folders, barrier, i)) for i in range(2)]
+    for process in both:
+        process.start()
+    for process in both:
+        process.join(60)
+        assert process.exitcode == 0
+    won = [(folder / "log").read_text().split() for folder in folders]
+    assert all(len(one) == 1 for one in won), won
 
 
 @pytest.mark.parametrize("which", [LOCK, NOTE])

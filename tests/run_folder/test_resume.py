@@ -115,6 +115,11 @@ def test_so_are_corrected_tracks(tmp_path):
     assert same(*ended_twice(tmp_path, "factorized", init=init))
 
 
+@pytest.mark.nightly
+def test_so_is_what_was_begun_by_a_search(tmp_path):
+    assert same(*ended_twice(tmp_path, "factorized", init="haar"))
+
+
 def test_a_run_that_was_not_interrupted_keeps_no_checkpoint(tmp_path):
     asked = job("factorized", tmp_path / "out", video=True)
     run(asked)
