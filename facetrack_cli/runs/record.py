@@ -123,6 +123,8 @@ class Sink:
 
     def discard(self) -> None:
         """Remove the temporary file, if it is still there."""
+        if self.path is not None:
+            files.discard(self.path)
 
 
 class Checkpoints:

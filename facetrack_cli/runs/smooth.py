@@ -213,9 +213,6 @@ class PosteriorWriter(Sink):
         self._flush()
         write_arrays(self.path, {**KIND.head, **self._head}, [*map(self._block, range(self._blocks))])
 
-    def discard(self) -> None:
-        discard(self.path)
-
     def _block(self, number: int) -> Path:
         return self._folder / f"posterior-{number:05}.npz"
 

@@ -137,7 +137,8 @@ def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video):
 @pytest.mark.parametrize("how", [{"resume": False}, {"overwrite": True}, {}])
 def test_without_resuming_it_begins_at_its_start(interrupted, tmp_path, how):
     out = shutil.copytree(interrupted, tmp_path / "out")
-    assert run(job("factorized", out, smooth=True, **how)).resumed == (0 if how else EVERY)
+    done = run(job("factorized", out, smooth=True, **how))
+    assert done.resumed == (0 if how else EVERY) and "smoothed" in done.summary()
 
 
 def test_opencvs_trackers_and_a_lag_begin_anew(tmp_path):

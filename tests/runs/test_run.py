@@ -24,6 +24,7 @@ from facetrack_cli.core.files import FileSink, cannot_write
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.runs.batch import folders, variant_name
 from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
@@ -437,6 +438,8 @@ def test_a_fault_of_ours_keeps_what_was_tracked(run, clip, monkeypatch):
     assert code == 1 and "internal error" in err.splitlines()[-1] and "Traceback" not in err
     assert count(Path("sway-face/annotated.mp4")) == 10
     assert (footer("sway-face")["complete"], footer("sway-face")["stopped"]) == (False, "a bug")
+    monkeypatch.setattr(RunMonitor, "write", lambda *_: 1 / 0)
+    assert run(clip, *SMALL, "-o", "first")[0] == 1 and not Path("first").exists(), "of the first frame nothing is"
 
 
 @pytest.mark.parametrize("threads", [1, 2])
