@@ -147,7 +147,8 @@ def track_frames(
     check_count("lag", lag)
     if lag:
         check_smoothing(tracker.recipe)
-    results = tracker._follow(frames_of_images(images, clock or (lambda index: index / fps)))
+    shown = clock or (lambda index: index / fps)
+    results = tracker._follow(frames_of((shown(index), image) for index, image in enumerate(images)))
     with named_as_arguments():
         yield from lagged(results, lag) if lag else results
 
@@ -275,10 +276,11 @@ def _init(init: Init | None, start: int) -> Path | DetectorName | Start | None:
     return Start(start, {"face": TargetStart(box=(left, top, width, height))}, "init")
 
 
-def frames_of_images(images: Iterable[Image], clock: Callable[[int], float]) -> Iterator[Frame]:
+def frames_of(images: Iterable[tuple[float, Image]]) -> Iterator[Frame]:
+    """The frames of images, each with its time in s. InputError as `frame_of`."""
     size: tuple[int, int] | None = None
-    for index, image in enumerate(images):
-        frame = frame_of(image, index, clock(index), size)
+    for index, (time_s, image) in enumerate(images):
+        frame = frame_of(image, index, time_s, size)
         size = frame.size
         yield frame
 

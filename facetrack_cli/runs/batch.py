@@ -165,7 +165,10 @@ def run_shared(
 
 def _is_busy(job: Job, stop: Stop) -> bool:
     """Whether somebody else tracks a clip; a claim that is stale is ended."""
-    return job.out is not None and (recover_interrupted(job.out, stop) >= 0 and is_held(job.out))
+    if job.out is None:
+        return False
+    recover_interrupted(job.out, stop)
+    return is_held(job.out)
 
 
 def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[tuple[Job, Outcome]]:

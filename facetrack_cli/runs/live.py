@@ -28,7 +28,7 @@ from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.core.types import BOX, Box, Frame, Image
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.api import Tracker, frame_of
+from facetrack_cli.runs.api import Tracker, frames_of
 from facetrack_cli.runs.signals import never
 from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.start.presence import LOOK_FRAMES, MultiFaceTracker
@@ -84,21 +84,18 @@ def follow(
     """
     came: dict[int, float] = {}
 
-    def framed(timed: Iterator[tuple[float, Image | Frame]]) -> Iterator[Frame]:
-        began = size = None
-        for index, (now, image) in enumerate(timed):
+    def dated(coming: Iterator[tuple[float, Image | Frame]]) -> Iterator[tuple[float, Image]]:
+        began = None
+        for index, (now, image) in enumerate(coming):
             came[index], began = now, now if began is None else began
             own = image.time_s if isinstance(image, Frame) else math.nan
-            time_s = now - began if math.isnan(own) else own
-            frame = frame_of(image.bgr if isinstance(image, Frame) else image, index, time_s, size)
-            size = frame.size
-            yield frame
+            yield now - began if math.isnan(own) else own, image.bgr if isinstance(image, Frame) else image
 
     count = 0
     try:
         timed = ((time.monotonic(), image) for image in images)  # as it comes: it waits for those before it
         with decoded_ahead(timed, most=1, stopped=stopped) as coming:
-            frames = framed(coming)
+            frames = frames_of(dated(coming))
             results = Tracker(recipe, init=init)._follow(frames) if cast is None else cast.follow(frames, recipe)
             for result in results:
                 at = came[result.frame.index]

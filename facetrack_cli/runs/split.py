@@ -40,7 +40,7 @@ from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.trackers.face.detectors import check_parts, detector
 from facetrack_cli.trajectory.reader import InitHeader, to_record
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
-from facetrack_cli.trajectory.views import Around, choose, enclose, has_windows
+from facetrack_cli.trajectory.views import choose, enclose
 from facetrack_cli.video.decode import read_index
 from facetrack_cli.video.source import FolderSource
 
@@ -259,8 +259,11 @@ def renamed(rows: Trajectory, names: Mapping[str, str]) -> Trajectory:
 def agreeing(ours: Trajectory, theirs: Trajectory) -> Mask:
     """(T,) whether two tracks of one target agree, of the T frames of both in which either shows it."""
     frames = np.intersect1d(ours.frames, theirs.frames)
-    around: Around = "windows" if any(map(has_windows, ours.parts)) else "points"
-    a, b = (enclose(rows.take(np.isin(rows.frame, frames)).parts, around) for rows in (ours, theirs))
+    # a part without a window is one pixel
+    sized = (
+        replace(rows, w=np.nan_to_num(rows.w, nan=1.0), h=np.nan_to_num(rows.h, nan=1.0)) for rows in (ours, theirs)
+    )
+    a, b = (enclose(rows.take(np.isin(rows.frame, frames)).parts) for rows in sized)
     shown = np.isfinite(a.x), np.isfinite(b.x)
     agree: Mask = (shown[0] & shown[1] & (iou(a.boxes, b.boxes) >= OVERLAP))[shown[0] | shown[1]]
     return agree
@@ -335,7 +338,9 @@ def _survey(whole: Plan, plan: ChunkPlan) -> _Survey:
             survey.chunks.append({"first": first, "frames": 0, "error": ended})
             continue
         survey.end = first + run.frames
-        if everyone and not run.lost_frames and b'\n{"frame":' not in (folder / TABLE).read_bytes():
+        with (folder / TABLE).open("rb") as table:
+            shows = not everyone or any(line.startswith(b'{"frame":') for line in table)
+        if not shows:
             why = "it shows nobody"
             survey.chunks.append({"first": first, "frames": run.frames})
             continue
