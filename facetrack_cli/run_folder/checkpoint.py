@@ -1,8 +1,7 @@
 """The whole state of a run, kept in its folder now and then: the same run again goes on from there.
 
-What it gives is byte for byte what a run that was never ended gives: rows, and the decoded frames of the video. So the
-video is always encoded in pieces of `PIECE_FRAMES`, and a checkpoint falls between two of them. Trackers of OpenCV do
-not give their state away, and with a lag rows wait in memory: those runs begin anew.
+Its rows are byte for byte those of a run that was never ended; its video is drawn from them at the end. Trackers of
+OpenCV do not give their state away, and with a lag rows wait in memory: those runs begin anew.
 """
 
 from __future__ import annotations
@@ -24,20 +23,16 @@ from facetrack_cli.run_folder.lease import sweep
 
 FOLDER: Final = ".checkpoint"
 KIND: Final = Kind("facetrack-checkpoint", 1, "checkpoint of a run", "facetrack run")
-PIECE_FRAMES = 250  # of a piece of the video
 EVERY_S, EVERY_FRAMES = 30.0, 1000  # between two checkpoints, whichever is less
 STATE: Final = "state.npz"
 Steps: TypeAlias = Sequence[Callable[[], None]]  # that bring files to the disk, before a checkpoint relies on them
 
 
 class Checkpoints:
-    """The checkpoints of the run into `out` that `key` tells from all others; a thread of their own writes them.
+    """The checkpoints of the run into `out` that `key` tells from all others; a thread of their own writes them."""
 
-    `video`: whether the run writes a video.
-    """
-
-    def __init__(self, out: Path, key: str, *, video: bool) -> None:
-        self.folder, self._key, self._video = out / FOLDER, key, video
+    def __init__(self, out: Path, key: str) -> None:
+        self.folder, self._key = out / FOLDER, key
         check_plain(self.folder, self.folder / STATE)
         self._worker = ThreadPoolExecutor(1, "checkpoint")
         self._ready: tuple[Arrays, Steps] | None = None
@@ -60,8 +55,6 @@ class Checkpoints:
 
     def is_due(self, frames: int) -> bool:
         """Whether the run is to be marked after so many frames."""
-        if self._video and frames % PIECE_FRAMES:
-            return False
         return frames - self._last_frames >= EVERY_FRAMES or time.monotonic() - self._last_s >= EVERY_S
 
     def mark(self, frames: int, state: Any, steps: Steps) -> None:

@@ -43,8 +43,9 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
         return ended
     if job.out is None:
         return track_clip(plan, None, stop, report, looked)
-    tracked, kept = plan.tracked, {POSTERIOR, VIDEO} if job.video else {POSTERIOR}
-    if tracked is not None and (plan.names or kept <= {*tracked.files}):  # only named or smoothed it is not
+    tracked = plan.tracked
+    # only named, smoothed or drawn it is not
+    if tracked is not None and (plan.names or not job.smooth or POSTERIOR in tracked.files):
         done = replace(Outcome.of(job, tracked), again=None)
     else:
         with record.RunFolder(plan, stop) as folder:
@@ -61,22 +62,25 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
         return done
     if plan.names:
         return name_run(plan, done, stop, looked)
-    return _smoothed(job, done, stop, looked) if job.smooth else done
+    undrawn = plan.draws and job.out / VIDEO not in done.files
+    return _finished(job, done, stop, looked) if job.smooth or undrawn else done
 
 
-def _smoothed(job: Job, done: Outcome, stop: Stop, looked: Report) -> Outcome:
-    """Smooth a run that was tracked; an error is in the outcome. Once `stop`, the same command does it."""
-    from facetrack_cli.runs.smooth import save_smoothed
+def _finished(job: Job, done: Outcome, stop: Stop, looked: Report) -> Outcome:
+    """Smooth a run that was tracked, and draw it; an error is in the outcome. Once `stop`, the same command does it."""
+    from facetrack_cli.runs.smooth import finish_run
 
     assert job.out is not None
+    what = "smooth" if job.smooth else "paint"
+    report: Report = lambda n, of: looked(n, of, f"{what}ing")  # noqa: E731
     try:
-        files, notes = save_smoothed(job.out, job.clip, lambda n, of: looked(n, of, "smoothing"), stop)
+        files, notes = finish_run(job.out, job.clip, report, stop, smooth=job.smooth, video=job.video)
     except StoppedError:
-        done.warnings = (*done.warnings, "not smoothed; the same command again does it")
+        done.warnings = (*done.warnings, f"not {what}ed; the same command again does it")
     except FacetrackError as e:
         done.error = e
     else:
-        done.smoothed, done.files = True, files
+        done.smoothed, done.files = job.smooth, files if job.smooth else [*files, *done.files]
         done.warnings = (*done.warnings, *notes)
     return done
 

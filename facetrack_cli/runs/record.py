@@ -29,7 +29,7 @@ from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder import checkpoint, manifest
+from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.checkpoint import Checkpoints, remove_checkpoints
 from facetrack_cli.run_folder.lease import FolderLease, here, utc_now
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
@@ -161,7 +161,7 @@ class RunFolder:
             clip = manifest.clip_stat(job.clip)
             same = [self._run.asked, _versions(), to_record(start), clip and (clip.bytes, clip.changed_ns)]
             key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
-            self.checkpoints = Checkpoints(self.path, key, video=self.plan.draws)
+            self.checkpoints = Checkpoints(self.path, key)
             last = self.checkpoints.find() if job.resume and not job.overwrite else None
         if isinstance(last, RunState):
             with contextlib.suppress(InputError, OSError):  # a table was edited, or is gone
@@ -273,8 +273,6 @@ class Recorder:
                 checkpoints.release()
                 if self.state.at.states and checkpoints.is_due(self.outcome.frames):
                     self.state.sinks = tuple(sink.mark() for sink in self.sinks)
-                    if any(sink.missing for sink in self.sinks):
-                        return  # a run without its video begins anew
                     checkpoints.mark(self.outcome.frames, self.state, [sink.sync for sink in self.sinks])
 
     def close(self, stopped: str | None = None, error: Exception | None = None) -> Outcome:
@@ -440,36 +438,33 @@ class Rows(Sink):
 
 
 class Video(Sink):
-    """The annotated video, painted and encoded in a thread of its own, in pieces between which a checkpoint falls.
+    """The annotated video, painted and encoded in a thread of its own.
 
-    `missing` says why there is none; the tables are whole all the same.
+    `missing` says why there is none; the tables are whole all the same. That of a run that goes on is drawn at its end,
+    from all rows.
     """
 
     every = True
-    path: Path
 
     def __init__(self, plan: Plan, folder: RunFolder) -> None:
-        self.path = folder.path / manifest.VIDEO
-        self._title, self._threaded, self._folder = plan.job.recipe.name, plan.job.threads > 1, folder
+        self._target = folder.path / manifest.VIDEO
+        self._title, self._threaded = plan.job.recipe.name, plan.job.threads > 1
         self._video: VideoWriter | None = None
         self._painter: Painter | None = None
-        self._mark: Any = None
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
         from facetrack_cli.video.overlay import Overlay
-        from facetrack_cli.video.writer import Cut, VideoWriter
+        from facetrack_cli.video.writer import VideoWriter
 
-        self._overlay, cut = Overlay(clip.size, fps=float(clip.fps), title=self._title), Cut()
         if mark is not None:
-            cut, self._overlay.memory = mark
-        self._painted, self._pieces = cut.frames, self._folder.checkpoints and self._folder.checkpoints.folder
-        about: dict[str, Any] = {"audio_from": clip.sound, "replace": False, "pieces": self._pieces, "after": cut}
-        self._video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, **about)
+            return
+        self.path = self._target
+        self._overlay = Overlay(clip.size, fps=float(clip.fps), title=self._title)
+        self._video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, audio_from=clip.sound, replace=False)
         self._painter = Painter(self._paint, threaded=self._threaded)
 
     def write(self, result: FrameResult) -> None:
-        assert self._painter is not None
-        if all(result.frame.size):  # of joined chunks a frame may be gone
+        if self._painter is not None and all(result.frame.size):  # of joined chunks a frame may be gone
             self._painter.put(result)
 
     def _paint(self, result: FrameResult) -> None:
@@ -479,23 +474,16 @@ class Video(Sink):
         image = self._overlay.draw(result)
         try:
             self._video.write(image, result.frame.time_s)
-            self._painted += 1
-            if self._pieces and self._painted % checkpoint.PIECE_FRAMES == 0:
-                cut, finish = self._video.cut()
-                finish()
-                self._mark = cut, self._overlay.memory
         except OutputError as e:
             self.missing = e
 
-    def mark(self) -> Any:
-        """Where the last piece ended, which is the last frame wherever a run is marked."""
-        assert self._painter is not None
-        self._painter.wait()
-        return self._mark
+    def mark(self) -> bool:
+        return True
 
     def end(self, done: Outcome) -> None:
         """The video ends before the tables, so that they can say what was wrong with it."""
-        assert self._video is not None and self._painter is not None
+        if self._video is None or self._painter is None:
+            return
         try:
             self._painter.end()
         finally:

@@ -38,22 +38,26 @@ from facetrack_cli.video.writer import VideoWriter
 Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
 
 
-def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> tuple[list[Path], list[str]]:
-    """Smooth a run of `clip` in its folder, with its video; the files, and warnings.
+def finish_run(
+    folder: Path, clip: Path, report: Report, stop: Stopped, *, smooth: bool, video: bool
+) -> tuple[list[Path], list[str]]:
+    """Smooth a run of `clip` in its folder, draw its video, or both; the files, and warnings.
 
-    The filter's rows are kept in trajectory.filtered.csv, and the posterior is removed. Raises OutputError or
-    InputError, StoppedError once `stop` says so; nothing is written then.
+    The rows of a filter that is smoothed are kept in trajectory.filtered.csv, and the posterior is removed. Raises
+    OutputError or InputError, StoppedError once `stop` says so; nothing is written then.
     """
-    rows = read_files(run_files(folder))
-    after = given_all(rows, read_posterior(folder / manifest.POSTERIOR, rows))
-    files = {folder / manifest.FILTERED: partial(manifest.write_rows, "csv", rows=rows)}
-    files |= {path: partial(manifest.write_rows, form, rows=after) for form, path in run_files(folder).items()}
-    run, paint = manifest.read_manifest(folder), None
-    kept = {name: file for name, file in run.files.items() if name != manifest.POSTERIOR} if run else {}
-    if (folder / manifest.VIDEO).is_file():
-        paint = partial(repaint, after, clip, report=report, stop=stop)
-    ended = run and replace(run, smoothed=True, files=kept)
-    return replace_files(folder, files, ended, [folder / manifest.POSTERIOR], paint)
+    rows, files, gone = read_files(run_files(folder)), dict[Path, Write](), list[Path]()
+    if smooth:
+        files, gone = (
+            {folder / manifest.FILTERED: partial(manifest.write_rows, "csv", rows=rows)},
+            [folder / manifest.POSTERIOR],
+        )
+        rows = given_all(rows, read_posterior(folder / manifest.POSTERIOR, rows))
+        files |= {path: partial(manifest.write_rows, form, rows=rows) for form, path in run_files(folder).items()}
+    run = manifest.read_manifest(folder)
+    kept = {name: file for name, file in run.files.items() if folder / name not in gone} if run else {}
+    paint = partial(repaint, rows, clip, report=report, stop=stop) if video else None
+    return replace_files(folder, files, run and replace(run, smoothed=smooth, files=kept), gone, paint)
 
 
 def given_all(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> Trajectory:
@@ -115,7 +119,7 @@ def repaint(
     stop: Stopped,
     order: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """Write the annotated video into its temporary file, without particles, which rows do not have; its warnings.
+    """Write the annotated video into its temporary file; its warnings.
 
     It shows the first and last frames of `span`, else all that have rows. Targets have the colours of their places in
     `order`.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
@@ -31,7 +30,6 @@ EVERY = 8  # frames between checkpoints here
 @pytest.fixture(autouse=True)
 def _often(monkeypatch):
     monkeypatch.setattr(checkpoint, "EVERY_FRAMES", EVERY)
-    monkeypatch.setattr(checkpoint, "PIECE_FRAMES", EVERY)
 
 
 def job(recipe, out, *settings, source=None, stop=26, **more):
@@ -198,13 +196,4 @@ def test_parts_of_a_damaged_state_are_refused(tmp_path):
     path = tmp_path / FOLDER / "state.npz"
     path.parent.mkdir()
     checkpoint.KIND.write(path, {"key": np.array("k"), "run": np.array('{"of": "os:system", "fields": {}}')})
-    assert checkpoint.Checkpoints(tmp_path, "k", video=False).find() is None
-
-
-def test_a_piece_that_is_missing_is_said(tmp_path):
-    asked = job("factorized", tmp_path / "out", video=True)
-    run(asked, 11)
-    (asked.out / FOLDER / "00000.mp4").unlink()
-    done = clip.run(asked, Stop())
-    assert done.error is None or "annotated.mp4" in str(done.error)
-    assert Path(asked.out / "trajectory.csv").is_file()
+    assert checkpoint.Checkpoints(tmp_path, "k").find() is None

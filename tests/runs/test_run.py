@@ -440,8 +440,8 @@ def test_an_encoder_that_is_killed(run, clip, monkeypatch, threads):
 
     def killed(video, image, time_s):
         if time_s > 0.3:
-            video._encoder.program.child.kill()
-            video._encoder.program.child.wait()
+            video._child.kill()
+            video._child.wait()
         write(video, image, time_s)
 
     monkeypatch.setattr(VideoWriter, "write", killed)

@@ -102,19 +102,15 @@ def test_times_never_fall(tmp_path: Path) -> None:
     assert (np.diff([t for t, _ in pictures]) > 0).all()
 
 
-@pytest.mark.parametrize(
-    ("gap", "shown", "fps"), [(11, 11.0, FPS), (100, 2**29 / 36e6, FPS), (20, 20.0, Fraction(1, 60))]
-)
-def test_a_gap_of_many_hours(tmp_path: Path, gap: int, shown: float, fps: Fraction) -> None:
+@pytest.mark.parametrize(("gap", "fps"), [(11, FPS), (20, Fraction(1, 60))])
+def test_a_gap_of_many_hours(tmp_path: Path, gap: int, fps: Fraction) -> None:
     times = [0.0, 0.04, gap * 3600, gap * 3600 + 0.04, gap * 3600 + 3600]
     with VideoWriter(tmp_path / "out.mp4", media.SIZE, fps) as writer:
         for index, moment in enumerate(times):
             writer.write(media.numbered(index), moment)
-    assert ["a gap of 100.0 hours at" in warning for warning in writer.warnings] == [True] * (gap > shown)
     pictures = media.read_timed(tmp_path / "out.mp4")
     assert [media.number(picture) for _, picture in pictures] == list(range(5))
-    steps = [0.04, shown * 3600, 0.04, 3600 - 0.04]
-    np.testing.assert_allclose(np.diff([t for t, _ in pictures]), steps, atol=0.05)
+    np.testing.assert_allclose([t for t, _ in pictures], times, atol=0.05)
 
 
 def test_odd_sizes_are_padded_by_one_line(tmp_path: Path) -> None:
@@ -252,7 +248,7 @@ def test_what_was_written_until_an_interruption_is_kept(tmp_path: Path, half: by
     with pytest.raises(KeyboardInterrupt), VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS) as writer:
         for index in range(12):
             writer.write(media.numbered(index), index / 25)
-        writer._encoder.pipe.write(half)  # a part of a frame
+        writer._pipe.write(half)  # a part of a frame
         raise KeyboardInterrupt
     assert [media.number(picture) for _, picture in media.read_timed(tmp_path / "out.mp4")] == list(range(12))
 
@@ -299,7 +295,7 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writer = VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS)
     writer.discard()
     # the encoder's file is the device that is always full
-    monkeypatch.setattr(VideoWriter, "_target", property(lambda self: Path("/dev/full")))
+    monkeypatch.setattr(ours, "temporary_path", lambda path: Path("/dev/full"))
     writer = VideoWriter(tmp_path / "out.mp4", (640, 480), FPS)
     with pytest.raises(OutputError) as caught:
         for index in range(600):
@@ -316,7 +312,7 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_encoder_that_dies(tmp_path: Path) -> None:
     writer = VideoWriter(tmp_path / "out.mp4", (640, 480), FPS)
     writer.write(media.numbered(0, (640, 480)), 0.0)
-    writer._encoder.program.child.kill()
+    writer._child.kill()
     with pytest.raises(OutputError, match=r"out\.mp4: the video cannot be written"):
         for index in range(1, 50):
             writer.write(media.numbered(index, (640, 480)), index / 25)
