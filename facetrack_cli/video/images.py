@@ -215,19 +215,6 @@ def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) 
         return 1
 
 
-def durations(path: Path) -> list[float]:
-    """How long each picture of an animated WebP is shown, in s; empty of what says nothing."""
-    shown_s: list[float] = []
-    if path.suffix.lower() == ".webp":
-        with suppress(*_damaged()), _picture(path) as image:
-            check_pixels(path, *image.size)
-            for page in range(int(getattr(image, "n_frames", 1))):
-                image.seek(page)
-                image.load()
-                shown_s.append(image.info.get("duration", 0) / 1000)
-    return shown_s if shown_s and min(shown_s) > 0 else []
-
-
 def check_pixels(path: Path, width: int, height: int) -> None:
     """UnreadableError for an image that claims more pixels than are read: before memory is taken for them."""
     if width * height > MOST_PIXELS:

@@ -163,15 +163,12 @@ def test_why_a_picture_is_not_read_is_what_its_reader_says(tmp_path: Path) -> No
     assert "plugin" not in refusal(tmp_path / "half.webp"), "that is what imageio says of it"
 
 
-def test_an_animated_webp_keeps_its_clock(tmp_path: Path) -> None:
+def test_an_animated_webp_has_the_rate_of_images(tmp_path: Path) -> None:
     first, *others = [Pictures.fromarray(media.numbered(i)) for i in range(6)]
     path = tmp_path / "clip.webp"
     first.save(path, save_all=True, append_images=others, duration=[40, 40, 120, 40, 40, 40], lossless=True)
-    source, frames = read(path)
-    assert numbers(frames) == list(range(6))
-    assert source.fps == 25 and source.variable
-    np.testing.assert_allclose([frame.time_s for frame in frames], [0, 0.04, 0.08, 0.2, 0.24, 0.28])
-    assert "its own frame rate" in refusal(path, fps=10)
+    source, frames = read(path, fps=Fraction(10))
+    assert numbers(frames) == list(range(6)) and source.fps == 10 and read(path)[0].fps == 25
     assert expand([tmp_path])[0] == [path]
 
 
