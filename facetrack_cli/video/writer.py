@@ -13,18 +13,16 @@ from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
-import cv2
 import imageio_ffmpeg
 import numpy as np
 
 from facetrack_cli.core.errors import OutputError, reason
 from facetrack_cli.core.files import discard, publish, temporary_path
 from facetrack_cli.core.types import Image
-from facetrack_cli.video.decode import FORMATS, sound_of, weights
+from facetrack_cli.video.decode import FORMATS, sound_of
 
 _TICK_S = 1e-6  # by which the pipe to the encoder counts time
 _LARGE = 3_000_000  # pixels: of larger frames x264 buffers few, because each needs 60 MB
-_STRIP = 1 << 18  # pixels that are converted at a time, which bounds memory
 _COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
 _LOCAL_CLIPS = ("-protocol_whitelist", "file", "-format_whitelist", FORMATS)  # as PyAV opens a clip
 _SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
@@ -81,7 +79,6 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         self._frames = self._tick = 0  # frames written, and the time of the last
         self._first_s = 0.0
         self._closed = False
-        self._planes = Planes(size)
         # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 0.1 ms
         finest = 10_000 if fps * _SLOW_S > 1 else 1000
         self._timescale = fps.numerator * -(-finest // fps.numerator)
@@ -126,10 +123,9 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         self._tick = max(tick, self._tick + 1) if self._frames else tick
         try:
             if not self._frames:
-                self._pipe.write(_matroska_head(*self._planes.size, self._fps))
-            data = self._planes.of(image).data
-            self._pipe.write(_matroska_block(round(self._tick / self._timescale / _TICK_S), data.nbytes))
-            self._pipe.write(data)
+                self._pipe.write(_matroska_head(width, height, self._fps))
+            self._pipe.write(_matroska_block(round(self._tick / self._timescale / _TICK_S), image.nbytes))
+            self._pipe.write(np.ascontiguousarray(image).data)
         except OSError as error:
             self._closed = True
             raise self._failure(error) from error
@@ -175,14 +171,17 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         self.close()  # what was written until an interruption is kept too
 
     def _command(self, aspect: Fraction) -> list[str]:
-        matrix, (width, height) = self._planes.matrix, self._planes.size
-        tags = f"setparams=colorspace={matrix}:color_primaries={matrix}:color_trc={matrix}:range=tv"
-        tags += f",setsar={aspect}" if aspect != 1 else ""
+        width, height = self.size
+        matrix = "bt709" if height >= 720 else "smpte170m"  # as players assume where they ignore the tag
+        # chroma is the mean of four pixels, or thin coloured lines would get holes; H.264 has even sides
+        change = f"pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix={matrix}:out_range=tv:flags=area+accurate_rnd"
+        change += f"+full_chroma_inp,format=yuv420p,setparams=colorspace={matrix}:color_primaries={matrix}"
+        change += f":color_trc={matrix}:range=tv{f',setsar={aspect}' if aspect != 1 else ''}"
         large = width * height > _LARGE
         command = ["-nostats", "-v", "error", "-y", *("-thread_queue_size", "1") * large, "-f", "matroska", "-i", "-"]
         # a lookahead in a thread of its own, and the macroblock tree, whose assembly reads memory that nobody has
         # written, make other bytes now and then of the same frames; superfast leaves out the tree
-        command += ["-vf", tags, "-c:v", "libx264", "-preset", "superfast", "-crf", "23"]
+        command += ["-vf", change, "-c:v", "libx264", "-preset", "superfast", "-crf", "23"]
         few = ":bframes=0:ref=1:sliced-threads=1" if large else ""
         command += [*("-threads", "3") * large, "-x264-params", f"sync-lookahead=0{few}"]
         command += ["-fps_mode", "passthrough", "-enc_time_base", f"1/{self._timescale}"]
@@ -250,42 +249,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             discard(self.path)
 
 
-class Planes:
-    """Turns BGR images of `size` (width, height) into YUV 4:2:0 of limited range, as `matrix` (ffmpeg's name) says.
-
-    `size` becomes that of what comes out: odd sides get one more line, which is black.
-    """
-
-    def __init__(self, size: tuple[int, int]) -> None:
-        (width, height), (right, bottom) = size, (size[0] % 2, size[1] % 2)
-        self.size = width, height = width + right, height + bottom
-        self._more = (0, bottom, 0, right) if right or bottom else None
-        self.matrix = "bt709" if size[1] >= 720 else "smpte170m"  # as players assume where they ignore the tag
-        self._weights = weights(*((0.2126, 0.0722) if self.matrix == "bt709" else (0.299, 0.114)))
-        self._planes = np.empty(width * height // 2 * 3, np.uint8)
-        y, uv = np.split(self._planes, [width * height])
-        self._y, self._uv = y.reshape(height, width), uv.reshape(2, height // 2, width // 2)
-        self._rows = max(_STRIP // width, 2) // 2 * 2
-
-    def of(self, image: Image) -> Image:
-        """The planes of (H, W, 3) uint8, one after the other, flat; they are overwritten by those of the next image.
-
-        A chroma sample is the mean of its four pixels: `cv2.COLOR_BGR2YUV_I420` takes it from one, and thin coloured
-        lines get holes; it does not know BT.709 either.
-        """
-        if self._more is not None:
-            image = np.asarray(cv2.copyMakeBorder(image, *self._more, cv2.BORDER_CONSTANT), np.uint8)
-        width, height = self.size
-        for top in range(0, height, self._rows):
-            yuv = cv2.transform(image[top : top + self._rows], self._weights)
-            cv2.extractChannel(yuv, 0, self._y[top : top + self._rows])
-            small = cv2.resize(yuv, (width // 2, len(yuv) // 2), interpolation=cv2.INTER_AREA)
-            for channel, plane in enumerate(self._uv, 1):
-                cv2.extractChannel(small, channel, plane[top // 2 : top // 2 + len(small)])
-        return self._planes
-
-
-# Just enough of Matroska (RFC 9559) for one track of uncompressed YUV 4:2:0, each frame with a time
+# Just enough of Matroska (RFC 9559) for one track of uncompressed BGR, each frame with a time
 
 
 def _element(identity: str, value: bytes | int) -> bytes:
@@ -296,7 +260,7 @@ def _element(identity: str, value: bytes | int) -> bytes:
 def _matroska_head(width: int, height: int, fps: Fraction) -> bytes:
     ebml = _element("4282", b"matroska") + _element("4287", 4) + _element("4285", 2)
     info = _element("2AD7B1", round(_TICK_S * 1e9)) + _element("4D80", b"facetrack") + _element("5741", b"facetrack")
-    video = _element("B0", width) + _element("BA", height) + _element("2EB524", b"I420")
+    video = _element("B0", width) + _element("BA", height) + _element("2EB524", b"BGR\x18")
     track = _element("D7", 1) + _element("73C5", 1) + _element("83", 1) + _element("9C", 0)
     track += _element("23E383", round(10**9 / fps))  # without it, the last frame would last no time and not be shown
     track += _element("86", b"V_UNCOMPRESSED") + _element("E0", video)
