@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from facetrack_cli.core.face_points import GROUPS, LINES, POINTS
 from facetrack_cli.core.types import Frame, Image
-from facetrack_cli.trajectory.trajectory import FrameResult, Status, TargetResult, recorded
+from facetrack_cli.trajectory.trajectory import FrameResult, Status, recorded
 from facetrack_cli.video.overlay import PALETTE, Font, Overlay, Shape, StatusBar, plain, readable, summary
 from tests.support import results
 from tests.support.face_shape import SHAPE, moving_face
@@ -220,46 +218,24 @@ def test_the_bar_drops_what_has_no_room(width: int, lost: tuple[str, ...], monke
     assert all(a[1] < b[0] for a, b in pairwise(sorted(places)))
 
 
-numbers = st.floats(-1e4, 1e4) | st.sampled_from([0.0, -1e12, 1e12])
-parts = st.builds(
-    results.part,
-    name=st.text(max_size=12),
-    x=numbers,
-    y=numbers,
-    w=st.floats(0, 5000),
-    h=st.floats(0, 5000),
-    status=st.sampled_from(["init", "tracked", "lost"]),
-    confidence=st.floats(0, 1),
-    cov=st.tuples(st.floats(0, 1e12), st.floats(-1e12, 1e12), st.floats(0, 1e12)),
-    ess=st.floats(0, 1000),
-    angle=st.none() | st.floats(-720, 720),
-)
+ODD = [
+    part("", -1e12, 1e12, w=0.0, h=5000.0, cov=(1e12, -1e12, 1e12), status="lost", angle=-720.0),
+    part("a\nb", 0.0, -1e4, w=5000.0, h=0.0, cov=(0.0, 1e12, 0.0), status="init", angle=33.0),
+    part("ü" * 12, 150.0, 100.0, w=3.0, h=3.0, cov=(1e-9, 1.0, 4.0), confidence=0.0),
+    part("box", 100.0, 1e4, w=40.0, h=30.0, cov=None, confidence=None, angle=None),
+]
 
 
-@st.composite
-def targets(draw: st.DrawFn) -> TargetResult:
-    of = draw(st.lists(parts, max_size=4, unique_by=lambda one: one["part"]))
-    identity = draw(st.none() | st.text(max_size=9))
-    return target(draw(st.text(max_size=9)), of, 40, None, identity, draw(st.none() | st.floats(0, 1)))
-
-
-several = st.lists(targets(), max_size=3, unique_by=lambda one: one.rows.target)
-
-
-@given(
-    size=st.tuples(st.integers(1, 400), st.integers(1, 300)),
-    frames=st.lists(st.tuples(several, st.floats(0, 1e6)), min_size=1, max_size=4),
-    title=st.text(max_size=30),
-    fps=st.floats(0.01, 1000),
-)
-def test_no_result_makes_it_raise(
-    size: tuple[int, int], frames: list[tuple[list[TargetResult], float]], title: str, fps: float
-) -> None:
-    overlay = Overlay(size, fps=fps, title=title)
-    for index, (of, time_s) in enumerate(frames):
-        picture = np.full((size[1], size[0], 3), 77, np.uint8)
-        image = overlay.draw(results.result(Frame(index, time_s, picture), of))
-        assert image.shape == picture.shape and (picture == 77).all()
+@pytest.mark.parametrize("size", [(1, 1), (400, 2), (47, 300), (400, 300)])
+@pytest.mark.parametrize("fps", [0.01, 25, 1000])
+def test_no_result_makes_it_raise(size: tuple[int, int], fps: float) -> None:
+    overlay = Overlay(size, fps=fps, title="a\u0301 \x1b title" * 3)
+    every = [target("", ODD, 40, None, "Ann\n", 0.0), target("one", ODD[2:3], 1, None, "", 1.0), target("none", [], 0)]
+    for index, time_s in enumerate((0.0, 1e6, 3.0, 3.0)):
+        for of in (every, every[1:], every[:1], every[2:], []):
+            picture = np.full((size[1], size[0], 3), 77, np.uint8)
+            image = overlay.draw(results.result(Frame(index, time_s, picture), of))
+            assert image.shape == picture.shape and (picture == 77).all()
 
 
 # --- corrections ---
