@@ -283,11 +283,9 @@ class Overlay:
             face = float(side[shape.parts.index(BOX)])
             dot = min(1.5 * line, max(_FACE_DOT * face, 0.6)) if len(shape.parts) <= _MAX_DOTTED else 0.0
             return [0.0 if part == BOX else dot for part in shape.parts]
-        share = np.where(shape.lost & (side >= _SMALL * line), 0.3, 0.2)
-        large = np.maximum(2 * line, share * np.minimum(side, 40 * line))
+        sizes = np.clip(0.25 * side, 2 * line, 10 * line)
         dots = np.where(side >= _ROOM * line, 1.25 * line, 0.0)
-        sizes: list[float] = np.where(shape.rows.status == "tracked", dots, large).tolist()
-        return sizes
+        return list(np.where(shape.rows.status == "tracked", dots, sizes).tolist())
 
     def _ellipses(self, shape: Shape) -> dict[int, Array]:
         """Two standard deviations around centres, (32, 2) by part; only where that is more than the mark."""
@@ -311,12 +309,8 @@ class Overlay:
 
         Without an identity a target has a name only if it is `named`.
         """
-        (bottom, right), top, gap, tags = (
-            image.shape[:2],
-            self._bar.height if self._bar else 0,
-            2 * self._line,
-            list[Box](),
-        )
+        (bottom, right), top = image.shape[:2], self._bar.height if self._bar else 0
+        gap, tags = 2 * self._line, list[Box]()
         for shape in shapes:
             text, colour = _name(shape, named=named)
             low, high = shape.corners.min(axis=(0, 1)), shape.corners.max(axis=(0, 1))
@@ -354,36 +348,34 @@ class StatusBar:
         self._width, self._line, self._title, self._font = width, line, title, Font(cap)
 
     def draw(self, image: Image, result: FrameResult) -> None:
-        """Darken the top `height` rows of `image` (H, W, 3) and write on them, in place: frame, time and status from
-        the left, the mean confidence and the title from the right, as far as there is room.
+        """Darken the top `height` rows of `image` (H, W, 3) and write on them, in place, as far as there is room.
+
+        Status, frame and time stand at the left, the mean confidence and the title at the right.
         """
         font, cap, rows = self._font, self._font.cap, result.rows
         strip = image[: self.height]
         cv2.convertScaleAbs(strip, strip, 0.28)
         status, saying = summary(rows)
-        gap, icon, base = round(0.8 * cap), round(1.5 * cap), (self.height + cap) // 2
-        sure = rows.confidence[np.isfinite(rows.confidence)]  # 0 % would be a lie of a tracker that does not say
-        frame, time = f"frame {result.frame.index}", clock(result.frame.time_s)
-        percent, room, shown = f"{mean_confidence(sure):.0%}" if len(sure) else "", self._width - gap - icon, set[str]()
-        for text in (saying, frame, time, percent, self._title):  # what matters most comes first
-            if text and font.width(text) + gap <= room:
-                room -= font.width(text) + gap
-                shown.add(text)
+        gap, base = round(0.8 * cap), (self.height + cap) // 2
         left, right = gap, self._width - gap
-        for text in (frame, time):
-            if text in shown:
-                font.write(strip, text, left, base, _WHITE)
-                left += font.width(text) + gap
         sign = _LOST_TEXT if status == "lost" else _QUIET if status == "absent" else PALETTE[0]
         at = left + 0.4 * cap, base - (cap + 1) / 2
         mark(strip, at, status, sign, 0.37 * cap, self._line, by_hand=bool(rows.by_hand.any()))
-        if saying in shown:
-            font.write(strip, saying, left + icon, base, _LOST_TEXT if status == "lost" else _WHITE)
-        for text, colour in ((percent, _WHITE), (self._title, _QUIET)):
-            if text in shown:
-                right -= font.width(text)
-                font.write(strip, text, right, base, colour)
-                right -= gap
+        left += round(1.5 * cap)
+        lit = _LOST_TEXT if status == "lost" else _WHITE
+        for text, colour in (
+            (saying, lit),
+            (f"frame {result.frame.index}", _WHITE),
+            (clock(result.frame.time_s), _WHITE),
+        ):
+            if left + font.width(text) <= right:
+                font.write(strip, text, left, base, colour)
+                left += font.width(text) + gap
+        sure = rows.confidence[np.isfinite(rows.confidence)]  # 0 % would be a lie of a tracker that does not say
+        for text, colour in ((f"{mean_confidence(sure):.0%}" if len(sure) else "", _WHITE), (self._title, _QUIET)):
+            if text and left + font.width(text) <= right:
+                font.write(strip, text, right - font.width(text), base, colour)
+                right -= font.width(text) + gap
 
 
 def summary(rows: Trajectory) -> tuple[Status, str]:
@@ -414,7 +406,7 @@ class Font:
 
     def width(self, text: str) -> int:
         """The width of `text` in pixels."""
-        return self._opacity(text).shape[1]
+        return int(self._opacity(text).shape[1])
 
     def write(self, image: Image, text: str, left: int, base: int, colour: Colour) -> None:
         """Write `text` on `image` (H, W, 3), in place, on the line above row `base`; what falls outside is cut off."""

@@ -336,17 +336,18 @@ def open_source(
     if fps is not None and fps <= 0:
         raise UsageError(f"{path}: {fps} is no frame rate; give frames per second greater than 0")
     check_local(path)
-    rate = fps or FOLDER_FPS
-    if (files := images.listing(path)) is not None:
+    archive = None
+    if (files := images.listing(path)) is None:
+        check_file(path)
+        if is_archive(path):
+            archive = Archive(path)
+            files = archive.files
+        elif not brings_rate(path):
+            files = [path]
+    if files is not None:
         if not files:
-            raise InputError(f"{path}: no images in this folder; {', '.join(sorted(images.SUFFIXES))} are read")
-        return FolderSource(path, Pictures(files), rate, start, stop)
-    check_file(path)
-    if is_archive(path):
-        archive = Archive(path)
-        return FolderSource(path, Pictures(archive.files, archive), rate, start, stop)
-    if not brings_rate(path):
-        return FolderSource(path, Pictures([path]), rate, start, stop)
+            raise InputError(f"{path}: no images in it; {', '.join(sorted(images.SUFFIXES))} are read")
+        return FolderSource(path, Pictures(files, archive), fps or FOLDER_FPS, start, stop)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for images only")
     return VideoSource(path, start, stop, stream)
