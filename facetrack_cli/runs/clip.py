@@ -70,11 +70,9 @@ def _finished(job: Job, done: Outcome, stop: Stop, looked: Report) -> Outcome:
     """Smooth a run that was tracked, and draw it; an error is in the outcome. Once `stop`, the same command does it."""
     from facetrack_cli.runs.smooth import finish_run
 
-    assert job.out is not None
     what = "smooth" if job.smooth else "paint"
-    report: Report = lambda n, of: looked(n, of, f"{what}ing")  # noqa: E731
     try:
-        files, notes = finish_run(job.out, job.clip, report, stop, smooth=job.smooth, video=job.video)
+        files, notes = finish_run(job, lambda n, of: looked(n, of, f"{what}ing"), stop)
     except StoppedError:
         done.warnings = (*done.warnings, f"not {what}ed; the same command again does it")
     except FacetrackError as e:

@@ -24,7 +24,7 @@ from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.checkpoint import FOLDER
 from facetrack_cli.run_folder.finished import read_files, run_files
 from facetrack_cli.run_folder.lease import FolderLease, sweep
-from facetrack_cli.runs.plan import Report
+from facetrack_cli.runs.plan import Job, Report
 from facetrack_cli.runs.record import ClipFacts, Sink
 from facetrack_cli.runs.signals import Stopped, StoppedError
 from facetrack_cli.trackers.smoothed import Beliefs, renamed_hands, smoothed_rows
@@ -38,26 +38,26 @@ from facetrack_cli.video.writer import VideoWriter
 Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
 
 
-def finish_run(
-    folder: Path, clip: Path, report: Report, stop: Stopped, *, smooth: bool, video: bool
-) -> tuple[list[Path], list[str]]:
-    """Smooth a run of `clip` in its folder, draw its video, or both; the files, and warnings.
+def finish_run(job: Job, report: Report, stop: Stopped) -> tuple[list[Path], list[str]]:
+    """Smooth a run that was tracked, draw its video, or both, as the job says; the files, and warnings.
 
     The rows of a filter that is smoothed are kept in trajectory.filtered.csv, and the posterior is removed. Raises
     OutputError or InputError, StoppedError once `stop` says so; nothing is written then.
     """
-    rows, files, gone = read_files(run_files(folder)), dict[Path, Write](), list[Path]()
-    if smooth:
-        files, gone = (
-            {folder / manifest.FILTERED: partial(manifest.write_rows, "csv", rows=rows)},
-            [folder / manifest.POSTERIOR],
-        )
+    folder, files, gone = Path(job.out or ""), dict[Path, Write](), list[Path]()
+    rows = filtered = read_files(run_files(folder))
+    if job.smooth:
+        gone = [folder / manifest.POSTERIOR]
         rows = given_all(rows, read_posterior(folder / manifest.POSTERIOR, rows))
-        files |= {path: partial(manifest.write_rows, form, rows=rows) for form, path in run_files(folder).items()}
+        files = {path: partial(manifest.write_rows, form, rows=rows) for form, path in run_files(folder).items()}
+        files[folder / manifest.FILTERED] = partial(manifest.write_rows, "csv", rows=filtered)
     run = manifest.read_manifest(folder)
     kept = {name: file for name, file in run.files.items() if folder / name not in gone} if run else {}
-    paint = partial(repaint, rows, clip, report=report, stop=stop) if video else None
-    return replace_files(folder, files, run and replace(run, smoothed=smooth, files=kept), gone, paint)
+    # what a CSV does not say
+    about = {"source": {"fps": job.fps and float(job.fps), "stream": job.stream}, "recipe": {"name": job.recipe.name}}
+    shown = replace(rows, header={**about, **rows.header})
+    paint = partial(repaint, shown, job.clip, report=report, stop=stop) if job.video else None
+    return replace_files(folder, files, run and replace(run, smoothed=job.smooth, files=kept), gone, paint)
 
 
 def given_all(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> Trajectory:

@@ -10,7 +10,8 @@ from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
-from facetrack_cli.runs.plan import silent
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.plan import Job, silent
 from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.runs.smooth import finish_run
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -42,7 +43,7 @@ def kept(tmp_path_factory):
     """A run that was stopped before it was smoothed."""
     folder = tmp_path_factory.mktemp("smooth") / "run"
 
-    def stopped(*_, **__):
+    def stopped(*_):
         raise StoppedError
 
     with pytest.MonkeyPatch.context() as patch:
@@ -77,7 +78,7 @@ def test_the_same_command_again_smooths_what_was_not_and_leaves_what_was(run, tm
 
 
 def test_an_error_of_smoothing_leaves_what_was_tracked_and_is_the_command_s(tmp_path, monkeypatch):
-    def damaged(*_, **__):
+    def damaged(*_):
         raise InputError("posterior.npz: odd")
 
     monkeypatch.setattr("facetrack_cli.runs.smooth.finish_run", damaged)
@@ -175,7 +176,7 @@ def test_a_damaged_posterior_is_refused_in_one_line(damage, run):
     damage(run / "posterior.npz")
     before = (run / "trajectory.csv").read_bytes()
     with pytest.raises(InputError, match=r"posterior\.npz") as error:
-        finish_run(run, CLIP, silent, never, smooth=True, video=True)
+        finish_run(Job(CLIP, load_recipe("factorized"), run, smooth=True), silent, never)
     assert "\n" not in str(error.value) and (run / "trajectory.csv").read_bytes() == before
 
 
@@ -189,4 +190,4 @@ def test_a_posterior_of_before_corrections_is_refused(run):
     (run / "trajectory.json").write_text("\n".join(lines))
     (run / "run.json").unlink()
     with pytest.raises(InputError, match="before the run was corrected"):
-        finish_run(run, CLIP, silent, never, smooth=True, video=True)
+        finish_run(Job(CLIP, load_recipe("factorized"), run, smooth=True), silent, never)

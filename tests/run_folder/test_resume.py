@@ -130,7 +130,9 @@ def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video):
     asked = job("factorized", tmp_path / "out", stop=3 * EVERY, video=video)
     run(job("factorized", tmp_path / "whole", stop=3 * EVERY, video=video))
     run(asked, 3 * EVERY)
-    assert run(asked).resumed == 2 * EVERY and same(asked.out, tmp_path / "whole")
+    done = run(asked)
+    assert done.resumed == 2 * EVERY and same(asked.out, tmp_path / "whole")
+    assert len(done.files) == 2 + video, "a video that is drawn at the end is one of them"
 
 
 @pytest.mark.parametrize("how", [{"resume": False}, {"overwrite": True}, {}])

@@ -346,6 +346,11 @@ def test_a_part_with_corners_is_drawn_as_its_parallelogram() -> None:
             assert around(mask, *(a + share * (b - a)), 1).any()
     assert not around(mask, 147, 75, 2).any(), "nothing is left of the box around it"
     assert not around(mask, 105 - 42, 105 + 30, 3).any()
+    leaning = touched(drawn((200, 200), part("box", 100, 100, w=101, h=41, cov=(0, 0, 0), angle=30.0)))
+    for x, y in ((-50, -20), (50, -20), (50, 20), (-50, 20)):  # clockwise: its right end is lower
+        there = (x + 1j * y) * np.exp(1j * np.pi / 6)
+        assert around(leaning, 100 + there.real, 100 + there.imag, 1).any()
+        assert not around(leaning, 100 + there.real, 100 - there.imag, 1).any()
 
 
 # --- names ---
