@@ -26,7 +26,7 @@ _LARGE = 3_000_000  # pixels: of larger frames x264 buffers few, because each ne
 _COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
 _LOCAL_CLIPS = ("-protocol_whitelist", "file", "-format_whitelist", FORMATS)  # as PyAV opens a clip
 _SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
-_SLOW_S = 60  # frames that are shown for longer have a coarser clock
+_LONGEST_S = 14 * 3600  # that a frame is shown at most: an MP4 holds 2**31 ticks, over several that are reordered
 _CAUSE = re.compile(
     "No space left on device|Disk quota exceeded|File too large|Read-only file system|Input/output error|"
     "Permission denied"
@@ -77,11 +77,10 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         self.path, self.size, self.warnings = path, size, list[str]()
         self._fps, self._audio_from, self._replace = fps, audio_from, replace
         self._frames = self._tick = 0  # frames written, and the time of the last
-        self._first_s = 0.0
+        self._first_s = self._last_s = self._left_out_s = 0.0
         self._closed = False
         # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 0.1 ms
-        finest = 10_000 if fps * _SLOW_S > 1 else 1000
-        self._timescale = fps.numerator * -(-finest // fps.numerator)
+        self._timescale = fps.numerator * -(-10_000 // fps.numerator)
         # paths are absolute, so that no name reads as an option or a protocol
         self._mp4 = ["-video_track_timescale", str(self._timescale), "-movflags", "+faststart", "-f", "mp4"]
         self._part = temporary_path(path).absolute()
@@ -115,8 +114,13 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             raise ValueError("write to a closed VideoWriter")
         if image.shape != (height, width, 3) or image.dtype != np.uint8:
             raise ValueError(f"frame is {image.dtype} {image.shape}, the video takes uint8 {(height, width, 3)}")
-        self._first_s = self._first_s if self._frames else time_s
-        elapsed_s = time_s - self._first_s
+        self._first_s, self._last_s = (self._first_s, self._last_s) if self._frames else (time_s, time_s)
+        if (beyond_s := time_s - self._last_s - _LONGEST_S) > 0:
+            self._left_out_s += beyond_s
+            gap = f"a gap of {(time_s - self._last_s) / 3600:.1f} hours at {self._last_s:.0f} s"
+            self.warnings += [f"{self.path}: {gap} is shown as {_LONGEST_S // 3600}"] * (not self.warnings)
+        self._last_s = time_s
+        elapsed_s = time_s - self._first_s - self._left_out_s
         nearest = round(elapsed_s * self._fps) / self._fps
         on_grid = abs(float(nearest) - elapsed_s) <= min(_SNAP_S, 0.25 / float(self._fps))
         tick = int(nearest * self._timescale) if on_grid else round(elapsed_s * self._timescale)
