@@ -333,7 +333,7 @@ def _name(shape: Shape, *, named: bool) -> tuple[str, Colour]:
     """Who a target is, with the probability, pale and with a question mark where that is low; else its name."""
     who, sure = str(shape.rows.identity[0]), float(shape.rows.identity_prob[0])
     if not who:
-        return (readable(shape.target) if named else ""), shape.colour
+        return (shape.target.replace("_", " ") if named else ""), shape.colour
     if not math.isfinite(sure):
         return who, shape.colour
     percent = " >99%" if sure >= 0.995 else f" {sure:.0%}"  # no posterior is certain
@@ -382,16 +382,17 @@ def summary(rows: Trajectory) -> tuple[Status, str]:
     """The status of all that is not absent, and what the bar says: what is not tracked, of how many."""
     if not len(rows):
         return "lost", "no target"
-    absent, by_hand = rows.status == "absent", rows.by_hand & (rows.status == "init")
+    absent, initial = rows.status == "absent", rows.status == "init"
     if absent.all():
         return "absent", "absent"
-    begins = by_hand.any() or (absent | (rows.status == "init")).all()
-    shown: Status = "init" if begins else "tracked"
     unseen: Status
-    for unseen in ("hidden", "lost"):
-        shown = unseen if (rows.status == unseen).any() else shown
-    of = {"lost": rows.status == "lost", "hidden": rows.status == "hidden", "by hand": by_hand, "absent": absent}
-    return shown, next((f"{what} {chosen.sum()}/{len(rows)}" for what, chosen in of.items() if chosen.any()), shown)
+    for unseen in ("lost", "hidden"):
+        if (rows.status == unseen).any():
+            return unseen, f"{unseen} {(rows.status == unseen).sum()}/{len(rows)}"
+    if (by_hand := rows.by_hand & initial).any():
+        return "init", f"by hand {by_hand.sum()}/{len(rows)}"
+    shown: Status = "init" if (absent | initial).all() else "tracked"
+    return shown, f"absent {absent.sum()}/{len(rows)}" if absent.any() else shown
 
 
 class Font:
@@ -434,11 +435,6 @@ def plain(text: str) -> str:
         return text
     bare = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
     return "".join(c if c.isascii() and c.isprintable() else "?" for c in bare)
-
-
-def readable(name: str) -> str:
-    """The name of a part or a target as people read it."""
-    return name.replace("_", " ")
 
 
 def _fixed(points: Array) -> Points:

@@ -13,7 +13,7 @@ import pytest
 from facetrack_cli.core.face_points import GROUPS, LINES, POINTS
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.trajectory.trajectory import FrameResult, Status, recorded
-from facetrack_cli.video.overlay import PALETTE, Font, Overlay, Shape, StatusBar, plain, readable, summary
+from facetrack_cli.video.overlay import PALETTE, Font, Overlay, Shape, StatusBar, _name, plain, summary
 from tests.support import results
 from tests.support.face_shape import SHAPE, moving_face
 from tests.support.results import target
@@ -288,8 +288,9 @@ def test_parts_have_colours_of_their_own_and_names_without_underscores() -> None
     face = [part("nose"), part("mouth_left"), part("box", w=80.0, h=80.0)]
     shape = Shape(target("face", face), None, 1.0, 999.0)
     assert shape.colours == [*PALETTE[:3]] and shape.colour == PALETTE[2]
-    assert Shape(target("hand", face), 1, 1.0, 999.0).colours == [PALETTE[1]] * 3
-    assert readable("mouth_left") == "mouth left"
+    hand = Shape(target("left_hand", face), 1, 1.0, 999.0)
+    assert hand.colours == [PALETTE[1]] * 3
+    assert _name(hand, named=True) == ("left hand", PALETTE[1]) and not _name(hand, named=False)[0]
 
 
 def of_face(size: tuple[int, int], names: Sequence[str], lost: Sequence[str] = ()) -> Image:
