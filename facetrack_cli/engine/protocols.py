@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
 from numpy.random import Generator
 
-from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles
+from facetrack_cli.core.types import Array, Frame, Mask, Particles
 from facetrack_cli.trajectory.diagnostics import Diagnostic
 
 Names: TypeAlias = Sequence[str]
@@ -88,10 +88,6 @@ class Likelihood(Protocol):
     def relearn(self, learned: Any, frame: Frame, x0: Array, parts: Mask) -> Any:
         """As `learned`, but of the `parts` (K,) as they look in a frame at x0 (K, D)."""
         raise TypeError(f"{type(self).__name__} does not learn single parts again")
-
-    def insets(self, learned: Any) -> tuple[tuple[str, Image], ...]:
-        """Small grey images to show beside a frame, each with its name."""
-        return ()
 
 
 class Motion(Protocol):

@@ -243,8 +243,7 @@ class ParticleTarget:
         rows = of_frame(self._names, frame, self._reported(state, frame, info), **columns)
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.size)
-        insets = self.likelihood.insets(state.learned)
-        return TargetResult(rows, state.particles.x[..., :2], insets, beliefs=lambda: self.beliefs(state))
+        return TargetResult(rows, state.particles.x[..., :2], beliefs=lambda: self.beliefs(state))
 
     def beliefs(self, state: ParticleState) -> tuple[Belief, ...]:
         """What is known after a frame, for the smoother; nothing of a cloud, whose particles are the target itself."""

@@ -38,8 +38,9 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
     plan = resolve(job)
     if (ended := plan.ended()) is not None:
         return ended
-    tracked, kept = plan.tracked, {POSTERIOR, VIDEO} if job.video else {POSTERIOR}
-    if tracked is not None and (plan.names or kept <= {*tracked.files}):  # only named or smoothed it is not
+    tracked = plan.tracked
+    # only named, smoothed or drawn it is not
+    if tracked is not None and (plan.names or not job.smooth or POSTERIOR in tracked.files):
         done = replace(Outcome.of(job, tracked), again=False)
     else:
         with record.Recorder(plan, stop) as into:
@@ -52,14 +53,17 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
                 from facetrack_cli.runs.split import join_chunks
 
                 done = join_chunks(into, stop, report)
-    whole = done.failure is None and done.stopped is None
-    return _finished(plan, done, stop, looked) if whole and (plan.names or job.smooth) else done
+    if done.failure is not None or done.stopped is not None or job.out is None:
+        return done
+    undrawn = plan.draws and job.out / VIDEO not in done.paths
+    return _finished(plan, done, stop, looked) if plan.names or job.smooth or undrawn else done
 
 
 def _finished(plan: Plan, done: Outcome, stop: Stop, looked: Report) -> Outcome:
-    """Name or smooth a run that was tracked; an error is in the outcome. Once `stop`, the same command does it."""
+    """Name, smooth or draw a tracked run; an error is in the outcome. Once `stop`, the same command does it."""
     job, out = plan.job, plan.job.out
     assert out is not None
+    what = "nam" if plan.names else "smooth" if job.smooth else "paint"
     try:
         # imported where a run asks for it: a short run takes as long as its imports
         if plan.names:
@@ -67,12 +71,12 @@ def _finished(plan: Plan, done: Outcome, stop: Stop, looked: Report) -> Outcome:
 
             done.note = name_run(job, stop, looked)
         else:
-            from facetrack_cli.runs.smooth import save_smoothed
+            from facetrack_cli.runs.smooth import finish_run
 
-            done.warnings += (*save_smoothed(out, job.clip, lambda n, of: looked(n, of, "smoothing"), stop),)
+            done.warnings += (*finish_run(job, out, lambda n, of: looked(n, of, f"{what}ing"), stop),)
     except StoppedError:
         done.stopped = stop.reason
-        done.warnings += (f"not {'named' if plan.names else 'smoothed'}; the same command again does it",)
+        done.warnings += (f"not {what}ed; the same command again does it",)
     except FacetrackError as e:
         done.failure = e
     if (run := read_manifest(out)) is not None:

@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 
 FOLDER: Final = ".checkpoint"
 KIND: Final = Kind("facetrack-checkpoint", 1, "checkpoint of a run", "facetrack run")
-PIECE_FRAMES = 250  # of a piece of the video
 EVERY_S, EVERY_FRAMES = 30.0, 1000  # between two checkpoints, whichever is less
 STATE: Final = "state.npz"
 _MAX_NOTES: Final = 5  # lines that the tracker has for the user, which are kept
@@ -130,14 +129,13 @@ class Sink:
 class Checkpoints:
     """The whole state of the run into `out` that `key` tells from all others, kept now and then by a thread of its own.
 
-    The same run again goes on from there, and gives byte for byte what a run that was never ended gives: rows, and the
-    decoded frames of the video. So the video is always encoded in pieces of `PIECE_FRAMES`, and a checkpoint falls
-    between two of them. Trackers of OpenCV do not give their state away, and with a lag rows wait in memory: those runs
-    begin anew. `video`: whether the run writes a video.
+    The same run again goes on from there. Its rows are byte for byte those of a run that was never ended; its video is
+    drawn from them at the end. Trackers of OpenCV do not give their state away, and with a lag rows wait in memory:
+    those runs begin from their first frame.
     """
 
-    def __init__(self, out: Path, key: str, *, video: bool) -> None:
-        self.folder, self._key, self._video = out / FOLDER, key, video
+    def __init__(self, out: Path, key: str) -> None:
+        self.folder, self._key = out / FOLDER, key
         files.check_plain(self.folder, self.folder / STATE)
         self._worker = ThreadPoolExecutor(1, "checkpoint")
         self._ready: tuple[Arrays, Sequence[Callable[[], None]]] | None = None
@@ -160,8 +158,6 @@ class Checkpoints:
 
     def is_due(self, frames: int) -> bool:
         """Whether the run is to be marked after so many frames."""
-        if self._video and frames % PIECE_FRAMES:
-            return False
         return frames - self._last_frames >= EVERY_FRAMES or time.monotonic() - self._last_s >= EVERY_S
 
     def mark(self, frames: int, state: Any, steps: Sequence[Callable[[], None]]) -> None:
@@ -246,7 +242,7 @@ class Recorder:
             clip = manifest.clip_stat(job.clip)
             same = [self.plan.asked, _versions(), to_record(start), clip and (clip.bytes, clip.changed_ns)]
             key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
-            self.checkpoints = Checkpoints(job.out, key, video=self.plan.draws)
+            self.checkpoints = Checkpoints(job.out, key)
             last = self.checkpoints.find() if job.resume and not job.overwrite else None
         if isinstance(last, RunState):
             with contextlib.suppress(InputError, OSError):  # a table was edited, or is gone
@@ -288,8 +284,7 @@ class Recorder:
             self.checkpoints.release()
             if self.state.at.states and self.checkpoints.is_due(self.outcome.frames):
                 self.state.sinks = tuple(sink.mark() for sink in self.sinks)
-                if not any(sink.missing for sink in self.sinks):  # a run without its video begins anew
-                    self.checkpoints.mark(self.outcome.frames, self.state, [sink.sync for sink in self.sinks])
+                self.checkpoints.mark(self.outcome.frames, self.state, [sink.sync for sink in self.sinks])
 
     def record(self, results: Results, stop: Stop, report: Report = silent) -> Outcome:
         """Write the results until they end, also because `stop` says so, or an error.
@@ -420,7 +415,7 @@ def _versions() -> Mapping[str, str]:
 def outputs(into: Recorder) -> list[Sink]:
     """The video, if one is drawn, and a table of each format that was asked for."""
     job = into.plan.job
-    video = [Video(into, job.out)] if job.out is not None and into.plan.draws else []
+    video = [Video(job, job.out)] if job.out is not None and into.plan.draws else []
     return [*video, *(Table(job.out, form) for form in job.formats)]
 
 
@@ -483,36 +478,32 @@ class Rows(Sink):
 
 
 class Video(Sink):
-    """The annotated video, painted and encoded in a thread of its own, in pieces between which a checkpoint falls.
+    """The annotated video, painted and encoded in a thread of its own.
 
-    `missing` says why there is none; the tables are whole all the same.
+    `missing` says why there is none; the tables are whole all the same. That of a run that goes on is drawn at its end,
+    from all rows.
     """
 
     every = True
-    path: Path
 
-    def __init__(self, into: Recorder, out: Path) -> None:
-        self.path, self._into = out / manifest.VIDEO, into
+    def __init__(self, job: Job, out: Path) -> None:
+        self._job, self._target = job, out / manifest.VIDEO
         self._video: VideoWriter | None = None
         self._painter: Painter | None = None
-        self._mark: Any = None
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
         from facetrack_cli.video.overlay import Overlay
-        from facetrack_cli.video.writer import Cut, VideoWriter
+        from facetrack_cli.video.writer import VideoWriter
 
-        job, checkpoints, cut = self._into.plan.job, self._into.checkpoints, Cut()
-        self._overlay = Overlay(clip.size, fps=float(clip.fps), title=job.recipe.name)
         if mark is not None:
-            cut, self._overlay.memory = mark
-        self._painted, self._pieces = cut.frames, checkpoints and checkpoints.folder
-        about: dict[str, Any] = {"audio_from": clip.sound, "replace": False, "pieces": self._pieces, "after": cut}
-        self._video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, **about)
-        self._painter = Painter(self._paint, threaded=job.threads > 1)
+            return
+        self.path = self._target
+        self._overlay = Overlay(clip.size, fps=float(clip.fps), title=self._job.recipe.name)
+        self._video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, audio_from=clip.sound, replace=False)
+        self._painter = Painter(self._paint, threaded=self._job.threads > 1)
 
     def write(self, result: FrameResult) -> None:
-        assert self._painter is not None
-        if all(result.frame.size):  # of joined chunks a frame may be gone
+        if self._painter is not None and all(result.frame.size):  # of joined chunks a frame may be gone
             self._painter.put(result)
 
     def _paint(self, result: FrameResult) -> None:
@@ -522,23 +513,16 @@ class Video(Sink):
         image = self._overlay.draw(result)
         try:
             self._video.write(image, result.frame.time_s)
-            self._painted += 1
-            if self._pieces and self._painted % PIECE_FRAMES == 0:
-                cut, finish = self._video.cut()
-                finish()
-                self._mark = cut, self._overlay.memory
         except OutputError as e:
             self.missing = e
 
-    def mark(self) -> Any:
-        """Where the last piece ended, which is the last frame wherever a run is marked."""
-        assert self._painter is not None
-        self._painter.wait()
-        return self._mark
+    def mark(self) -> bool:
+        return True
 
     def end(self, done: Outcome) -> None:
         """The video ends before the tables, so that they can say what was wrong with it."""
-        assert self._video is not None and self._painter is not None
+        if self._video is None or self._painter is None:
+            return
         try:
             self._painter.end()
         finally:

@@ -24,7 +24,8 @@ from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.finished import read_files, run_files
 from facetrack_cli.run_folder.lease import FolderLease, sweep
-from facetrack_cli.runs.plan import Report
+from facetrack_cli.run_folder.manifest import POSTERIOR
+from facetrack_cli.runs.plan import Job, Report
 from facetrack_cli.runs.record import FOLDER, ClipFacts, Sink
 from facetrack_cli.runs.signals import Stopped, StoppedError
 from facetrack_cli.trackers.smoothed import Beliefs, renamed_hands, smoothed_rows
@@ -38,17 +39,23 @@ from facetrack_cli.video.writer import VideoWriter
 Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
 
 
-def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> list[str]:
-    """Smooth a run of `clip` in its folder, with its video; warnings.
+def finish_run(job: Job, folder: Path, report: Report, stop: Stopped) -> list[str]:
+    """Smooth a run that was tracked, draw its video, or both, as the job says; warnings.
 
-    The filter's rows are kept in trajectory.filtered.csv, and the posterior is removed. Raises OutputError or
-    InputError, StoppedError once `stop` says so; nothing is written then.
+    The rows of a filter that is smoothed are kept in trajectory.filtered.csv, and the posterior is removed. Raises
+    OutputError or InputError, StoppedError once `stop` says so; nothing is written then.
     """
-    rows, posterior = read_files(run_files(folder)), folder / manifest.POSTERIOR
-    after = given_all(rows, read_posterior(posterior, rows))
-    filtered = {folder / manifest.FILTERED: partial(manifest.write_rows, "csv", rows=rows)}
-    video = clip if (folder / manifest.VIDEO).is_file() else None
-    return rewrite(folder, after, filtered, [posterior], video, report=report, stop=stop)[1]
+    rows, others, gone = read_files(run_files(folder)), dict[Path, Write](), list[Path]()
+    if job.smooth:
+        others, gone = (
+            {folder / manifest.FILTERED: partial(manifest.write_rows, "csv", rows=rows)},
+            [folder / POSTERIOR],
+        )
+        rows = given_all(rows, read_posterior(folder / POSTERIOR, rows))
+    # what a CSV does not say
+    about = {"source": {"fps": job.fps and float(job.fps), "stream": job.stream}, "recipe": {"name": job.recipe.name}}
+    rows, clip = replace(rows, header={**about, **rows.header}), job.clip if job.video else None
+    return rewrite(folder, rows, others, gone, clip, tables=job.smooth, report=report, stop=stop)[1]
 
 
 def given_all(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> Trajectory:
@@ -66,6 +73,7 @@ def rewrite(
     clip: Path | None,
     span: tuple[int, int] | None = None,
     *,
+    tables: bool = True,
     report: Report,
     stop: Stopped,
     order: Sequence[str] = (),
@@ -73,7 +81,7 @@ def rewrite(
     check: Callable[[], None] = lambda: None,
     lock: FolderLease | None = None,
 ) -> tuple[list[Path], list[str]]:
-    """Write the tables of a run's `folder` again with these rows, and `others`; all replace the old files together.
+    """Write a run's `tables` again with these rows, and `others`; all replace the old files of the `folder` together.
 
     Returns the files, and warnings. Each value of `others` writes one file by calls of `write(data)`, `gone` are files
     to remove. The video is drawn again on the `clip`, if there is one, as `repaint` does. `corrections` are those of
@@ -81,7 +89,8 @@ def rewrite(
     the folder's, if it is held. OutputError for a file that cannot be written; the folder is then as it was.
     """
     made = partial(manifest.write_rows, rows=rows, corrections=corrections)
-    files: dict[Path, Write] = {path: partial(made, form) for form, path in run_files(folder).items()} | dict(others)
+    files = {path: partial(made, form) for form, path in run_files(folder).items()} if tables else dict[Path, Write]()
+    files.update(others)
     written, notes = list[Path](), list[str]()
     check_plain(folder / manifest.VIDEO, *files)
     if (run := manifest.read_manifest(folder)) is not None:
@@ -122,7 +131,7 @@ def repaint(
     stop: Stopped,
     order: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """Write the annotated video into its temporary file, without particles, which rows do not have; its warnings.
+    """Write the annotated video into its temporary file; its warnings.
 
     It shows the first and last frames of `span`, else all that have rows. Targets have the colours of their places in
     `order`.
@@ -167,7 +176,7 @@ class PosteriorWriter(Sink):
     path: Path
 
     def __init__(self, out: Path) -> None:
-        self.path, self._folder = out / manifest.POSTERIOR, out / FOLDER
+        self.path, self._folder = out / POSTERIOR, out / FOLDER
         self._kept: list[list[tuple[int, tuple[Belief, ...]]]] = []  # of each target, of so many frames
         self._frames = 0
 

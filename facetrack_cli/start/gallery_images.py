@@ -10,7 +10,6 @@ seeds: equal input gives an equal gallery.
 import math
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
@@ -33,27 +32,14 @@ NEGATIVES: Final = 6  # counter-examples that are cut around each face; more whe
 MIN_NEGATIVES: Final = 240
 PASSED_OVER: Final = frozenset((*INIT_SUFFIXES, ".csv", ".txt", ".md", ".npz"))  # what may lie beside images
 Warn: TypeAlias = Callable[[str], None]
-Look: TypeAlias = "tuple[Frame | None, Box | None]"  # what cannot be read, or shows no face, is None
-
-
-class Item(NamedTuple):
-    """An image of a person, or a clip: a video or a folder of its frames; with the init file beside it, if any."""
-
-    path: Path
-    is_image: bool
-    init: Path | None
-
-    def place(self, frame: Frame) -> str:
-        """Where a frame of it is, for messages."""
-        return str(self.path) if self.is_image else f"{self.path}: frame {frame.index}"
 
 
 class Person(NamedTuple):
-    """A person: the name of the folder without spaces around it, and the folder's items in natural order."""
+    """A person: the name of the folder without spaces around it, its images and clips in natural order."""
 
     name: str
     folder: Path
-    items: tuple[Item, ...]
+    items: tuple[Path, ...]
 
 
 class Reading(NamedTuple):
@@ -68,26 +54,27 @@ class Reading(NamedTuple):
 
 def find_people(folder: Path, warn: Warn) -> list[Person]:
     """Everyone who has a folder in `folder`, in natural order. Raises InputError where it is no gallery."""
-    entries = _entries(folder)
-    beside = [entry for entry in entries if not entry.is_dir() and entry.suffix.lower() not in PASSED_OVER]
-    people = [_person(entry, warn) for entry in entries if entry.is_dir()]
+    people, strays, by_name = list[Person](), list[Path](), dict[str, Path]()
+    for entry in _entries(folder):
+        if not entry.is_dir():
+            strays += [entry] * (entry.suffix.lower() not in PASSED_OVER)
+            continue
+        person = _person(entry, warn)
+        if (other := by_name.setdefault(person.name.casefold(), entry)) is not entry:
+            remedy = "rename one, or put their images into one folder"
+            raise InputError(f"{entry} and {other}: are both called {person.name}; {remedy}")
+        people.append(person)
     if len(people) < 2:
         raise InputError(f"{folder}: has no folders of two people; make one for each of them, as {folder / 'anna'}")
-    if beside:
-        more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
-        warn(f"{beside[0]}{more}: in no person's folder; passed over")
-    by_name: dict[str, Person] = {}
-    for person in people:
-        if (other := by_name.setdefault(person.name.casefold(), person)) is not person:
-            remedy = "rename one, or put their images into one folder"
-            raise InputError(f"{person.folder} and {other.folder}: are both called {person.name}; {remedy}")
+    for stray in strays:
+        warn(f"{stray}: in no person's folder; passed over")
     return people
 
 
 def count(people: Sequence[Person], reading: Reading) -> int:
     """How many images and frames `read_faces` looks at, at most."""
     items = [item for person in people for item in person.items]
-    return sum(1 if item.is_image or item.init is not None else reading.frames for item in items)
+    return sum(1 if _is_image(item) or find_init(item) else reading.frames for item in items)
 
 
 def _entries(folder: Path) -> list[Path]:
@@ -97,6 +84,10 @@ def _entries(folder: Path) -> list[Path]:
     return sorted(entries, key=lambda entry: images.natural_key(entry.name))
 
 
+def _is_image(item: Path) -> bool:
+    return item.suffix.lower() in images.SUFFIXES and not item.is_dir()
+
+
 def _person(folder: Path, warn: Warn) -> Person:
     # letters with marks may be written in two ways, which look alike
     name = unicodedata.normalize("NFC", folder.name).strip()
@@ -104,47 +95,49 @@ def _person(folder: Path, warn: Warn) -> Person:
         raise InputError(f"{printable(str(folder))}: {problem}; rename the folder")
     items = []
     for entry in _entries(folder):
-        suffix = entry.suffix.lower()
         if entry.is_dir() and not images.listing(entry):
             warn(f"{entry}: no images in this folder; skipped")
-        elif entry.is_dir() or suffix not in PASSED_OVER:
-            items.append(Item(entry, suffix in images.SUFFIXES and not entry.is_dir(), find_init(entry)))
+        elif entry.is_dir() or entry.suffix.lower() not in PASSED_OVER:
+            items.append(entry)
     if not items:
         raise InputError(f"{folder}: no image or video in it; add one of {name}, or remove the folder")
     return Person(name, folder, tuple(items))
 
 
-def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
-    """The frames of an item, each with the box of its face."""
-    start, given = (None, []) if item.init is None else _read_start(item, item.init, reading)
-    looked, without = 0, list[int]()
+def faces_of(item: Path, reading: Reading, warn: Warn) -> Iterator[tuple[str, Frame | None, Box | None]]:
+    """The frames of an image or a clip, each with its place for messages and the box of its face.
+
+    What cannot be read, or shows no face, is None, after a warning.
+    """
+    alone, init = _is_image(item), find_init(item)
+    start = None if init is None else _read_start(item, init, reading)
+    lacks = f"no face found; skipped, or give its box in {default_path(item)}"
     try:
-        wanted = [0] if item.is_image else _spread(item.path, reading) if start is None else [start.frame]
-        with open_source(item.path, start=wanted[0], stop=wanted[-1] + 1) as source:
+        wanted = [start.frame] if start else [0] if alone else _spread(item, reading)
+        with open_source(item, start=wanted[0], stop=wanted[-1] + 1) as source:
             for frame in source:
                 if frame.index not in wanted:
                     continue
-                if start is not None:
+                at = str(item) if alone else f"{item}: frame {frame.index}"
+                if start is None:
+                    boxes: Sequence[Box | None] = find_faces(frame.bgr) or [None]
+                else:
                     check_start(start, frame.size, ())
-                faces, looked = given or find_faces(frame.bgr), looked + 1
-                if not faces:
-                    without.append(frame.index)
-                if item.is_image and len(faces) > 1:
-                    box = ", ".join(f"{value:g}" for value in faces[0])
-                    other = f"for another give its box in {default_path(item.path)}"
-                    warn(f"{item.path}: {len(faces)} faces; the largest is taken, at [{box}], {other}")
-                yield frame, faces[0] if faces else None
+                    boxes = [target.box for target in start.targets.values()]
+                if boxes[0] is None:
+                    warn(f"{at}: {lacks}")
+                elif alone and len(boxes) > 1:
+                    box = ", ".join(f"{value:g}" for value in boxes[0])
+                    other = f"for another give its box in {default_path(item)}"
+                    warn(f"{item}: {len(boxes)} faces; the largest is taken, at [{box}], {other}")
+                yield at, frame, boxes[0]
             for line in source.warnings:
                 warn(line)
     except InputError as e:
         if start is not None:
             raise
         warn(f"{e}; skipped")
-        yield None, None
-    if without:
-        frames = f"frame{'s' * (len(without) > 1)} {', '.join(map(str, without))}"
-        what = f"no face found in {len(without)} of {looked} frames looked at; skipped {frames}"
-        warn(f"{item.path}: {what}, or give its box in {default_path(item.path)}")
+        yield str(item), None, None
 
 
 def _spread(path: Path, reading: Reading) -> list[int]:
@@ -155,18 +148,18 @@ def _spread(path: Path, reading: Reading) -> list[int]:
     return [reading.start + (2 * i + 1) * length // (2 * number) for i in range(number)]
 
 
-def _read_start(item: Item, path: Path, reading: Reading) -> tuple[Start, list[Box]]:
-    """The single face of an init file and its box, with the checks that need no image."""
-    start = read_init(path)
+def _read_start(item: Path, init: Path, reading: Reading) -> Start:
+    """The init file of a single box, with the checks that need no image."""
+    start = read_init(init)
     [(name, target), *others] = start.targets.items()
     if others or target.box is None:
-        raise InputError(f"{path}: is not of one box; leave the face of {item.path.parent.name} alone, with its box")
-    check_size(str(path), name, target.box)
-    end = 1 if item.is_image else math.inf if reading.stop is None else reading.stop
-    if not (0 if item.is_image else reading.start) <= start.frame < end:
+        raise InputError(f"{init}: is not of one box; leave the face of {item.parent.name} alone, with its box")
+    check_size(str(init), name, target.box)
+    first, stop = (0, 1) if _is_image(item) else (reading.start, reading.stop)
+    if start.frame < first or (stop is not None and start.frame >= stop):
         remedy = "choose one that is used, which is 0 of an image, or change --start and --stop"
-        raise InputError(f"{path}: starts at frame {start.frame}, which is not used; {remedy}")
-    return replace(start, origin=str(path)), [target.box]
+        raise InputError(f"{init}: starts at frame {start.frame}, which is not used; {remedy}")
+    return start
 
 
 class Faces(NamedTuple):
@@ -196,38 +189,37 @@ def read_faces(
     around = max(NEGATIVES, math.ceil(MIN_NEGATIVES / count(people, reading)))
     used, skipped = ({person.name: 0 for person in people} for _ in range(2))
     persons: list[str] = []
-    images: list[int] = []
+    numbers: list[int] = []
     faces: list[tuple[Rows, Rows, float]] = []  # patches, negatives and proportion of each face
-    seen: dict[bytes, tuple[str, str]] = {}
-    looked = 0
+    seen: dict[bytes, str] = {}
+    looks = (
+        (person.name, *look) for person in people for item in person.items for look in faces_of(item, reading, warn)
+    )
+    for looked, (name, at, frame, box) in enumerate(looks, 1):
+        advance(looked)
+        skipped[name] += 1
+        if frame is None or box is None:
+            continue
+        patches, negatives = _cut(frame, box, reading, len(faces), around)
+        mine = f"{at}, which is {name}"
+        where = seen.setdefault(patches[0].tobytes(), mine)
+        if where is not mine or not patches[0].any():
+            why = f"the same face as {where}" if patches[0].any() else "nothing to see in the face's box"
+            warn(f"{at}: {why}; skipped")
+            continue
+        skipped[name] -= 1
+        used[name] += 1
+        patches, negatives = (rows[rows.any(axis=1)] for rows in (patches, negatives))
+        persons += [name] * len(patches)
+        numbers += [len(faces)] * len(patches)
+        faces.append((patches, negatives, box[2] / box[3]))
     for person in people:
-        for item in person.items:
-            for frame, box in faces_of(item, reading, warn):
-                looked += 1
-                advance(looked)
-                if frame is None or box is None:
-                    skipped[person.name] += 1
-                    continue
-                number, at = len(faces), item.place(frame)
-                patches, negatives = _cut(frame, box, reading, number, around)
-                name, where = seen.setdefault(patches[0].tobytes(), (person.name, at))
-                why = "" if where == at else f"the same face as {where}"
-                why += "" if name == person.name else f", which is {name}"
-                why = why if patches[0].any() else "nothing to see in the face's box"
-                (skipped if why else used)[person.name] += 1
-                if why:
-                    warn(f"{at}: {why}; skipped")
-                    continue
-                patches, negatives = (rows[rows.any(axis=1)] for rows in (patches, negatives))
-                persons += [person.name] * len(patches)
-                images += [number] * len(patches)
-                faces.append((patches, negatives, box[2] / box[3]))
         if not used[person.name]:
             remedy = "give its box in an init file beside an image, add another image, or remove the folder"
             raise InputError(f"{person.folder}: no face of {person.name} was found; {remedy}")
     all_patches, all_negatives, proportions = zip(*faces, strict=True)
     every, off_mark = np.concatenate(all_patches), np.concatenate(all_negatives)
-    return Faces(every, tuple(persons), tuple(images), off_mark, used, skipped, float(np.median(proportions)))
+    return Faces(every, tuple(persons), tuple(numbers), off_mark, used, skipped, float(np.median(proportions)))
 
 
 def _cut(frame: Frame, box: Box, reading: Reading, number: int, around: int) -> tuple[Rows, Rows]:

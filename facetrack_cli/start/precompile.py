@@ -94,11 +94,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.skin.skin_kernels.bilinear": ("f4:2 f8:2 i8 i8", _NCC),
     "trackers.appearance.appearance_kernels.mapped": ("f8:2 f4:2 f4:1", "velocity"),
 }
-_SECOND = """import json, os, stat, sys; from threading import Thread  # its input ends with the process that began it
-if stat.S_ISFIFO(os.fstat(0).st_mode): Thread(target=lambda: os._exit(len(os.read(0, 1))), daemon=True).start()
-sys.path[:], names = json.loads(sys.argv[1])
-from {0} import *
-compile_kernels(names)"""
+_SECOND = "import json, sys; sys.path[:], names = json.loads(sys.argv[1]); from {0} import *; compile_kernels(names)"
 
 
 def kernel(name: str) -> Any:
@@ -148,16 +144,15 @@ def precompiling(settings: Mapping[str, Any], processes: int) -> Iterator[Callab
     # a program that embeds Python, or is frozen, has no interpreter to start
     if others and processes > 1 and Path(sys.executable or "").stem.startswith("python"):
         order = json.dumps([sys.path, [*others, *reversed(mine)]])
-        command = [sys.executable, "-c", _SECOND.format(__name__), order]
-        nowhere = subprocess.DEVNULL
+        command, nowhere = [sys.executable, "-c", _SECOND.format(__name__), order], subprocess.DEVNULL
         with contextlib.suppress(OSError):
-            second = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=nowhere, stderr=nowhere)
+            second = subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere)
     try:
         yield partial(compile_kernels, [*mine, *reversed(others)])
     finally:
         if second is not None:
             second.kill()
-            second.communicate()
+            second.wait()
 
 
 def compile_kernels(

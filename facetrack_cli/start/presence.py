@@ -168,13 +168,9 @@ class MultiFaceTracker:
         if len(new) > room and film.crowd is None:
             film.crowd = frame.index
         new_tracks = [new_track for face in new[:room] if (new_track := self._new_track(film, face, frame)) is not None]
-        passed = frames[-2::-1]
-        each = []
-        for track, _ in new_tracks:
+        for track, first in new_tracks:
             rng = np.random.default_rng(track.rng.bit_generator.random_raw())
-            each.append(self._advance(replace(track, rng=rng), passed, back=True))
-        for (track, first), back in zip(new_tracks, each, strict=True):
-            ordered = [*reversed(back), first]
+            ordered = [*reversed(self._advance(replace(track, rng=rng), frames[-2::-1], back=True)), first]
             for at, result in zip(frames[len(frames) - len(ordered) :], ordered, strict=True):
                 rows, how = result.rows, "init" if result is ordered[0] else "tracked"
                 status = np.where(rows.unseen, rows.status, how)

@@ -344,9 +344,7 @@ class _Search:
         lack = {look.frame: (look.contrast < MIN_CONTRAST, not look.clear, look.frame) for look in best.looks}
         at = min(best.begins, key=lack.__getitem__)
         start, others = best.begins[at], [candidate for candidate in chosen[1:] if at in candidate.begins]
-        targets = {}
-        for name, target in start.targets.items():
-            targets[name] = self._settled(best, at) if name == next(iter(start.targets)) else target
+        targets = {**start.targets, next(iter(start.targets)): self._settled(best, at)}
         for i, candidate in enumerate(others):
             targets[f"face_{i + 2}"] = self._settled(candidate, at)
         note = f"begins in frame {at} with a face {best.said()} by {self.detector.name}"

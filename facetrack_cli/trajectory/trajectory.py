@@ -19,7 +19,7 @@ import numpy as np
 from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, Array, Frame, Image, Mask, Start, Texts, Whole
+from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, Texts, Whole
 from facetrack_cli.trajectory.diagnostics import POSTERIOR, SURE, Diagnostics, outlines
 
 if TYPE_CHECKING:
@@ -435,14 +435,12 @@ def mean_confidence(confidences: Array) -> float:
 class TargetResult(NamedTuple):
     """What a tracker says of one target in one frame: a row for each of its K parts, with its diagnostics.
 
-    `cloud` (N, K, 2) are the particles' centres in pixels; `insets` are small grey images of what the tracker knows,
-    each with its name; `notes` are lines for the user, of the frame in which they arise. `beliefs` gives what the
-    smoother needs (`engine.smoothing.Belief`); None of what has none.
+    `cloud` (N, K, 2) are the particles' centres in pixels; `notes` are lines for the user, of the frame in which they
+    arise. `beliefs` gives what the smoother needs (`engine.smoothing.Belief`); None of what has none.
     """
 
     rows: Trajectory
     cloud: Array
-    insets: tuple[tuple[str, Image], ...] = ()
     notes: tuple[str, ...] = ()
     beliefs: Callable[[], tuple[Any, ...]] | None = None
 

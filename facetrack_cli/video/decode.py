@@ -345,8 +345,12 @@ def _view(plane: VideoPlane) -> Image:
 @lru_cache
 def _to_bt601(matrix: int) -> Array:
     """(3, 3) Y, Cb and Cr by those of another matrix, in so few bits that sums of float32 are exact."""
-    ours, theirs = (weights(*_LUMA[number])[:, :3] for number in (_BT601, matrix))
-    return np.asarray(np.rint(ours @ np.linalg.inv(theirs) * 2**14) / 2**14)
+    ours, theirs = list[Array](), list[Array]()
+    for rows, (red, blue) in ((ours, _LUMA[_BT601]), (theirs, _LUMA[matrix])):  # of blue, green, red, in limited range
+        luma = np.array([blue, 1 - red - blue, red])
+        cb, cr = (np.array([1, 0, 0]) - luma) / (1 - blue) / 2, (np.array([0, 0, 1]) - luma) / (1 - red) / 2
+        rows += [219 / 255 * luma, 224 / 255 * cb, 224 / 255 * cr]
+    return np.asarray(np.rint(np.array(ours) @ np.linalg.inv(theirs) * 2**14) / 2**14)
 
 
 def _orientation(raw: VideoFrame) -> tuple[bool, bool, bool]:
@@ -449,11 +453,3 @@ def _fraction(rate: Fraction | None) -> Fraction:
     if rate is None or not 0 < rate <= 1000:
         return _DEFAULT_FPS
     return rate.limit_denominator(1001) if rate > Fraction(1, 1001) else 1 / (1 / rate).limit_denominator(1001)
-
-
-def weights(red: float, blue: float) -> Array:
-    """(3, 4): Y, Cb and Cr of limited range by blue, green, red, 1; given the luma weights of red and blue (H.273)."""
-    luma = np.array([blue, 1 - red - blue, red])
-    cb, cr = (np.array([1, 0, 0]) - luma) / (1 - blue) / 2, (np.array([0, 0, 1]) - luma) / (1 - red) / 2
-    scaled = np.stack([219 * luma, 224 * cb, 224 * cr]) / 255
-    return np.column_stack([scaled, [16, 128, 128]])

@@ -215,19 +215,6 @@ def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) 
         return 1
 
 
-def durations(path: Path) -> list[float]:
-    """How long each picture of an animated WebP is shown, in s; empty of what says nothing."""
-    shown_s: list[float] = []
-    if path.suffix.lower() == ".webp":
-        with suppress(*_damaged()), _picture(path) as image:
-            check_pixels(path, *image.size)
-            for page in range(int(getattr(image, "n_frames", 1))):
-                image.seek(page)
-                image.load()
-                shown_s.append(image.info.get("duration", 0) / 1000)
-    return shown_s if shown_s and min(shown_s) > 0 else []
-
-
 def check_pixels(path: Path, width: int, height: int) -> None:
     """UnreadableError for an image that claims more pixels than are read: before memory is taken for them."""
     if width * height > MOST_PIXELS:
@@ -246,6 +233,7 @@ def is_animated(path: Path) -> bool:
 # Images in a .zip archive
 
 MOST_BYTES: Final = 256 << 20  # bytes of an image, unpacked
+_HIDDEN: Final = re.compile(r"(^|/)(\.|__MACOSX)")
 _BROKEN: Final = (BadZipFile, EOFError, OSError, RuntimeError, NotImplementedError, ValueError, zlib.error)
 
 
@@ -257,17 +245,15 @@ def is_archive(path: Path) -> bool:
 def holds_images(path: Path) -> bool:
     """Whether an archive has an image, or cannot be read, of which more is said once it is opened."""
     try:
-        with path.open("rb") as raw:
-            check_directory(path, raw)
-            return any(_is_frame(PurePosixPath(name)) for name in ZipFile(raw).namelist())
-    except (*_BROKEN, InputError):
+        return bool(Archive(path).files)
+    except InputError:
         return True
 
 
 class Archive:
     """The images of one folder of an archive; `files` are their paths, as if the archive were a folder.
 
-    Raises InputError for an archive that is damaged, locked, has no images, or has them in several folders.
+    Raises InputError for an archive that is damaged, locked, or has images in several folders.
     """
 
     def __init__(self, path: Path) -> None:
@@ -277,14 +263,12 @@ class Archive:
             self._zip = ZipFile(path)
         except _BROKEN as e:
             raise InputError(f"{path}: cannot be read as an archive ({reason(e)}); copy or download it again") from e
-        names = {PurePosixPath(entry.filename): entry for entry in self._zip.infolist() if not entry.is_dir()}
-        shown = [name for name in names if _is_frame(name)]
-        if not shown:
-            raise InputError(f"{path}: no images in this archive; {', '.join(sorted(SUFFIXES))} are read")
+        entries = {PurePosixPath(entry.filename): entry for entry in self._zip.infolist() if not entry.is_dir()}
+        shown = [name for name in entries if name.suffix.lower() in SUFFIXES and not _HIDDEN.search(str(name))]
         if len(folders := {name.parent for name in shown}) > 1:
             two = " and ".join(sorted(map(str, folders))[:2])
             raise InputError(f"{path}: has images in several folders, as {two}; one clip has them in one")
-        self._entries: dict[Path, ZipInfo] = {path / name: names[name] for name in ordered(shown, lambda n: n.name)}
+        self._entries: dict[Path, ZipInfo] = {path / name: entries[name] for name in ordered(shown, lambda n: n.name)}
         self.files = list(self._entries)
 
     def read(self, file: Path) -> bytes:
@@ -297,8 +281,3 @@ class Archive:
                 return opened.read(entry.file_size + 1)
         except _BROKEN as e:
             raise UnreadableError(file, f"cannot be unpacked ({reason(e)})", "make the archive again") from e
-
-
-def _is_frame(name: PurePosixPath) -> bool:
-    hidden = any(part.startswith((".", "__MACOSX")) for part in name.parts)
-    return name.suffix.lower() in SUFFIXES and not hidden

@@ -1,53 +1,111 @@
-"""A tracker's result drawn over its frame: windows, trails, spread of the particles, status.
+"""A tracker's result drawn over its frame: windows, trails, spread, names, and a bar with the status.
 
-A target has a colour of its own, of a single one each part (as in the plots); what is lost is vermilion, its window
-dashed. Absent parts are not drawn. Of a face, points in a box, there are a frame, thin lines and small dots alone, so
-that the mouth stays visible; what is lost of it is grey.
+It follows from the rows, as a file has them, so that a finished run is drawn again. A target has a colour of its own,
+of a single one each part (as in the plots); what is lost is vermilion, its window dashed. Status shows by form, too: a
+dot where tracked, a cross where lost, a hollow diamond at the start, a filled one where a correction gave it. Absent
+parts are not drawn. Of a face, points in a box, there are a frame, thin lines and small dots alone, so that the mouth
+stays visible; what is lost of it is grey.
 
 A start has a preview (`draw_start`): the frame around its targets, their boxes, and the places of their parts.
 """
 
 import math
+import unicodedata
 from collections import defaultdict, deque
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.core.face_points import LINES
 from facetrack_cli.core.files import write_new
-from facetrack_cli.core.geometry import centre, shown_angle
-from facetrack_cli.core.types import BOX, Array, Frame, Image, Mask, Start
-from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult, of_frame, recorded
-from facetrack_cli.video.overlay_labels import (
-    GREY,
-    LOST,
-    PALETTE,
-    Colour,
-    Font,
-    Points,
-    Shape,
-    StatusBar,
-    dashes,
-    fixed,
-    ink,
-    lay_insets,
-    mark,
-    polylines,
-    write_names,
+from facetrack_cli.core.geometry import centre, common_area, shown_angle
+from facetrack_cli.core.numbers import clock
+from facetrack_cli.core.types import BOX, Array, Box, Frame, Image, Mask, Point, Start
+from facetrack_cli.trajectory.trajectory import (
+    DECIMALS,
+    FrameResult,
+    Status,
+    TargetResult,
+    Trajectory,
+    mean_confidence,
+    of_frame,
+    recorded,
 )
 
+Colour = tuple[int, int, int]  # blue, green, red
+Ink = tuple[float, ...]
+Points = NDArray[np.int32]
+# one a target, or of a single target one a part: after Okabe and Ito, told apart by most colour-blind people,
+# lightened to stand out from video
+PALETTE: tuple[Colour, ...] = (
+    (255, 205, 80),  # sky blue
+    (70, 232, 250),  # yellow
+    (160, 225, 40),  # bluish green
+    (222, 150, 240),  # reddish purple
+    (255, 140, 100),  # blue
+    (240, 240, 240),  # white
+)
+_LOST: Colour = (25, 110, 255)  # vermilion
+_LOST_TEXT: Colour = (110, 165, 255)  # vermilion itself is too dark to read on the bar
+_WHITE: Colour = (255, 255, 255)
+_GREY: Colour = (175, 175, 175)  # of a face that is lost
+_QUIET: Colour = (190, 190, 190)  # of names in doubt, and what is written beside the status
+_SHIFT = 4  # cv2's fixed point: sixteenths of a pixel
+_CROSS = np.array([[(-1, -1), (1, 1)], [(-1, 1), (1, -1)]])
+_DASH = np.array([[(-1, 0), (1, 0)]])
+_DIAMOND = 1.2 * np.array([[(0, -1), (1, 0), (0, 1), (-1, 0), (0, -1)]])
+_CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 33)[:-1]) for f in (np.cos, np.sin)], axis=1)  # (32, 2)
+_READ = "x", "y", "w", "h", "angle", "std_x", "std_y", "cov_xy"
+_SCALES = 10.0 ** np.array([[DECIMALS[name]] for name in _READ])
+_CAP_SHARE = 0.7  # of the size of the type: the height of a capital
 _FADES = 4  # steps of opacity along a trail
 _MAX_SAMPLES = 32  # earlier places along a trail
-_MAX_DOTS = 150  # particles shown of a part
 _ROOM, _SMALL = 9, 18  # least side of windows with dots, and with large marks, in line widths
 _MAX_DOTTED = 6  # parts: of a face with more parts, only points that no line joins have dots, which are tiny
 _FACE_DOT = 0.012  # radius of a point's dot, in sizes of its face
 _RIM = 0.7  # opacity of the dark rim around all lines
-_CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 33)[:-1]) for f in (np.cos, np.sin)], axis=1)  # (32, 2)
+_KEPT = 256  # texts
+_PLATE = 0.65  # opacity of the dark ground below the name of a target
+_DECIDED = 0.5  # an identity less probable than that is doubtful
+_PREVIEW_PX: Final = 900  # pixels, about: what is shown is enlarged by a whole factor to come near it
+
+
+class Shape:
+    """The K parts of a target that have a place: `centres` (K, 2), `corners` (K, 4, 2), `side` (K,) the shorter side.
+
+    `place` is that of the target among several, by which it has its colour. Nothing is farther off than `reach`.
+    """
+
+    def __init__(self, target: TargetResult, place: int | None, aspect: float, reach: float) -> None:
+        every = target.rows
+        fine = np.isfinite(every.x + every.y)
+        self.target, self.rows = every.target, every if fine.all() else every.take(fine)
+        rows = self.rows
+        table = np.rint(np.array([getattr(rows, name) for name in _READ]) * _SCALES) / _SCALES
+        # points of a network have no windows
+        x, y, w, h, angle, *self.spread = np.where(np.isfinite(table), table, 0.0)
+        self.parts = tuple(every.names[i][1] for i in rows.which.tolist())
+        self.is_face = len(self.parts) > 1 and BOX in self.parts
+        self.lost: Mask = rows.status == "lost"
+        own = [k if place is None else place for k in np.flatnonzero(fine).tolist()] or [0]
+        self.colours = [PALETTE[k % len(PALETTE)] for k in own]
+        self.colour = self.colours[-1]  # of the whole target: its box comes last
+        self.sizes = np.stack([w, h], axis=1)
+        self.side: Array = self.sizes.min(axis=1)
+        self.centres: Array = np.clip(np.stack([x, y], axis=1), -reach, reach)
+        half = np.maximum(np.minimum(self.sizes, reach) - 1, 2) / 2
+        lean = np.radians(shown_angle(angle, 1 / aspect))
+        turned = (half[:, :1] * (-1, 1, 1, -1) + 1j * half[:, 1:] * (-1, -1, 1, 1)) * np.exp(1j * lean)[:, None]
+        self.corners: Array = self.centres[:, None] + np.stack([turned.real, turned.imag], axis=-1)
+        if rows.corners is not None:
+            there = np.isfinite(rows.corners).all(axis=(1, 2), keepdims=True)
+            self.corners = np.where(there, np.clip(rows.corners, -reach, reach), self.corners)
 
 
 class _Past(NamedTuple):
@@ -96,15 +154,6 @@ class Overlay:
         self._reach = 4.0 * max(size)
         self._count = 0
 
-    @property
-    def memory(self) -> Any:
-        """What it keeps of the frames so far, so that another one goes on in its place."""
-        return self._count, self._past
-
-    @memory.setter
-    def memory(self, memory: Any) -> None:
-        self._count, self._past = memory
-
     def draw(self, result: FrameResult) -> Image:
         """An image of the frame with its result; parts without a finite place are left out.
 
@@ -125,56 +174,29 @@ class Overlay:
             raise ValueError(f"frame {frame.index} is {frame.size}, the overlay {self.size}")
         image: Image = frame.bgr.copy()
         alone = len(result.targets) == 1 and not self._order
-        places = [self._order.get(target.rows.target, i) for i, target in enumerate(result.targets)]
-        pairs = zip(result.targets, places, strict=True)
-        shapes = [self._shape(target, place, frame.aspect, alone=alone) for target, place in pairs]
-        style = self._bar.height if self._bar else 0, self._line, self._font
-        lay_insets(image, shapes, self._line, self._font)  # below the lines, where they have to cross
+        shapes = []
+        for i, target in enumerate(result.targets):
+            place = None if alone else self._order.get(target.rows.target, i)
+            shapes.append(Shape(target, place, frame.aspect, self._reach))
         for shape in shapes:
             trail = self._remember(shape, frame.time_s)
+            if shape.is_face:
+                self._features(image, shape)
             if shape.parts:
-                (self._features if shape.is_face else self._cloud)(image, shape)
                 self._lines(image, shape, trail[-1:] if shape.is_face else trail)
         names = {shape.target for shape in shapes}
         self._past = {name: past for name, past in self._past.items() if name in names}
-        write_names(image, shapes, *style, named=bool(self._order))
+        self._names(image, [shape for shape in shapes if shape.parts], named=bool(self._order) or len(shapes) > 1)
         if self._bar:
             self._bar.draw(image, result)
         self._count += 1
         return image
 
-    def _shape(self, target: TargetResult, place: int, aspect: float = 1.0, *, alone: bool) -> Shape:
-        every = target.rows
-        fine = np.isfinite(every.x + every.y)
-        rows = every if fine.all() else every.take(fine)
-        sizes = np.nan_to_num(np.stack([rows.w, rows.h], axis=1))  # points of a network have no windows
-        table = np.clip(np.column_stack([rows.x, rows.y, sizes]), -self._reach, self._reach)
-        half = np.maximum(table[:, 2:] - 1, 2) / 2
-        corners = half[:, None] * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-        angle = np.radians(shown_angle(np.where(np.isfinite(rows.angle), rows.angle, 0.0), 1 / aspect))
-        if angle.any():
-            cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
-            x, y = corners[..., 0], corners[..., 1]
-            corners = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-        corners = corners + table[:, None, :2]
-        if rows.corners is not None:
-            turned = np.isfinite(rows.corners).all(axis=(1, 2), keepdims=True)
-            corners = np.where(turned, np.clip(rows.corners, -self._reach, self._reach), corners)
-        shown = np.flatnonzero(fine)
-        cloud = target.cloud[:, shown[shown < target.cloud.shape[1]]] if target.cloud.ndim == 3 else target.cloud
-        parts = tuple(every.names[i][1] for i in rows.which.tolist())
-        lost: Mask = rows.status == "lost"
-        centres = table[:, :2]
-        colours = tuple(PALETTE[(k if alone else place) % len(PALETTE)] for k in shown.tolist()) or (PALETTE[0],)
-        return Shape(every.target, rows, parts, cloud, target.insets, centres, sizes, corners, lost, colours)
-
     def _remember(self, shape: Shape, now: float) -> list[_Past]:
         """The places of the target along its trail, oldest first, the present place last."""
         past = self._past.setdefault(shape.target, deque(maxlen=_MAX_SAMPLES + 1))
-        if past and not past[-1].time_s < now:
-            past.clear()
         # a trail ends at a correction and at an absence
-        if past and (past[-1].parts != shape.parts or shape.rows.by_hand.any()):
+        if past and (past[-1].time_s >= now or past[-1].parts != shape.parts or shape.rows.by_hand.any()):
             past.clear()
         while past and now - past[0].time_s > self.trail_s:
             past.popleft()
@@ -184,50 +206,26 @@ class Overlay:
             past.append(present)
         return trail
 
-    def _cloud(self, image: Image, shape: Shape) -> None:
-        """Faint dots at the particles, evenly thinned out."""
-        cloud = shape.cloud
-        if cloud.ndim != 3 or not len(cloud):
-            return
-        shown = (shape.side >= _ROOM * self._line)[: cloud.shape[1]]
-        if not shown.any():
-            return
-        width, height = self.size
-        dots = cloud[:: math.ceil(len(cloud) / _MAX_DOTS), shown]  # (n, K, 2)
-        # fmin and fmax pass over NaN, which lands outside
-        at = np.rint(np.fmax(np.fmin(dots, max(self.size) + 9), -9)).astype(np.int64)
-        spread = np.arange(self._line) - (self._line - 1) // 2
-        x = at[..., 0, None, None] + spread
-        y = at[..., 1, None, None] + spread[:, None]
-        x, y = np.broadcast_arrays(x, y)  # (n, K, line, line)
-        inside = (x.astype(np.uint64) < width) & (y.astype(np.uint64) < height)  # negative ones wrap to huge
-        lost = shape.lost[: len(shown)][shown]
-        own = np.array(shape.colours)[: len(shown)][shown]
-        tints = (100 * np.where(lost[:, None], LOST, own)).astype(np.uint16)
-        part = np.broadcast_to(np.arange(len(lost))[:, None, None], inside.shape)
-        spots, flat = (y * width + x)[inside], image.reshape(-1, 3)
-        flat[spots] = (flat[spots] * np.uint16(156) + tints[part[inside]]) >> np.uint16(8)
-
     def _features(self, image: Image, shape: Shape) -> None:
         """Thin lines between points of a face, and tiny dots, without a rim, which would hide it; grey where lost."""
         place = {part: k for k, part in enumerate(shape.parts)}
         for path in ([place[part] for part in path] for path in LINES if place.keys() >= {*path}):
             for both in map(list, pairwise(path)):
                 colour = shape.colours[path[0]] if len(place) <= _MAX_DOTTED else shape.colour
-                colour = GREY if shape.lost[both].any() else colour
-                polylines(image, [fixed(shape.centres[both])], colour, max(1, self._line - 1))
+                colour = _GREY if shape.lost[both].any() else colour
+                _polylines(image, [_fixed(shape.centres[both])], colour, max(1, self._line - 1))
         dots = [part for part in place if part not in {BOX, *chain(*LINES)}] if len(place) > _MAX_DOTTED else []
         for part in dots:
-            colour = GREY if shape.lost[place[part]] else shape.colour
-            mark(image, shape.centres[place[part]].tolist(), "tracked", colour, 0.5 * self._line, 1, False)
+            colour = _GREY if shape.lost[place[part]] else shape.colour
+            mark(image, shape.centres[place[part]].tolist(), "tracked", colour, 0.5 * self._line, 1)
 
     def _lines(self, image: Image, shape: Shape, trail: list[_Past]) -> None:
         """Trails, ellipses, windows and marks with a dark rim around them, blended at once and only where they are."""
         line, edge = self._line, max(1, self._line // 2)
         fine = max(1, line - 1)
-        rings, ring_parts = self._ellipses(shape)  # (R, 32, 2)
-        places = [p.centres for p in trail]
-        touched = np.concatenate([*places, shape.corners.reshape(-1, 2), rings.reshape(-1, 2)])
+        rings = self._ellipses(shape)
+        places = np.array([past.centres for past in trail])
+        touched = np.concatenate([each.reshape(-1, 2) for each in (places, shape.corners, *rings.values())])
         signs = self._signs(shape)
         reach = math.ceil(max(signs)) + line + edge
         x0, y0 = np.maximum(np.floor(touched.min(axis=0)).astype(int) - reach, 0).tolist()
@@ -236,31 +234,27 @@ class Overlay:
             return
         layer = np.zeros((y1 - y0, x1 - x0, 4), np.uint8)  # colours times opacity, and opacity
         origin = np.array((x0, y0), np.float64)
-        for (opacity, colour), strokes in self._strokes(trail, fixed(np.array(places) - origin), shape.colours).items():
-            polylines(layer, strokes, ink(colour, opacity), fine)
-        gone = GREY if shape.is_face else LOST
+        for (opacity, colour), strokes in self._strokes(trail, _fixed(places - origin), shape.colours).items():
+            _polylines(layer, strokes, _ink(colour, opacity), fine)
+        gone = _GREY if shape.is_face else _LOST
         tints = [gone if lost else own for lost, own in zip(shape.lost.tolist(), shape.colours, strict=False)]
-        for ring, k in zip(fixed(rings - origin), ring_parts, strict=True):
-            polylines(layer, [ring], ink(tints[k], 0.6), fine, closed=True)
-        local = shape.corners - origin
-        windows, middles = fixed(local), (shape.centres - origin).tolist()
+        for k, ring in rings.items():
+            _polylines(layer, [_fixed(ring - origin)], _ink(tints[k], 0.6), fine, closed=True)
+        corners = shape.corners - origin
         order = np.argsort(shape.lost, kind="stable").tolist()  # what is lost lies on top
         for k in order:
-            tint, part = tints[k], shape.parts[k]
-            if shape.is_face and part != BOX:
+            is_box = shape.parts[k] == BOX
+            if shape.is_face and not is_box:
                 continue
-            weight = line + (part == BOX)
-            if shape.lost[k]:
-                polylines(layer, list(fixed(dashes(local[k], 10 * line))), ink(tint, 1), weight)
-            else:
-                polylines(layer, [windows[k]], ink(tint, 1), weight, closed=True)
-        statuses, by_hand = shape.rows.status.tolist(), shape.rows.by_hand.tolist()
+            window = list(_fixed(_dashes(corners[k], 10 * line))) if shape.lost[k] else [_fixed(corners[k])]
+            _polylines(layer, window, _ink(tints[k], 1), line + is_box, closed=not shape.lost[k])
+        statuses, by_hand, middles = shape.rows.status.tolist(), shape.rows.by_hand.tolist(), shape.centres - origin
         for k in order:
-            status, size, at = statuses[k], signs[k], middles[k]
+            status, size, at = statuses[k], signs[k], middles[k].tolist()
             if size:
                 if status == "tracked" and size >= line:  # a ring of shade, or it would merge with its trail
-                    mark(layer, at, status, ink((0, 0, 0), 0.8), size + line, line, False)
-                mark(layer, at, status, ink(tints[k], 1), size, line, by_hand[k])
+                    mark(layer, at, status, _ink((0, 0, 0), 0.8), size + line, line)
+                mark(layer, at, status, _ink(tints[k], 1), size, line, by_hand=by_hand[k])
         cover = cv2.extractChannel(layer, 3)
         dark = cv2.dilate(cover, np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
         keep = cv2.bitwise_not(cv2.max(cover, cv2.convertScaleAbs(dark, None, _RIM)))
@@ -273,53 +267,215 @@ class Overlay:
     ) -> dict[tuple[float, Colour], list[Points]]:
         """The trail's lines by opacity and colour, faint to strong; where a part was lost, dashes in vermilion."""
         strokes: dict[tuple[float, Colour], list[Points]] = defaultdict(list)
-        paths = np.ascontiguousarray(at.reshape(len(trail), -1, 2).transpose(1, 0, 2))  # (K, T, 2)
+        paths = np.ascontiguousarray(at.transpose(1, 0, 2))  # (K, T, 2)
         for i, (past, now) in enumerate(pairwise(trail)):
             age = (trail[-1].time_s - past.time_s) / max(self.trail_s, 1e-9)
             opacity = 0.3 + 0.65 * math.floor((1 - min(max(age, 0.0), 1.0)) * _FADES) / _FADES
             for k, (lost, colour) in enumerate(zip(now.lost.tolist(), colours, strict=False)):
                 if not lost or now.number % 2:
-                    strokes[opacity, LOST if lost else colour].append(paths[k, i : i + 2])
+                    strokes[opacity, _LOST if lost else colour].append(paths[k, i : i + 2])
         return strokes
 
     def _signs(self, shape: Shape) -> list[float]:
         """The size of each part's mark in pixels; 0 is none, in windows of a few pixels."""
-        side = shape.side
+        side, line = shape.side, self._line
         if shape.is_face:  # so small that the mouth between them is seen
-            face = float(shape.side[shape.parts.index(BOX)])
-            dot = min(1.5 * self._line, max(_FACE_DOT * face, 0.6)) if len(shape.parts) <= _MAX_DOTTED else 0.0
+            face = float(side[shape.parts.index(BOX)])
+            dot = min(1.5 * line, max(_FACE_DOT * face, 0.6)) if len(shape.parts) <= _MAX_DOTTED else 0.0
             return [0.0 if part == BOX else dot for part in shape.parts]
-        share = np.where(shape.lost & (side >= _SMALL * self._line), 0.3, 0.2)
-        large = np.maximum(2 * self._line, share * np.minimum(side, 40 * self._line))
-        dots = np.where(side >= _ROOM * self._line, 1.25 * self._line, 0.0)
-        sizes: list[float] = np.where(shape.rows.status == "tracked", dots, large).tolist()
-        return sizes
+        sizes = np.clip(0.25 * side, 2 * line, 10 * line)
+        dots = np.where(side >= _ROOM * line, 1.25 * line, 0.0)
+        return list(np.where(shape.rows.status == "tracked", dots, sizes).tolist())
 
-    def _ellipses(self, shape: Shape) -> tuple[Array, list[int]]:
-        """Two standard deviations around centres, (R, 32, 2), and whose; only where that is more than the mark."""
-        rows = shape.rows
-        spreads = np.array([rows.std_x, rows.std_y])
-        sx, sy = np.minimum(np.where(np.isfinite(spreads), spreads, 0.0), self._reach)
+    def _ellipses(self, shape: Shape) -> dict[int, Array]:
+        """Two standard deviations around centres, (32, 2) by part; only where that is more than the mark."""
+        (sx, sy), xy = np.minimum(shape.spread[:2], self._reach), shape.spread[2]
         # in a small window the dots say as much, with less clutter
         least = np.where(shape.side < _SMALL * self._line, 1.25 * shape.sizes.max(axis=1), 4 * self._line)
         shown = 2 * np.maximum(sx, sy) >= least
         if shape.is_face:  # only of a head that is lost
             shown &= shape.lost & (np.array(shape.parts) == BOX)
-        whose = np.flatnonzero(shown)
-        if not len(whose):
-            return np.empty((0, len(_CIRCLE), 2)), []
-        sx, sy, xy = sx[whose], sy[whose], np.nan_to_num(rows.cov_xy[whose])
-        spread = sx * sy > 1e-12
-        lean = np.where(spread, np.clip(xy / np.where(spread, sx * sy, 1.0), -1.0, 1.0), 0.0)
-        # the Cholesky root carries the circle to the ellipse
-        roots = np.zeros((len(whose), 2, 2))
-        roots[:, 0] = np.stack([2 * sx, 2 * lean * sy], axis=1)
-        roots[:, 1, 1] = 2 * np.sqrt(1 - lean * lean) * sy
-        rings: Array = _CIRCLE @ roots + shape.centres[whose, None]
-        return rings, whose.tolist()
+        rings = {}
+        for k in np.flatnonzero(shown).tolist():
+            area = sx[k] * sy[k]
+            lean = min(max(xy[k] / area, -1.0), 1.0) if area > 1e-12 else 0.0
+            # the Cholesky root carries the circle to the ellipse
+            root = 2 * np.array([(sx[k], lean * sy[k]), (0.0, math.sqrt(1 - lean * lean) * sy[k])])
+            rings[k] = _CIRCLE @ root + shape.centres[k]
+        return rings
+
+    def _names(self, image: Image, shapes: Sequence[Shape], *, named: bool) -> None:
+        """Name targets above them, or below them where names, the bar or the border are there.
+
+        Without an identity a target has a name only if it is `named`.
+        """
+        (bottom, right), top = image.shape[:2], self._bar.height if self._bar else 0
+        gap, tags = 2 * self._line, list[Box]()
+        for shape in shapes:
+            text, colour = _name(shape, named=named)
+            low, high = shape.corners.min(axis=(0, 1)), shape.corners.max(axis=(0, 1))
+            if not text or (high < 0).any() or (low > (right, bottom)).any():
+                continue
+            width, height = self._font.width(text), round(1.6 * self._font.cap)
+            x = int(min(max((low[0] + high[0] - width) / 2, 0), max(right - width, 0)))
+            above, below = int(low[1]) - height - gap, min(int(high[1]) + gap, bottom - height)
+            places = [y for y in (above, below) if y >= top] or [below]
+            free = (y for y in places if not any(common_area((x, y, width, height), tag) for tag in tags))
+            y = next(free, places[0])
+            tags.append((x, y, width, height))
+            plate = image[max(y, 0) : max(y + height, 0), max(x - self._line, 0) : max(x + width + self._line, 0)]
+            if plate.size:
+                cv2.convertScaleAbs(plate, plate, 1 - _PLATE)
+            self._font.write(image, text, x, y + round(1.2 * self._font.cap), colour)
 
 
-_PREVIEW_PX: Final = 900  # pixels, about: what is shown is enlarged by a whole factor to come near it
+def _name(shape: Shape, *, named: bool) -> tuple[str, Colour]:
+    """Who a target is, with the probability, pale and with a question mark where that is low; else its name."""
+    who, sure = str(shape.rows.identity[0]), float(shape.rows.identity_prob[0])
+    if not who:
+        return (shape.target.replace("_", " ") if named else ""), shape.colour
+    if not math.isfinite(sure):
+        return who, shape.colour
+    percent = " >99%" if sure >= 0.995 else f" {sure:.0%}"  # no posterior is certain
+    return (f"{who}?{percent}", _QUIET) if sure < _DECIDED else (f"{who}{percent}", shape.colour)
+
+
+class StatusBar:
+    """Writes a summary of each result over the top of images `width` pixels wide, in capitals `cap` pixels high."""
+
+    def __init__(self, width: int, cap: int, line: int, title: str = "") -> None:
+        self.height = round(1.9 * cap)
+        self._width, self._line, self._title, self._font = width, line, title, Font(cap)
+
+    def draw(self, image: Image, result: FrameResult) -> None:
+        """Darken the top `height` rows of `image` (H, W, 3) and write on them, in place, as far as there is room.
+
+        Status, frame and time stand at the left, the mean confidence and the title at the right.
+        """
+        font, cap, rows = self._font, self._font.cap, result.rows
+        strip = image[: self.height]
+        cv2.convertScaleAbs(strip, strip, 0.28)
+        status, saying = summary(rows)
+        gap, base = round(0.8 * cap), (self.height + cap) // 2
+        left, right = gap, self._width - gap
+        sign = _LOST_TEXT if status == "lost" else _QUIET if status == "absent" else PALETTE[0]
+        at = left + 0.4 * cap, base - (cap + 1) / 2
+        mark(strip, at, status, sign, 0.37 * cap, self._line, by_hand=bool(rows.by_hand.any()))
+        left += round(1.5 * cap)
+        lit = _LOST_TEXT if status == "lost" else _WHITE
+        for text, colour in (
+            (saying, lit),
+            (f"frame {result.frame.index}", _WHITE),
+            (clock(result.frame.time_s), _WHITE),
+        ):
+            if left + font.width(text) <= right:
+                font.write(strip, text, left, base, colour)
+                left += font.width(text) + gap
+        sure = rows.confidence[np.isfinite(rows.confidence)]  # 0 % would be a lie of a tracker that does not say
+        for text, colour in ((f"{mean_confidence(sure):.0%}" if len(sure) else "", _WHITE), (self._title, _QUIET)):
+            if text and left + font.width(text) <= right:
+                font.write(strip, text, right - font.width(text), base, colour)
+                right -= font.width(text) + gap
+
+
+def summary(rows: Trajectory) -> tuple[Status, str]:
+    """The status of all that is not absent, and what the bar says: what is not tracked, of how many."""
+    if not len(rows):
+        return "lost", "no target"
+    absent, initial = rows.status == "absent", rows.status == "init"
+    if absent.all():
+        return "absent", "absent"
+    unseen: Status
+    for unseen in ("lost", "hidden"):
+        if (rows.status == unseen).any():
+            return unseen, f"{unseen} {(rows.status == unseen).sum()}/{len(rows)}"
+    if (by_hand := rows.by_hand & initial).any():
+        return "init", f"by hand {by_hand.sum()}/{len(rows)}"
+    shown: Status = "init" if (absent | initial).all() else "tracked"
+    return shown, f"absent {absent.sum()}/{len(rows)}" if absent.any() else shown
+
+
+class Font:
+    """One size of Pillow's own type, Aileron: capitals `cap` pixels high, and digits of equal width."""
+
+    def __init__(self, cap: int) -> None:
+        from PIL import ImageFont  # only where something is drawn: a short run takes as long as its imports
+
+        self.cap = cap
+        self._type = ImageFont.load_default(cap / _CAP_SHARE)
+        self._opacity = lru_cache(_KEPT)(self._render)
+
+    def width(self, text: str) -> int:
+        """The width of `text` in pixels."""
+        return int(self._opacity(text).shape[1])
+
+    def write(self, image: Image, text: str, left: int, base: int, colour: Colour) -> None:
+        """Write `text` on `image` (H, W, 3), in place, on the line above row `base`; what falls outside is cut off."""
+        opacity, top = self._opacity(text), base - 2 * self.cap
+        x, y = max(left, 0), max(top, 0)
+        part = image[y : max(top + opacity.shape[0], 0), x : max(left + opacity.shape[1], 0)]
+        if part.size:
+            ink = opacity[y - top :, x - left :][: part.shape[0], : part.shape[1], None]
+            part[...] = part + ink * (np.array(colour, np.float32) - part)
+
+    def _render(self, text: str) -> Array:
+        """(3 cap, width) the opacity 0..1 of a text whose base line is two capitals below the top."""
+        from PIL import Image as Pictures
+        from PIL import ImageDraw
+
+        text = plain(text)
+        picture = Pictures.new("L", (max(math.ceil(self._type.getlength(text)), 1), 3 * self.cap))
+        ImageDraw.Draw(picture).text((0, 2 * self.cap), text, 255, self._type, anchor="ls")
+        return np.asarray(picture, np.float32) / 255
+
+
+def plain(text: str) -> str:
+    """`text` in the characters that the font has: accents dropped, the rest as question marks."""
+    if text.isascii() and text.isprintable():
+        return text
+    bare = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+    return "".join(c if c.isascii() and c.isprintable() else "?" for c in bare)
+
+
+def _fixed(points: Array) -> Points:
+    """Pixels as cv2's fixed point numbers, any shape (..., 2)."""
+    return np.rint(points * (1 << _SHIFT)).astype(np.int32)
+
+
+def _ink(colour: Colour, opacity: float) -> Ink:
+    """`colour` for a layer of four channels: times its opacity 0..1, and the opacity as 0..255."""
+    return colour[0] * opacity, colour[1] * opacity, colour[2] * opacity, 255 * opacity
+
+
+def _polylines(image: Image, lines: Sequence[Points], colour: Ink, thickness: int, *, closed: bool = False) -> None:
+    """Smooth lines through `lines`, each (n, 2) from `_fixed`, drawn on `image` (H, W, 3 or 4) in place."""
+    if len(lines):
+        cv2.polylines(image, lines, closed, colour, thickness, cv2.LINE_AA, _SHIFT)
+
+
+def _dashes(corners: Array, pitch: float) -> Array:
+    """A polygon's outline (n, 2) as dashes (m, 2, 2) about `pitch` pixels apart, one at either end of every side."""
+    sides = np.roll(corners, -1, axis=0) - corners
+    longest = float(np.hypot(sides[:, 0], sides[:, 1]).max())
+    n = min(max(2, round(longest / pitch) + 1), 40)
+    ends = np.arange(2 * n).reshape(n, 2) / (2 * n - 1)
+    dashed: Array = corners[:, None, None] + ends[..., None] * sides[:, None, None]
+    return dashed.reshape(-1, 2, 2)
+
+
+def mark(
+    image: Image, at: Point, status: Status, colour: Ink, size: float, line: int, *, by_hand: bool = False
+) -> None:
+    """The sign of `status` at (x, y), about `size` pixels to each side, with lines `line` wide, in place."""
+    if status in ("tracked", "hidden"):
+        x, y, radius = (round(value * (1 << _SHIFT)) for value in (*at, size))
+        cv2.circle(image, (x, y), radius, colour, -1 if status == "tracked" else line, cv2.LINE_AA, _SHIFT)
+    else:
+        shape = {"lost": _CROSS, "absent": _DASH}.get(status, _DIAMOND)
+        strokes = list(_fixed(size * shape + at))
+        if by_hand and status == "init":
+            cv2.fillPoly(image, strokes, colour, cv2.LINE_AA, _SHIFT)
+        _polylines(image, strokes, colour, line)
 
 
 def write_preview(path: Path, frame: Frame, start: Start, *, overwrite: bool = False) -> None:

@@ -14,10 +14,9 @@ packets is not noticed.
 import re
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
-from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Final
 
@@ -57,8 +56,8 @@ def is_image(path: Path) -> bool:
 
 
 def brings_rate(clip: Path) -> bool:
-    """Whether a clip has a frame rate of its own, as all have but images: of a folder, a glob, an archive, or alone."""
-    several = clip.is_dir() or images.listing(clip) is not None or is_archive(clip)
+    """Whether a clip has a frame rate that is read, as all but images: of a folder, an archive, an animated WebP."""
+    several = clip.is_dir() or images.listing(clip) is not None or is_archive(clip) or clip.suffix.lower() == ".webp"
     return not several and not is_image(clip)
 
 
@@ -273,16 +272,12 @@ class VideoSource(Source):
 class FolderSource(Source):
     """Images of a folder or an archive in natural order, at a constant rate, scaled to the size of the first.
 
-    `files` has the file of each frame: of a stack its file as often as it has pages. `shown_s` (T,) are the times of an
-    animation's frames.
+    `files` has the file of each frame: of a stack its file as often as it has pages.
     """
 
-    def __init__(
-        self, path: Path, pictures: Pictures, fps: Fraction, start: int, stop: int | None, shown_s: Sequence[float] = ()
-    ):
+    def __init__(self, path: Path, pictures: Pictures, fps: Fraction, start: int, stop: int | None):
         super().__init__(path, (0, 0), fps, start, stop)
-        self._pictures, self.files, self._resized, self._shown_s = pictures, pictures.files, False, shown_s
-        self.variable = len({round(b - a, 3) for a, b in pairwise(shown_s)}) > 1
+        self._pictures, self.files, self._resized, self.variable = pictures, pictures.files, False, False
         if start >= len(self.files):
             raise self._past_end(len(self.files))
         self.frames_hint = len(self.files[start:stop])
@@ -308,7 +303,7 @@ class FolderSource(Source):
             if not self._resized:
                 self._scaled(str(self.files[index]), size)
             self._resized, image = True, fitted(image, self.size)
-        return Frame(index, self._shown_s[index] if self._shown_s else float(index / self.fps), image)
+        return Frame(index, float(index / self.fps), image)
 
     def _frames(self) -> Iterator[Frame]:
         total = len(self.files)
@@ -341,20 +336,18 @@ def open_source(
     if fps is not None and fps <= 0:
         raise UsageError(f"{path}: {fps} is no frame rate; give frames per second greater than 0")
     check_local(path)
-    rate = fps or FOLDER_FPS
-    if (files := images.listing(path)) is not None:
+    archive = None
+    if (files := images.listing(path)) is None:
+        check_file(path)
+        if is_archive(path):
+            archive = Archive(path)
+            files = archive.files
+        elif not brings_rate(path):
+            files = [path]
+    if files is not None:
         if not files:
-            raise InputError(f"{path}: no images in this folder; {', '.join(sorted(images.SUFFIXES))} are read")
-        return FolderSource(path, Pictures(files), rate, start, stop)
-    check_file(path)
-    if is_archive(path):
-        archive = Archive(path)
-        return FolderSource(path, Pictures(archive.files, archive), rate, start, stop)
-    if is_image(path):
-        return FolderSource(path, Pictures([path]), rate, start, stop)
+            raise InputError(f"{path}: no images in it; {', '.join(sorted(images.SUFFIXES))} are read")
+        return FolderSource(path, Pictures(files, archive), fps or FOLDER_FPS, start, stop)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for images only")
-    if each := images.durations(path):
-        rate = Fraction(1 / sorted(each)[len(each) // 2]).limit_denominator(1001)
-        return FolderSource(path, Pictures([path]), rate, start, stop, shown_s=[0.0, *accumulate(each[:-1])])
     return VideoSource(path, start, stop, stream)

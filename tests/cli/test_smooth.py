@@ -10,9 +10,10 @@ from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
-from facetrack_cli.runs.plan import silent
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.plan import Job, silent
 from facetrack_cli.runs.signals import StoppedError, never
-from facetrack_cli.runs.smooth import save_smoothed
+from facetrack_cli.runs.smooth import finish_run
 from facetrack_cli.trajectory.reader import read_trajectory
 
 CLIP = Path(__file__).parents[2] / "sample_videos" / "expressions.mp4"
@@ -46,7 +47,7 @@ def kept(tmp_path_factory):
         raise StoppedError
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("facetrack_cli.runs.smooth.save_smoothed", stopped)
+        patch.setattr("facetrack_cli.runs.smooth.finish_run", stopped)
         said = done(*RUN[:-1], "--smooth", "--no-video", "-o", folder).output
     assert "not smoothed; the same command again does it" in said and (folder / "posterior.npz").is_file()
     return folder
@@ -80,13 +81,13 @@ def test_an_error_of_smoothing_leaves_what_was_tracked_and_is_the_command_s(tmp_
     def damaged(*_):
         raise InputError("posterior.npz: odd")
 
-    monkeypatch.setattr("facetrack_cli.runs.smooth.save_smoothed", damaged)
+    monkeypatch.setattr("facetrack_cli.runs.smooth.finish_run", damaged)
     result = invoke(*RUN[:-1], "--smooth", "--no-video", "-o", tmp_path / "out")
     assert isinstance(result.exception, InputError) and "30 frames" in result.output
     assert (tmp_path / "out" / "posterior.npz").is_file() and len(read_trajectory(tmp_path / "out").frames) == 30
 
 
-def test_a_run_without_its_video_is_tracked_again(tmp_path, monkeypatch):
+def test_a_run_without_its_video_is_drawn_again(tmp_path, monkeypatch):
     def full(*_):
         raise OutputError("annotated.mp4: the disk is full")
 
@@ -175,7 +176,7 @@ def test_a_damaged_posterior_is_refused_in_one_line(damage, run):
     damage(run / "posterior.npz")
     before = (run / "trajectory.csv").read_bytes()
     with pytest.raises(InputError, match=r"posterior\.npz") as error:
-        save_smoothed(run, CLIP, silent, never)
+        finish_run(Job(CLIP, load_recipe("factorized"), run, smooth=True), silent, never)
     assert "\n" not in str(error.value) and (run / "trajectory.csv").read_bytes() == before
 
 
@@ -189,4 +190,4 @@ def test_a_posterior_of_before_corrections_is_refused(run):
     (run / "trajectory.json").write_text("\n".join(lines))
     (run / "run.json").unlink()
     with pytest.raises(InputError, match="before the run was corrected"):
-        save_smoothed(run, CLIP, silent, never)
+        finish_run(Job(CLIP, load_recipe("factorized"), run, smooth=True), silent, never)

@@ -244,7 +244,7 @@ def test_a_box_must_be_drawn_first(app, clips):
 
 OFTEN = """
 from facetrack_cli.runs import progress, record
-record.EVERY_FRAMES, record.PIECE_FRAMES, progress.EVERY_JSON_S = 40, 20, 0.05
+record.EVERY_FRAMES, progress.EVERY_JSON_S = 40, 0.05
 """
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
@@ -30,7 +29,6 @@ EVERY = 8  # frames between checkpoints here
 @pytest.fixture(autouse=True)
 def _often(monkeypatch):
     monkeypatch.setattr(record, "EVERY_FRAMES", EVERY)
-    monkeypatch.setattr(record, "PIECE_FRAMES", EVERY)
 
 
 def job(recipe, out, *settings, source=None, stop=26, **more):
@@ -131,7 +129,9 @@ def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video):
     asked = job("factorized", tmp_path / "out", stop=3 * EVERY, video=video)
     run(job("factorized", tmp_path / "whole", stop=3 * EVERY, video=video))
     run(asked, 3 * EVERY)
-    assert run(asked).resumed == 2 * EVERY and same(asked.out, tmp_path / "whole")
+    done = run(asked)
+    assert done.resumed == 2 * EVERY and same(asked.out, tmp_path / "whole")
+    assert len(done.paths) == 2 + video, "a video that is drawn at the end is one of them"
 
 
 @pytest.mark.parametrize("how", [{"resume": False}, {"overwrite": True}, {}])
@@ -198,13 +198,4 @@ def test_parts_of_a_damaged_state_are_refused(tmp_path):
     path = tmp_path / FOLDER / "state.npz"
     path.parent.mkdir()
     record.KIND.write(path, {"key": np.array("k"), "run": np.array('{"of": "os:system", "fields": {}}')})
-    assert record.Checkpoints(tmp_path, "k", video=False).find() is None
-
-
-def test_a_piece_that_is_missing_is_said(tmp_path):
-    asked = job("factorized", tmp_path / "out", video=True)
-    run(asked, 11)
-    (asked.out / FOLDER / "00000.mp4").unlink()
-    done = clip.run(asked, Stop())
-    assert done.failure is None or "annotated.mp4" in str(done.failure)
-    assert Path(asked.out / "trajectory.csv").is_file()
+    assert record.Checkpoints(tmp_path, "k").find() is None

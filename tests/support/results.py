@@ -22,9 +22,7 @@ def part(name, x=None, y=None, w=None, h=None, status="tracked", confidence=None
     }  # fmt: skip
 
 
-def target(
-    name, parts, particles=None, cloud=None, identity=None, identity_prob=None, notes=(), reported=None, insets=()
-):
+def target(name, parts, particles=None, cloud=None, identity=None, identity_prob=None, notes=(), reported=None):
     """What a tracker says of one target; `reported` are the values of its diagnostics. Frame and time come later."""
     parts = list(parts)
     columns = {key: [one[key] for one in parts] for key in parts[0]} if parts else {"part": []}
@@ -42,7 +40,7 @@ def target(
     if reported is not None:
         declared = tuple(KNOWN.values())
         rows = with_(rows, diagnostics={name: Diagnostics.of(declared, [0], [reported])})
-    return TargetResult(rows, np.zeros((0, k, 2)) if cloud is None else cloud, tuple(insets), tuple(notes))
+    return TargetResult(rows, np.zeros((0, k, 2)) if cloud is None else cloud, tuple(notes))
 
 
 def with_(rows, **columns):

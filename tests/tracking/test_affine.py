@@ -305,7 +305,6 @@ def test_the_number_and_the_name_follow_the_posterior():
     assert [parts_of(result)[0].identity_prob for result in results] == [None, None, 0.8, 0.9, None, 1.0]
     assert [reported(result)["entropy"] for result in results] == list(ENTROPIES)
     assert [tuple(reported(result)["posterior"].values()) for result in results] == list(POSTERIORS)
-    assert all([name for name, _ in result.insets] == ["stable", "recent"] for result in results)
     unknown = followed(target(likelihood=PLAIN))[0]
     assert {after.ahead.entropy_fell for after in unknown[1:]} == {None}
 
@@ -460,18 +459,6 @@ def test_nothing_to_see_at_the_start_is_one_clear_line(place, picture):
         InputError, match=r"^frame 0: the face's box is of one grey level, or more than half .* outside"
     ):
         MODEL.init(frame(picture), state(*place))
-
-
-def test_the_pictures_of_s_and_w_are_grey_levels_around_the_middle():
-    learned = MODEL.init(frame(smooth(1)), TRUTH)
-    mu = learned.mu.copy()
-    mu[S, :6], mu[W, :6] = (0, 1, -1, 2.49, 2.6, -40), (-2.5, -2.6, 40, 0.5, -0.5, 0)
-    shown = dict(MODEL.insets(replace(learned, mu=mu)))
-    assert shown["stable"].shape == shown["recent"].shape == PATCHES.shape and shown["stable"].dtype == np.uint8
-    assert shown["stable"].ravel()[:6].tolist() == [128, 179, 77, 254, 255, 0]
-    assert shown["recent"].ravel()[:6].tolist() == [0, 0, 255, 153, 102, 128]
-    assert [name for name, _ in FIXED.insets(learned)] == ["first"]
-    assert [name for name, _ in changed(MODEL, mixing=components(0.5, 0, 0.5)).insets(learned)] == ["recent"]
 
 
 @pytest.mark.parametrize(("density", "outlier"), [("gaussian", None), ("gaussian", 0.3), ("laplace", 0.3)])

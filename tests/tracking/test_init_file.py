@@ -56,46 +56,33 @@ corrections:
     )
 
 
-@pytest.mark.parametrize(
-    ("text", "targets", "corrections"),
-    [
-        (BOX + "corrections: []\n", {"face": TargetStart((1, 2, 3, 4))}, ()),
-        (
-            "frame: 0\nleft_hand: {box: [1, 2, 3, 4]}\nhead: {points: {a: [1, 2]}}\n",
-            {"left_hand": TargetStart((1, 2, 3, 4)), "head": TargetStart(None, {"a": (1, 2)})},
-            (),
-        ),
-        (
-            "frame: 0\nanna: {box: [1, 2, 3, 4]}\ncorrections: [{frame: 3, box: [5, 6, 7, 8], learn: false}]\n",
-            {"anna": TargetStart((1, 2, 3, 4))},
-            (Correction(3, "anna", TargetStart((5, 6, 7, 8)), learn=False),),
-        ),
-        (
-            BOX + "corrections: [{frame: 3, face: {absent: [box]}}]\n",
-            {"face": TargetStart((1, 2, 3, 4))},
-            (Correction(3, "face", absent=("box",)),),
-        ),
-        *(
-            (
-                TWO + text,
-                {"head": TargetStart((1, 2, 30, 40)), "left_hand": TargetStart((5, 6, 30, 40))},
-                (Correction(9, "left_hand", absent=True), Correction(9, "head", TargetStart((1, 2, 3, 4)))),
-            )
-            for text in (
-                "- {frame: 9, left_hand: {absent: true}, head: {box: [1, 2, 3, 4]}}\n",
-                "- {frame: 9, left_hand: {absent: true}}\n- {frame: 9, head: {box: [1, 2, 3, 4]}}\n",
-            )
-        ),
-        (  # a start of a box alone leaves the parts to the recipe
-            BOX + "corrections:\n- {frame: 3, points: {nose: [5, 6]}, absent: [lip_upper]}\n",
-            {"face": TargetStart((1, 2, 3, 4))},
-            (Correction(3, "face", TargetStart(None, {"nose": (5, 6)}), absent=("lip_upper",)),),
-        ),
-    ],
-)
-def test_shorter_forms(tmp_path, text, targets, corrections):
-    start = read_init(write(tmp_path, text))
-    assert list(start.targets.items()) == list(targets.items()) and start.corrections == corrections
+ALONE = ({"face": TargetStart((1, 2, 3, 4))},)
+BOTH = {"head": TargetStart((1, 2, 30, 40)), "left_hand": TargetStart((5, 6, 30, 40))}
+APART = Correction(9, "left_hand", absent=True), Correction(9, "head", TargetStart((1, 2, 3, 4)))
+SHORTER = {
+    BOX + "corrections: []\n": ALONE,
+    "frame: 0\nleft_hand: {box: [1, 2, 3, 4]}\nhead: {points: {a: [1, 2]}}\n": (
+        {"left_hand": TargetStart((1, 2, 3, 4)), "head": TargetStart(None, {"a": (1, 2)})},
+    ),
+    "frame: 0\nanna: {box: [1, 2, 3, 4]}\ncorrections: [{frame: 3, box: [5, 6, 7, 8], learn: false}]\n": (
+        {"anna": TargetStart((1, 2, 3, 4))},
+        Correction(3, "anna", TargetStart((5, 6, 7, 8)), learn=False),
+    ),
+    BOX + "corrections: [{frame: 3, face: {absent: [box]}}]\n": (*ALONE, Correction(3, "face", absent=("box",))),
+    TWO + "- {frame: 9, left_hand: {absent: true}, head: {box: [1, 2, 3, 4]}}\n": (BOTH, *APART),
+    TWO + "- {frame: 9, left_hand: {absent: true}}\n- {frame: 9, head: {box: [1, 2, 3, 4]}}\n": (BOTH, *APART),
+    # a start of a box alone leaves the parts to the recipe
+    BOX + "corrections:\n- {frame: 3, points: {nose: [5, 6]}, absent: [lip_upper]}\n": (
+        *ALONE,
+        Correction(3, "face", TargetStart(None, {"nose": (5, 6)}), absent=("lip_upper",)),
+    ),
+}
+
+
+@pytest.mark.parametrize("text", SHORTER)
+def test_shorter_forms(tmp_path, text):
+    start, (targets, *corrections) = read_init(write(tmp_path, text)), SHORTER[text]
+    assert list(start.targets.items()) == list(targets.items()) and [*start.corrections] == corrections
 
 
 MISTAKES = [
@@ -280,30 +267,28 @@ def test_finds_the_file_beside_a_video_or_a_folder(tmp_path):
     assert find_init(frames) == find_init(frames / ".") == tmp_path / "shots.d.init.yaml"
 
 
+FITS = TargetStart(None, {"nose": (1, 2), "mouth_left": (1, 2)})
+LARGE = (-1, 10, 321, 40), (10, -1, 40, 241)  # along either side
+
 # --- what the clip and the recipe say of it ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("target", "said"),
+    ("target", "said", "corrected"),
     [
-        (TargetStart(None, {"nose": (320, 10), "mouth_left": (1, 2)}), r"nose of face at \[320, 10\] is outside"),
-        (TargetStart(None, {"nose": (1, 2), "mouth_left": (1, -0.6)}), "mouth_left of face"),
-        (TargetStart((310, 10, 40, 40), {"nose": (1, 2), "mouth_left": (1, 2)}), "the box .* is outside"),
-        (TargetStart((10, 10, 40, 40)), "no point for nose, mouth_left of face"),
-        (TargetStart(None, {"nose": (1, 2)}), "no point for mouth_left of face"),
-        (TargetStart(None, {"nose": (1, 2), "mouth_left": (1, 2)}, {"nose": (5, 241)}), "5x241, is larger than"),
+        (TargetStart(None, {"nose": (320, 10), "mouth_left": (1, 2)}), r"nose of face at \[320, 10\] is outside", ()),
+        (TargetStart(None, {"nose": (1, 2), "mouth_left": (1, -0.6)}), "mouth_left of face", ()),
+        (TargetStart((310, 10, 40, 40), {"nose": (1, 2), "mouth_left": (1, 2)}), "the box .* is outside", ()),
+        (TargetStart((10, 10, 40, 40)), "no point for nose, mouth_left of face", ()),
+        (TargetStart(None, {"nose": (1, 2)}), "no point for mouth_left of face", ()),
+        (TargetStart(None, {"nose": (1, 2), "mouth_left": (1, 2)}, {"nose": (5, 241)}), "5x241, is larger than", ()),
+        *((FITS, "the box of face at frame 3, .* is larger than the frame", box) for box in LARGE),
     ],
 )
-def test_what_the_clip_and_the_recipe_refuse(target, said):
+def test_what_the_clip_and_the_recipe_refuse(target, said, corrected):
+    corrections = (Correction(3, "face", TargetStart(corrected)),) if corrected else ()
     with pytest.raises(InputError, match=rf"^here\.yaml: .*{said}"):
-        check_start(Start(0, {"face": target}, "here.yaml"), (320, 240), ("nose", "mouth_left"))
-
-
-@pytest.mark.parametrize("box", [(-1, 10, 321, 40), (10, -1, 40, 241)])
-def test_a_corrected_box_is_no_larger_than_the_frame_along_either_side(box):
-    start = Start(0, {"face": TargetStart((10, 10, 40, 40))}, "here.yaml", (Correction(3, "face", TargetStart(box)),))
-    with pytest.raises(InputError, match=r"^here\.yaml: the box of face at frame 3, .* is larger than the frame"):
-        check_start(start, (320, 240), ())
+        check_start(Start(0, {"face": target}, "here.yaml", corrections), (320, 240), ("nose", "mouth_left"))
 
 
 def test_what_they_accept():

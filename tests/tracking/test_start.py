@@ -218,14 +218,11 @@ def test_init_says_what_is_wrong_in_one_line(clip, capsys, arguments, code, said
     assert not list(clip.parent.glob("*.init.*"))
 
 
-def test_init_without_a_face_writes_nothing(clip, capsys):
+def test_init_without_a_face_writes_nothing_and_a_preview_never_becomes_a_frame(clip, capsys):
+    assert main(["init", str(clip), "--preview", str(clip / "3.png"), "--overwrite"]) == 2
+    assert "one more frame" in capsys.readouterr().err
+    assert len(list(clip.iterdir())) == 3
     (clip / "2.png").unlink()
     assert main(["init", str(clip)]) == 3
     assert "no face found in frames 0 to 1" in capsys.readouterr().err
     assert not list(clip.parent.glob("*.init.*"))
-
-
-def test_a_preview_never_becomes_a_frame(clip, capsys):
-    assert main(["init", str(clip), "--preview", str(clip / "3.png"), "--overwrite"]) == 2
-    assert "one more frame" in capsys.readouterr().err
-    assert len(list(clip.iterdir())) == 3

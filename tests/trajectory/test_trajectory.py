@@ -252,7 +252,7 @@ def test_what_was_recorded_is_said_of_each_target_of_a_frame():
     )  # fmt: skip
     face, hand = recorded(2, rows.at(2))
     assert face.rows.names == (NOSE, LIP) and face.rows.corners is None and face.rows.diagnostics == {}
-    assert face.cloud.shape == (0, 2, 2) and face.insets == face.notes == ()
+    assert face.cloud.shape == (0, 2, 2) and face.notes == ()
     np.testing.assert_allclose(hand.rows.corners, [[(35, 30), (35, 50), (25, 50), (25, 30)]], atol=1e-9)
     face, hand = recorded(3, rows.at(3))
     assert face.rows.names == (LIP,) and known(hand.rows.diagnostics["hand"]) == {

@@ -104,6 +104,10 @@ def test_what_to_do_about_a_picture(tmp_path: Path) -> None:
     assert refusal(tmp_path / "text.png").endswith(remedy)
     put(tmp_path, {"deep.tif": np.zeros((4, 4), np.float32)})
     assert refusal(tmp_path / "deep.tif").endswith("which has no agreed range; convert it to 8 or 16 bits")
+    first, *others = [Pictures.fromarray(media.numbered(i)) for i in range(4)]
+    first.save(tmp_path / "a.webp", save_all=True, append_images=others)
+    (tmp_path / "half.webp").write_bytes((tmp_path / "a.webp").read_bytes()[:300])
+    assert "plugin" not in refusal(tmp_path / "half.webp"), "that is what imageio says of it"
 
 
 # archives, animations, stacks
@@ -131,7 +135,7 @@ def test_an_archive_of_images_is_a_clip(tmp_path: Path) -> None:
 
 def test_archives_that_are_no_clips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "several folders, as a and b" in refusal(packed(tmp_path / "a.zip", {"a/1.png": png(1), "b/1.png": png(1)}))
-    assert "no images in this archive" in refusal(packed(tmp_path / "none.zip", {"a.txt": b"x"}))
+    assert "no images in it" in refusal(packed(tmp_path / "none.zip", {"a.txt": b"x"}))
     whole = packed(tmp_path / "cut.zip", {f"{i}.png": png(i) for i in range(3)}).read_bytes()
     (tmp_path / "cut.zip").write_bytes(whole[:40] + bytes(20) + whole[60:])
     assert "cut.zip/0.png" in refusal(tmp_path / "cut.zip")
@@ -148,31 +152,16 @@ def test_a_picture_under_the_name_of_another_kind_is_read(tmp_path: Path, kind: 
         assert numbers(read(tmp_path / name)[1]) == [3]
 
 
-@pytest.mark.parametrize("suffix", [".gif", ".png"])
+@pytest.mark.parametrize("suffix", [".gif", ".png", ".webp"])
 def test_an_animation_is_a_clip(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
     first, *others = [Pictures.fromarray(media.numbered(i)) for i in range(4)]
-    first.save(path, save_all=True, append_images=others, duration=100, loop=0)
-    assert numbers(read(path)[1]) == [0, 1, 2, 3]
-
-
-def test_why_a_picture_is_not_read_is_what_its_reader_says(tmp_path: Path) -> None:
-    first, *others = [Pictures.fromarray(media.numbered(i)) for i in range(4)]
-    first.save(tmp_path / "a.webp", save_all=True, append_images=others)
-    (tmp_path / "half.webp").write_bytes((tmp_path / "a.webp").read_bytes()[:300])
-    assert "plugin" not in refusal(tmp_path / "half.webp"), "that is what imageio says of it"
-
-
-def test_an_animated_webp_keeps_its_clock(tmp_path: Path) -> None:
-    first, *others = [Pictures.fromarray(media.numbered(i)) for i in range(6)]
-    path = tmp_path / "clip.webp"
-    first.save(path, save_all=True, append_images=others, duration=[40, 40, 120, 40, 40, 40], lossless=True)
+    first.save(path, save_all=True, append_images=others, duration=100, loop=0, lossless=True)
     source, frames = read(path)
-    assert numbers(frames) == list(range(6))
-    assert source.fps == 25 and source.variable
-    np.testing.assert_allclose([frame.time_s for frame in frames], [0, 0.04, 0.08, 0.2, 0.24, 0.28])
-    assert "its own frame rate" in refusal(path, fps=10)
+    assert numbers(frames) == [0, 1, 2, 3] and source.fps == (25 if suffix == ".webp" else 10)
     assert expand([tmp_path])[0] == [path]
+    if suffix == ".webp":
+        assert read(path, fps=Fraction(10))[0].fps == 10
 
 
 def stack(path: Path, numbers: range, deep: bool = False, **options: object) -> Path:
@@ -264,33 +253,23 @@ def test_names_are_in_the_order_of_what_they_say(names: str) -> None:
 # more pixels than are read
 
 
-def test_a_later_page_that_claims_more_pixels_than_are_read(tmp_path: Path) -> None:
-    first, second = [Pictures.new("L", (16, 16), n) for n in range(2)]
-    path = tmp_path / "stack.tif"
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_what_claims_more_pixels_than_are_read(tmp_path: Path) -> None:
+    first, second = [Pictures.new("L", (16, 16), n) for n in (0, 99)]
     pages = [second, Pictures.new("1", (12_000, 12_000))]
-    first.save(path, save_all=True, append_images=pages, compression="tiff_deflate")
-    source, frames = read(path)
+    first.save(tmp_path / "stack.tif", save_all=True, append_images=pages, compression="tiff_deflate")
+    source, frames = read(tmp_path / "stack.tif")
     assert len(frames) == 2 and not source.complete
     assert "is too large for a frame: 12000x12000" in source.warnings[0]
-
-
-@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
-def test_a_canvas_of_webp_that_claims_more_pixels_than_are_read(tmp_path: Path) -> None:
-    path = tmp_path / "canvas.webp"
-    first, second = [Pictures.new("RGB", (16, 16), (n, 0, 0)) for n in (0, 99)]
-    first.save(path, save_all=True, append_images=[second])
-    data = bytearray(path.read_bytes())
-    at = data.index(b"VP8X") + 12
-    for side in (11_000, 16_384):  # more than we read, and more than Pillow does
-        data[at : at + 6] = (side - 1).to_bytes(3, "little") * 2
+    for name, side in (("canvas.webp", 11_000), ("canvas.webp", 16_384), ("canvas.gif", 16_000)):  # Pillow bounds, too
+        path = tmp_path / name
+        first.convert("RGB").save(path, save_all=True, append_images=[second])
+        data = bytearray(path.read_bytes())
+        if path.suffix == ".gif":
+            data[6:10] = side.to_bytes(2, "little") * 2
+        else:
+            at = data.index(b"VP8X") + 12
+            data[at : at + 6] = (side - 1).to_bytes(3, "little") * 2
         path.write_bytes(data)
-        assert "canvas.webp" in refusal(path)
-
-
-def test_a_frame_of_gif_that_claims_more_pixels_than_are_read(tmp_path: Path) -> None:
-    path = tmp_path / "canvas.gif"
-    first, *others = [Pictures.new("P", (16, 16), n) for n in range(3)]
-    first.save(path, save_all=True, append_images=others)
-    data = path.read_bytes()
-    path.write_bytes(data[:6] + (16_000).to_bytes(2, "little") * 2 + data[10:])
-    assert "is too large for a frame: 16000x16000, and at most 100 megapixels are read" in refusal(path)
+        large = f"is too large for a frame: {side}x{side}, and at most 100 megapixels are read"
+        assert (large if name.endswith("gif") else "canvas.webp") in refusal(path)

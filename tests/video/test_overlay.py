@@ -9,25 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from facetrack_cli.core.face_points import GROUPS, LINES, POINTS
 from facetrack_cli.core.types import Frame, Image
-from facetrack_cli.trajectory.trajectory import FrameResult, Status, TargetResult, recorded
-from facetrack_cli.video import overlay_labels
-from facetrack_cli.video.overlay import Overlay
-from facetrack_cli.video.overlay_labels import (
-    PALETTE,
-    Font,
-    Sprite,
-    StatusBar,
-    lay_insets,
-    plain,
-    readable,
-    stamp,
-    summary,
-)
+from facetrack_cli.trajectory.trajectory import FrameResult, Status, recorded
+from facetrack_cli.video.overlay import PALETTE, Font, Overlay, Shape, StatusBar, _name, plain, summary
 from tests.support import results
 from tests.support.face_shape import SHAPE, moving_face
 from tests.support.results import target
@@ -45,13 +31,9 @@ def part(name: str = "nose", x: float = 50, y: float = 50, **other: object) -> P
     return results.part(name, x, y, ess=50.0, **{**values, **other})
 
 
-def result(
-    size: tuple[int, int], *parts: Part, index: int = 0, ground: int = 128, name: str = "face", spread: float = 1.0
-) -> FrameResult:
+def result(size: tuple[int, int], *parts: Part, index: int = 0, ground: int = 128, name: str = "face") -> FrameResult:
     picture = np.full((size[1], size[0], 3), ground, np.uint8)
-    centres = np.array([(p["x"], p["y"]) for p in parts]).reshape(1, -1, 2)
-    cloud = centres + spread * np.random.default_rng(index).normal(size=(40, len(parts), 2))
-    return results.result(Frame(index, index / 25, picture), [target(name, parts, 40, cloud)])
+    return results.result(Frame(index, index / 25, picture), [target(name, parts, 40)])
 
 
 def face(size: tuple[int, int], index: int = 0, lost: tuple[str, ...] = (), ground: int = 128) -> FrameResult:
@@ -67,8 +49,7 @@ def touched(image: Image, ground: int = 128) -> np.ndarray:
 
 
 def drawn(size: tuple[int, int], *parts: Part, **more: Any) -> Image:
-    """These parts, without the spread of particles unless it is asked for."""
-    return Overlay(size).draw(result(size, *parts, **{"spread": 0.0, **more}))
+    return Overlay(size).draw(result(size, *parts, **more))
 
 
 def around(mask: np.ndarray, x: float, y: float, reach: float) -> np.ndarray:
@@ -80,12 +61,11 @@ def test_each_part_is_drawn_on_a_new_picture_and_nothing_far_from_them(size: tup
     overlay = Overlay(size, title="factorized")
     for index in range(3):
         shown = face(size, index)
-        before, cloud = shown.frame.bgr.copy(), shown.targets[0].cloud.copy()
+        before = shown.frame.bgr.copy()
         image = overlay.draw(shown)
         assert image.shape == before.shape and image.dtype == np.uint8
         assert not np.shares_memory(image, shown.frame.bgr)
         assert np.array_equal(shown.frame.bgr, before)
-        assert np.array_equal(shown.targets[0].cloud, cloud)
         assert (image != before).any()
     mask = touched(Overlay(size).draw(face(size)))
     if size[0] > 33:
@@ -147,16 +127,14 @@ def test_a_part_that_was_lost_leaves_a_broken_trail_in_another_colour() -> None:
 
 
 def test_the_ellipse_shows_the_covariance() -> None:
-    def ellipse(cov: tuple[float, float, float], spread: float = 0.0) -> np.ndarray:
-        return touched(drawn((200, 200), part("n", 100.0, 100.0, cov=cov), spread=spread))
+    def ellipse(cov: tuple[float, float, float]) -> np.ndarray:
+        return touched(drawn((200, 200), part("n", 100.0, 100.0, cov=cov)))
 
     wide, tall, leaning = (ellipse(cov) for cov in ((400.0, 0.0, 25.0), (25.0, 0.0, 400.0), (300.0, 280.0, 300.0)))
     assert wide[100, 138:143].any() and not wide[138:143, 100].any()
     assert tall[138:143, 100].any() and not tall[100, 138:143].any()
     assert leaning[120:, 120:].sum() > 5 and not leaning[120:, :80].any()
     assert not ellipse((0.0, 0.0, 0.0))[100, 120:].any()
-    dots = ellipse((0.0, 0.0, 0.0), spread=20.0)
-    assert dots[60:140, 60:90].sum() + dots[60:140, 110:140].sum() >= 10
 
 
 def test_identity_and_names_stand_near_their_targets() -> None:
@@ -183,14 +161,21 @@ def test_the_status_bar_can_be_read(size: tuple[int, int], least: int) -> None:
     assert strip.min() < 80 and strip.max() > 220, "light on dark, whatever is below"
 
 
-def test_text_outside_ascii_and_sprites_over_the_edge() -> None:
+def test_text_outside_ascii_and_over_the_edge() -> None:
     assert plain("Ünïcode_µ") == "Unicode_?" and plain("a\nb") == "a?b" and plain("factorized") == "factorized"
-    image = np.zeros((10, 10, 3), np.uint8)
-    sprite = Sprite(np.full((4, 4, 3), 200, np.uint8), np.zeros((4, 4, 3), np.uint8))
-    for left, top, pixels in ((-2, -2, 4), (8, 8, 4), (3, 3, 16), (20, 0, 0), (-4, 0, 0)):
-        image[:] = 0
-        stamp(image, sprite, left, top)
-        assert (image == 200).all(axis=2).sum() == pixels
+    font, whole = Font(20), np.zeros((60, 90, 3), np.uint8)
+    font.write(whole, "HH", 20, 40, (255, 255, 255))
+    ys, xs = np.nonzero(whole[..., 0])
+    assert (ys.min(), ys.max()) == (20, 39) and 20 <= xs.min() < xs.max() < 20 + font.width("HH")
+    for left, base in ((-9, 40), (75, 40), (20, 8), (20, 75), (200, 40), (20, 200), (-200, 40)):
+        image = np.zeros_like(whole)
+        font.write(image, "HH", left, base, (255, 255, 255))
+        moved = np.zeros_like(whole)
+        across, down = left - 20, base - 40
+        there = [slice(max(d, 0), max(n + min(d, 0), 0)) for d, n in ((down, 60), (across, 90))]
+        back = [slice(max(-d, 0), max(n - max(d, 0), 0)) for d, n in ((down, 60), (across, 90))]
+        moved[tuple(there)] = whole[tuple(back)]
+        assert np.array_equal(image, moved), "cut off at the border"
 
 
 def test_what_the_bar_says() -> None:
@@ -219,13 +204,13 @@ def test_what_the_bar_says() -> None:
 @pytest.mark.parametrize("lost", [(), tuple(AT)[:3]])
 def test_the_bar_drops_what_has_no_room(width: int, lost: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     bar, places = StatusBar(width, 8, 1, "factorized_transition"), list[tuple[int, int]]()
-    real = overlay_labels.stamp
+    real = Font.write
 
-    def noted(image: Image, sprite: Sprite, left: int, top: int) -> None:
-        places.append((left, left + sprite.size[0]))
-        real(image, sprite, left, top)
+    def noted(font: Font, image: Image, text: str, left: int, *more: Any) -> None:
+        places.append((left, left + font.width(text)))
+        real(font, image, text, left, *more)
 
-    monkeypatch.setattr(overlay_labels, "stamp", noted)
+    monkeypatch.setattr(Font, "write", noted)
     image = np.zeros((60, width, 3), np.uint8)
     bar.draw(image, face((320, 240), index=1234567, lost=lost))
     assert not image[bar.height :].any() and len(places) == (5 if width == 1000 else len(places))
@@ -233,49 +218,24 @@ def test_the_bar_drops_what_has_no_room(width: int, lost: tuple[str, ...], monke
     assert all(a[1] < b[0] for a, b in pairwise(sorted(places)))
 
 
-numbers = st.floats(-1e4, 1e4) | st.sampled_from([0.0, -1e12, 1e12])
-parts = st.builds(
-    results.part,
-    name=st.text(max_size=12),
-    x=numbers,
-    y=numbers,
-    w=st.floats(0, 5000),
-    h=st.floats(0, 5000),
-    status=st.sampled_from(["init", "tracked", "lost"]),
-    confidence=st.floats(0, 1),
-    cov=st.tuples(st.floats(0, 1e12), st.floats(-1e12, 1e12), st.floats(0, 1e12)),
-    ess=st.floats(0, 1000),
-    angle=st.none() | st.floats(-720, 720),
-)
+ODD = [
+    part("", -1e12, 1e12, w=0.0, h=5000.0, cov=(1e12, -1e12, 1e12), status="lost", angle=-720.0),
+    part("a\nb", 0.0, -1e4, w=5000.0, h=0.0, cov=(0.0, 1e12, 0.0), status="init", angle=33.0),
+    part("ü" * 12, 150.0, 100.0, w=3.0, h=3.0, cov=(1e-9, 1.0, 4.0), confidence=0.0),
+    part("box", 100.0, 1e4, w=40.0, h=30.0, cov=None, confidence=None, angle=None),
+]
 
 
-@st.composite
-def targets(draw: st.DrawFn) -> TargetResult:
-    of = draw(st.lists(parts, max_size=4, unique_by=lambda one: one["part"]))
-    cloud = draw(st.integers(0, 300))
-    rng = np.random.default_rng(draw(st.integers(0, 9)))
-    where = rng.normal(0, draw(st.sampled_from([0.0, 5.0, 1e6])), (cloud, len(of), 2))
-    identity = draw(st.none() | st.text(max_size=9))
-    return target(draw(st.text(max_size=9)), of, cloud, where, identity, draw(st.none() | st.floats(0, 1)))
-
-
-several = st.lists(targets(), max_size=3, unique_by=lambda one: one.rows.target)
-
-
-@given(
-    size=st.tuples(st.integers(1, 400), st.integers(1, 300)),
-    frames=st.lists(st.tuples(several, st.floats(0, 1e6)), min_size=1, max_size=4),
-    title=st.text(max_size=30),
-    fps=st.floats(0.01, 1000),
-)
-def test_no_result_makes_it_raise(
-    size: tuple[int, int], frames: list[tuple[list[TargetResult], float]], title: str, fps: float
-) -> None:
-    overlay = Overlay(size, fps=fps, title=title)
-    for index, (of, time_s) in enumerate(frames):
-        picture = np.full((size[1], size[0], 3), 77, np.uint8)
-        image = overlay.draw(results.result(Frame(index, time_s, picture), of))
-        assert image.shape == picture.shape and (picture == 77).all()
+@pytest.mark.parametrize("size", [(1, 1), (400, 2), (47, 300), (400, 300)])
+@pytest.mark.parametrize("fps", [0.01, 25, 1000])
+def test_no_result_makes_it_raise(size: tuple[int, int], fps: float) -> None:
+    overlay = Overlay(size, fps=fps, title="a\u0301 \x1b title" * 3)
+    every = [target("", ODD, 40, None, "Ann\n", 0.0), target("one", ODD[2:3], 1, None, "", 1.0), target("none", [], 0)]
+    for index, time_s in enumerate((0.0, 1e6, 3.0, 3.0)):
+        for of in (every, every[1:], every[:1], every[2:], []):
+            picture = np.full((size[1], size[0], 3), 77, np.uint8)
+            image = overlay.draw(results.result(Frame(index, time_s, picture), of))
+            assert image.shape == picture.shape and (picture == 77).all()
 
 
 # --- corrections ---
@@ -290,8 +250,8 @@ def gone(name: str = "nose", **other: object) -> Part:
 def test_an_absent_part_is_not_drawn_and_neither_is_its_name() -> None:
     size = (640, 480)
     shown = part("lip_lower", 420.0, 300.0, w=80.0, h=80.0)
-    alone = result(size, shown, spread=0.0)
-    both = results.result(alone.frame, [target("face", [shown, gone()], 40, alone.targets[0].cloud)])
+    alone = result(size, shown)
+    both = results.result(alone.frame, [target("face", [shown, gone()], 40)])
     ours, without = Overlay(size).draw(both), Overlay(size).draw(alone)
     bar = Overlay(size)._bar
     assert bar is not None
@@ -304,7 +264,7 @@ def test_a_trail_leads_neither_to_a_place_given_by_hand_nor_past_an_absence() ->
 
     def trail(*parts: Part) -> np.ndarray:
         overlay = Overlay(size)
-        pictures = [overlay.draw(result(size, one, index=i, spread=0.0)) for i, one in enumerate(parts)]
+        pictures = [overlay.draw(result(size, one, index=i)) for i, one in enumerate(parts)]
         return touched(pictures[-1])[100:140, 100:200]  # between the two places
 
     here, there = part(x=60.0, y=120.0, cov=None), part(x=240.0, y=120.0, cov=None)
@@ -318,19 +278,19 @@ def test_what_a_correction_gave_has_a_filled_diamond() -> None:
 
     def middle(**other: object) -> np.ndarray:
         given = part(x=160.0, y=120.0, w=61.0, h=61.0, cov=None, status="init", **other)
-        return drawn(size, given, spread=1e4)[120, 160]  # no dot of the cloud is near
+        return drawn(size, given)[120, 160]
 
     assert (middle() == 128).all() and not (middle(by_hand=True) == 128).all()
 
 
 def test_parts_have_colours_of_their_own_and_names_without_underscores() -> None:
     """Those of the plots, in their order; of several targets each has one."""
-    overlay = Overlay((320, 240))
     face = [part("nose"), part("mouth_left"), part("box", w=80.0, h=80.0)]
-    [shape] = [overlay._shape(target("face", face), 0, alone=True)]
-    assert shape.colours == PALETTE[:3] and shape.colour == PALETTE[2]
-    assert overlay._shape(target("hand", face), 1, alone=False).colours == (PALETTE[1],) * 3
-    assert readable("mouth_left") == "mouth left"
+    shape = Shape(target("face", face), None, 1.0, 999.0)
+    assert shape.colours == [*PALETTE[:3]] and shape.colour == PALETTE[2]
+    hand = Shape(target("left_hand", face), 1, 1.0, 999.0)
+    assert hand.colours == [PALETTE[1]] * 3
+    assert _name(hand, named=True) == ("left hand", PALETTE[1]) and not _name(hand, named=False)[0]
 
 
 def of_face(size: tuple[int, int], names: Sequence[str], lost: Sequence[str] = ()) -> Image:
@@ -367,16 +327,11 @@ def test_many_points_have_lines_and_at_most_tiny_dots() -> None:
     assert 1 <= nose.sum() <= 16
 
 
-# --- a tracker that adapts: parallelograms, names in doubt, and images in the corners ---
-
-Pictures = tuple[tuple[str, Image], ...]
-# two halves, so that up and down, left and right can be told
-S: Image = np.repeat(np.array([[40, 250]], np.uint8), 30, axis=0).repeat(13, axis=1)
-PICTURES = (("S", S), ("W", np.full((30, 26), 90, np.uint8)))
+# --- a tracker that adapts: parallelograms, and names in doubt ---
 
 
-def named(who: str | None, sure: float | None, insets: Pictures = (), at: tuple[int, int] = (200, 150)) -> FrameResult:
-    one = target("face", [part("box", *at, w=60, h=60, cov=None)], 77, None, who, sure, insets=insets)
+def named(who: str | None, sure: float | None) -> FrameResult:
+    one = target("face", [part("box", 200, 150, w=60, h=60, cov=None)], 77, None, who, sure)
     return results.result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), [one])
 
 
@@ -392,6 +347,11 @@ def test_a_part_with_corners_is_drawn_as_its_parallelogram() -> None:
             assert around(mask, *(a + share * (b - a)), 1).any()
     assert not around(mask, 147, 75, 2).any(), "nothing is left of the box around it"
     assert not around(mask, 105 - 42, 105 + 30, 3).any()
+    leaning = touched(drawn((200, 200), part("box", 100, 100, w=101, h=41, cov=(0, 0, 0), angle=30.0)))
+    for x, y in ((-50, -20), (50, -20), (50, 20), (-50, 20)):  # clockwise: its right end is lower
+        there = (x + 1j * y) * np.exp(1j * np.pi / 6)
+        assert around(leaning, 100 + there.real, 100 + there.imag, 1).any()
+        assert not around(leaning, 100 + there.real, 100 - there.imag, 1).any()
 
 
 # --- names ---
@@ -409,21 +369,3 @@ def test_a_name_that_is_in_doubt_is_pale_and_has_a_question_mark() -> None:
     assert colours[0] > 100 and colours[2] > 100, "in the target's colour"
     assert colours[1] < 40, "grey"
     assert not touched(above(named(None, None))).any()
-
-
-# --- images in the corners ---
-
-
-@pytest.mark.parametrize("size", [(320, 240), (1280, 720), (240, 320)])
-def test_pictures_of_the_first_stand_in_a_corner_legibly_and_in_their_order(size: tuple[int, int]) -> None:
-    image = np.full((size[1], size[0], 3), 128, np.uint8)
-    shown = [target(name, [part("box", 9, 9)], insets=PICTURES) for name in ("a", "b")]
-    lay_insets(image, [Overlay(size)._shape(one, k, alone=False) for k, one in enumerate(shown)], 1, Font(8))
-    y, x = np.nonzero(touched(image))
-    x0, y0, x1, y1 = x.min(), y.min(), x.max() + 1, y.max() + 1
-    assert x0 >= 0 and y1 <= size[1] and 0.1 * size[1] <= y1 - y0 <= 0.3 * size[1]
-    assert y1 - y0 >= 36 and x1 - x0 <= 0.45 * size[0]
-    row = image[(3 * y0 + 5 * y1) // 8, x0:x1, 0].astype(int)  # below the names
-    quarter = (x1 - x0) // 8
-    assert abs(row[quarter] - 40) < 12 and abs(row[3 * quarter] - 250) < 12, "S"
-    assert abs(row[6 * quarter] - 90) < 3, "W"

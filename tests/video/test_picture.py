@@ -88,17 +88,13 @@ def test_oblong_pixels_are_told_and_kept(tmp_path: Path, shape: Fraction, suffix
 
 def test_oblong_pixels_of_the_container_alone_and_turned_and_a_shape_that_no_pixel_has(tmp_path: Path) -> None:
     stored = media.write_video(tmp_path / "stored.mkv", frames=4)
-    path, turned = tmp_path / "clip.mkv", tmp_path / "turned.mp4"
-    media.ffmpeg("-i", stored, "-c", "copy", "-aspect", "16:9", path)
-    media.ffmpeg("-display_rotation", "90", "-i", path, "-c", "copy", turned)
-    odd = media.write_video(tmp_path / "odd.mp4", frames=4, options=("-vf", "setsar=200/1"))
-    for clip, size, aspect in (
-        (path, media.SIZE, Fraction(4, 3)),
-        (turned, media.SIZE[::-1], Fraction(3, 4)),
-        (odd, media.SIZE, 1),
-    ):
-        with open_source(clip) as source:
-            assert (source.size, source.aspect) == (size, aspect)
+    media.ffmpeg("-i", stored, "-c", "copy", "-aspect", "16:9", tmp_path / "clip.mkv")
+    media.ffmpeg("-display_rotation", "90", "-i", tmp_path / "clip.mkv", "-c", "copy", tmp_path / "turned.mp4")
+    media.write_video(tmp_path / "odd.mp4", frames=4, options=("-vf", "setsar=200/1"))
+    for clip, aspect in (("clip.mkv", Fraction(4, 3)), ("turned.mp4", Fraction(3, 4)), ("odd.mp4", 1)):
+        with open_source(tmp_path / clip) as source:
+            turned = clip == "turned.mp4"
+            assert (source.size, source.aspect) == (media.SIZE[::-1] if turned else media.SIZE, aspect)
 
 
 def face(wide: float) -> list[Trajectory]:

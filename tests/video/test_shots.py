@@ -38,6 +38,7 @@ def mixed(a, b, frames):
 def test_a_cut_is_found_in_its_frame():
     assert found(still(1, 30) + still(2, 40) + still(3, 1)) == [Cut(30, 30, 29), Cut(70, 70, 69)]
     assert found(still(1, 1)) == found([]) == []
+    assert len(found(still(1, 30) + still(7, 20) + still(1, 30))) == 2, "a hand is before the lens for less"
 
 
 @pytest.mark.parametrize("frames", [8, 12, 24])
@@ -52,30 +53,26 @@ def test_a_fade_by_way_of_black_is_one():
     assert len(found(mixed(mixed(still(1, 60), dark, 10), still(2, 60), 10))) == 1
 
 
-@pytest.mark.parametrize("lasts", [6, 11])
-def test_what_is_followed_by_what_was_before_within_half_a_second_is_no_cut(lasts):
-    hand = still(7, lasts)
-    assert found(still(1, 30) + hand + still(1, 30)) == []
-    assert len(found(still(1, 30) + still(7, 20) + still(1, 30))) == 2
+def flash(lasts):
+    return [one * 0.4 + 160 if 30 <= t < 30 + lasts else one for t, one in enumerate(still(1, 60))]
 
 
-@pytest.mark.parametrize("lasts", [1, 2, 3])
-def test_a_flash_is_no_cut(lasts):
-    pictures = still(1, 60)
-    for t in range(30, 30 + lasts):
-        pictures[t] = pictures[t] * 0.4 + 160
-    assert found(pictures) == []
-
-
-def test_a_light_that_is_switched_is_no_cut():
-    assert found([one * (1.0 if t < 30 else 0.5) for t, one in enumerate(still(1, 60))]) == []
-
-
-@pytest.mark.parametrize("speed", [0.5, 2.0])
-def test_a_pan_is_no_cut(speed):
+def pan(speed):
     wide, moves = scene(4), range(int(W / speed))
-    pan = [cv2.warpAffine(wide, np.array([[1, 0, -speed * t], [0, 1, 0.0]]), (W, H)) for t in moves]
-    assert found(pan) == []
+    return [cv2.warpAffine(wide, np.array([[1, 0, -speed * t], [0, 1, 0.0]]), (W, H)) for t in moves]
+
+
+NO_CUT = {
+    **{f"a hand of {n} frames": (lambda n: still(1, 30) + still(7, n) + still(1, 30), n) for n in (6, 11)},
+    **{f"a flash of {n} frames": (flash, n) for n in (1, 2, 3)},
+    "a light that is switched": (lambda by: [one * (1 if t < 30 else by) for t, one in enumerate(still(1, 60))], 0.5),
+    **{f"a pan of {speed} pixels a frame": (pan, speed) for speed in (0.5, 2.0)},
+}
+
+
+@pytest.mark.parametrize(("make", "how"), NO_CUT.values(), ids=NO_CUT)
+def test_what_is_no_cut(make, how):
+    assert found(make(how)) == []
 
 
 def test_long_clips_are_decided_in_blocks_with_the_same_result(monkeypatch):

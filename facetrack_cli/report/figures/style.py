@@ -36,7 +36,7 @@ DPI: Final = 120.0
 WIDTH: Final = 10.0  # inches
 BINS: Final = 1000  # about the pixels across a panel
 
-# the annotated video's colours (video/overlay_labels.py), in their order, darkened for white paper so that colour-blind
+# the annotated video's colours (video/overlay.py), in their order, darkened for white paper so that colour-blind
 # readers still tell them apart; the dark one, which stands for white, comes last, since the ground truth is dark too
 COLOURS: Final = ("#30A2DC", "#C49500", "#00795A", "#BE5CA6", "#2B3FC0", "#222222")
 INK: Final = "#222222"

@@ -45,7 +45,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Frame, Image, Particles
+from facetrack_cli.core.types import Array, Frame, Particles
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import logsumexp, normalise
 from facetrack_cli.engine.spaces import Context
@@ -154,12 +154,6 @@ class Appearance(Likelihood):
     def expected(self, learned: Mixture) -> Rows:
         """(d,): the mean of the mixture in each pixel."""
         return np.asarray((learned.m * learned.mu).sum(axis=0))
-
-    def insets(self, learned: Mixture) -> tuple[tuple[str, Image], ...]:
-        """S and W as grey images, as in the paper's figure 3; a component of weight 0 is left out."""
-        shown = [(name, i) for name, i in (("stable", 1), ("recent", 0)) if self.settings.mixing.each[i] > 0]
-        greys = np.clip(learned.mu * 51 + 128, 0, 255).astype(np.uint8)
-        return tuple((name, greys[i].reshape(self.patches.shape)) for name, i in shown or [("first", 2)])
 
 
 # of a box's proportions against the gallery's: up to 1.2 all of 24 runs named the right one, at 1.25 22, at 1.5 16

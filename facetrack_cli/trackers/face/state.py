@@ -202,7 +202,7 @@ class FaceParts:
             rows = self.calibration.applied(rows, self.features.size * self.side / FACE)
         turned = complex(*face.matrix[:, 0])
         cloud = mapped(state.features.particles.x, turned, complex(*face.centre) - turned * complex(MIDDLE, MIDDLE))
-        return TargetResult(rows, cloud, (), notes, lambda: self.beliefs(state, filtered.unseen))
+        return TargetResult(rows, cloud, notes, lambda: self.beliefs(state, filtered.unseen))
 
     def _columns(self, state: FaceState, head_ess: Array, face: Similarity) -> dict[str, Any]:
         """Columns of all parts.
