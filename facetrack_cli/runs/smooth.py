@@ -89,8 +89,8 @@ def rewrite(
     the folder's, if it is held. OutputError for a file that cannot be written; the folder is then as it was.
     """
     made = partial(manifest.write_rows, rows=rows, corrections=corrections)
-    files = {path: partial(made, form) for form, path in run_files(folder).items()} if tables else dict[Path, Write]()
-    files.update(others)
+    files: dict[Path, Write] = {path: partial(made, form) for form, path in run_files(folder).items() if tables}
+    files |= dict(others)
     written, notes = list[Path](), list[str]()
     check_plain(folder / manifest.VIDEO, *files)
     if (run := manifest.read_manifest(folder)) is not None:

@@ -176,7 +176,7 @@ def test_a_damaged_posterior_is_refused_in_one_line(damage, run):
     damage(run / "posterior.npz")
     before = (run / "trajectory.csv").read_bytes()
     with pytest.raises(InputError, match=r"posterior\.npz") as error:
-        finish_run(Job(CLIP, load_recipe("factorized"), run, smooth=True), silent, never)
+        finish_run(Job(CLIP, load_recipe("factorized"), run, smooth=True), run, silent, never)
     assert "\n" not in str(error.value) and (run / "trajectory.csv").read_bytes() == before
 
 
@@ -190,4 +190,4 @@ def test_a_posterior_of_before_corrections_is_refused(run):
     (run / "trajectory.json").write_text("\n".join(lines))
     (run / "run.json").unlink()
     with pytest.raises(InputError, match="before the run was corrected"):
-        finish_run(Job(CLIP, load_recipe("factorized"), run, smooth=True), silent, never)
+        finish_run(Job(CLIP, load_recipe("factorized"), run, smooth=True), run, silent, never)
