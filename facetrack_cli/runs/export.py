@@ -130,11 +130,11 @@ def content(
         values["boxes"] = [enclose(table.of_target(target), around) for target in table.targets]
         values["box"] = values["boxes"][0]
     values["table"] = table
-    content: str | bytes = load("write", form)(*(values[name] for name in takes))
     if into is None or "video" not in values:
-        return content
+        written: str | bytes = load("write", form)(*(values[name] for name in takes))
+        return written
     video = values["video"].name
-    data, tiers, linked = add_tiers(into, str(content), video)
+    data, tiers, linked = add_tiers(into, table, video)
     if not linked:
         say(f"facetrack: warning: {into} does not link to {video}; its times are taken for those of that clip")
     say(f"{into}: {', '.join(tiers) or 'no tier'} added")
