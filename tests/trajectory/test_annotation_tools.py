@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.trajectory.formats.annotation import read_cvat, read_labelstudio, write_cvat, write_labelstudio
-from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from facetrack_cli.trajectory.views import every_frame
 

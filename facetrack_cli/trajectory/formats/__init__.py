@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any, Final, Literal, NamedTuple
 
 READERS: Final = {
-    "facetrack": "read",
+    "facetrack": "boxes",
     "boxes": "boxes",
     "otb": "boxes",
     "got10k": "boxes",
