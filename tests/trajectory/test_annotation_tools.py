@@ -203,19 +203,21 @@ BOX = "<box frame='3' xtl='0' ytl='0' xbr='{}' ybr='9'/>"
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (TRACK.format("<polygon frame='3' points='0,0;1,1;2,2'/>"), "frame 3: a polygon; boxes and points are read"),
+        (
+            TRACK.format("<polygon frame='3' points='0,0;1,1;2,2'/>"),
+            "frame 3: a polygon of 0,0;1,1;2,2; boxes",
+        ),
         (TRACK.format(BOX.format("nan")), r"track 0 \(head\), frame 3: 0, 0, nan, 9 are no pixels"),
         (TRACK.format(BOX.format("0")), "the box has no area"),
         (TRACK.format(BOX.format("9") * 2), "another track of the same label"),
         (TRACK.format(BOX.format("9").replace("3", "-3")), "that is no frame number"),
-        (TRACK.format("<points frame='3' points='1'/>"), "points are written x,y;x,y"),
-        (TRACK.format("<points frame='3' points='1,2;3'/>"), "points are written x,y;x,y"),
+        (TRACK.format("<points frame='3' points='1,2;3'/>"), "a points of 1,2;3; boxes are read, and points x,y;x,y"),
         (TRACK.format(""), "has no track of a box or a point"),
         ("<annotations><image id='0'/></annotations>", 'export it as "CVAT for video 1.1"'),
         ("<html></html>", "is XML, but not of CVAT's tracks"),
         ("<annotations>", "annotations.xml:1: is no XML"),
         ("<!DOCTYPE a [<!ENTITY b 'c'>]><annotations/>", "declares a document type"),
-        ("PK\x03\x04....", r"is a ZIP archive; unpack it, and name the annotations\.xml"),
+        ("PK\x03\x04....", r"is a ZIP archive; unpack it, and name the file in it"),
     ],
 )
 def test_xml_that_cannot_be_read(tmp_path, text, said):

@@ -151,6 +151,8 @@ def read_text(path: Path) -> str:
     """The text of a file, with `\\n` after each line. InputError if missing, a folder, a pipe, empty, or no text."""
     with reading(path, "name another file"):
         raw = read_bounded(path, MAX_TABLE_BYTES, "table of rows")
+    if raw.startswith(b"PK\x03\x04"):
+        raise InputError(f"{path}: is a ZIP archive; unpack it, and name the file in it")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as e:
