@@ -308,7 +308,8 @@ def _signals(parts: Sequence[Trajectory]) -> tuple[Whole, Array, Mask, dict[str,
         signals["tilt"] = _follow(np.degrees(np.angle(turn / np.where(np.abs(usual) > 0, usual, 1.0))))
     if (sizes := size[np.isfinite(size)]).size and np.ptp(sizes):
         signals["size"] = _follow(size)
-    return frame, joined(parts).times, ~(placed[1:] & placed[:-1]).any(axis=1), signals
+    apart = ~(placed[1:] & placed[:-1]).any(axis=1)
+    return frame, joined(parts).times, np.asarray(apart), signals
 
 
 def _of_pairs(xy: Array) -> tuple[Array, Array, float]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Final, Literal, TypeAlias
+from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -108,15 +107,6 @@ class People(_Record):
     def text(self) -> bytes:
         return self.model_dump_json(indent=1).encode() + b"\n"
 
-    def seconds_together(self) -> Mapping[tuple[str, str], float]:
-        """How long two people are on the screen at the same time, where they ever are."""
-        together: dict[tuple[str, str], float] = {}
-        for a, b in combinations(self.people, 2):
-            seconds = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in a.times for y in b.times)
-            if seconds:
-                together[a.name, b.name] = round(seconds, 3)
-        return together
-
 
 def read_people(path: Path) -> People | None:
     """The people.json of a run's folder; None without. InputError for a file that is not as we write it."""
@@ -154,12 +144,10 @@ def people_of(
         times = tuple((round(clock.at(first), 4), round(clock.at(stop), 4)) for first, stop in spans)
         seconds = round(sum(stop - first for first, stop in times), 3)
         p = round(float(np.average([row.p for row in theirs], weights=[row.stop - row.first for row in theirs])), 4)
-        person = PersonRecord(name=name, seconds=seconds, p=p, intervals=spans, times=times)
-        picture = {"still": stills.get(name, ""), "photograph": name in photographs}
-        people.append(person.model_copy(update=picture))
-    return People(
-        fps=clock.fps, shots=tuple(shots), people=tuple(people), tracks=ordered, corrections=tuple(corrections)
-    )
+        picture: dict[str, Any] = {"still": stills.get(name, ""), "photograph": name in photographs}
+        people.append(PersonRecord(name=name, seconds=seconds, p=p, intervals=spans, times=times, **picture))
+    own: dict[str, Any] = {"tracks": ordered, "corrections": tuple(corrections)}
+    return People(fps=clock.fps, shots=tuple(shots), people=tuple(people), **own)
 
 
 Tracks: TypeAlias = "list[tuple[str, TrackRecord]]"  # each with the target whose rows it has

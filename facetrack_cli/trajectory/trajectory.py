@@ -375,11 +375,14 @@ def of_frame(
     values_of |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
     values_of |= {name: np.asarray(values, dtype=_KINDS.get(name, float)) for name, values in columns.items()}
     values_of["angle"] = shown_angle(values_of["angle"], frame.aspect)
-    (x, y), (width, height) = (values_of["x"], values_of["y"]), frame.size
-    beyond = (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
-    if beyond.any():
+    if (beyond := is_beyond(values_of["x"], values_of["y"], frame.size)).any():
         values_of["status"] = np.where(beyond & (values_of["status"] == "tracked"), "hidden", values_of["status"])
     return Trajectory(names, **values_of, diagnostics=diagnostics)
+
+
+def is_beyond(x: Array, y: Array, size: tuple[int, int]) -> Mask:
+    """Which places are beyond the outermost pixels of pictures of `size` (width, height)."""
+    return np.asarray((x < 0) | (x > size[0] - 1) | (y < 0) | (y > size[1] - 1))
 
 
 @lru_cache

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from facetrack_cli.trajectory.trajectory import (
     Trajectory,
     aligned,
     header_value,
+    is_beyond,
     joined,
     one_part,
 )
@@ -42,17 +43,14 @@ def choose(table: Trajectory, select: str | None) -> Trajectory:
 
 def blank_lost(table: Trajectory) -> Trajectory:
     """The table with the place and size of lost rows not known."""
-    lost = table.status == "lost"
-    x, y, w, h = (np.where(lost, np.nan, values) for values in (table.x, table.y, table.w, table.h))
-    return replace(table, x=x, y=y, w=w, h=h)
+    columns: Any = {name: np.where(table.status == "lost", np.nan, getattr(table, name)) for name in "xywh"}
+    return replace(table, **columns)
 
 
 def hide_outside(table: Trajectory, size: tuple[int, int]) -> Trajectory:
     """The table in which places beyond the outermost pixels of pictures of `size` (width, height) are hidden."""
-    beyond = [(x < 0) | (x > side - 1) for x, side in zip((table.x, table.y), size, strict=True)]
-    return replace(
-        table, status=np.where(np.isin(table.status, SEEN) & (beyond[0] | beyond[1]), "hidden", table.status)
-    )
+    beyond = is_beyond(table.x, table.y, size) & np.isin(table.status, SEEN)
+    return replace(table, status=np.where(beyond, "hidden", table.status))
 
 
 def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajectory:

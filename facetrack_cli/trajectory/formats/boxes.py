@@ -460,7 +460,7 @@ def write_mot(parts: Sequence[Trajectory]) -> str:
     return "".join(f"{frame},{ident},{rest}\n" for frame, ident, rest in sorted(rows))
 
 
-def _regions(part: Trajectory, moved: ArrayLike = 0) -> list[str]:
+def _regions(part: Trajectory, moved: Array | float = 0.0) -> list[str]:
     """left,top,width,height of each row, moved from 0; "" where the place is not known, InputError without a size."""
     check_sized(part, "these formats hold boxes: export points to coco or dlc")
     return [_region(box) for box in (part.boxes + moved).tolist()]

@@ -105,9 +105,9 @@ def _elements(table: Trajectory, root: ET.Element, offset: int = 0) -> tuple[lis
             ET.SubElement(note, "ANNOTATION_VALUE").text = clean(text)
             ends += [(begin, note, "TIME_SLOT_REF1"), (end, note, "TIME_SLOT_REF2")]
     slots = []  # every annotation has two of its own, as ELAN makes them
-    for number, (time, note, end) in enumerate(sorted(ends, key=lambda end: end[0]), first + 1):
+    for number, (time, note, ref) in enumerate(sorted(ends, key=lambda end: end[0]), first + 1):
         slots.append(ET.Element("TIME_SLOT", TIME_SLOT_ID=f"ts{number}", TIME_VALUE=str(time)))
-        note.set(end, f"ts{number}")
+        note.set(ref, f"ts{number}")
     types, vocabularies = list[ET.Element](), list[ET.Element]()
     for kind, name in names.items():
         if not _is_ours(root, kind):
