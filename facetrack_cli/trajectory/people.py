@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
@@ -106,6 +107,15 @@ class People(_Record):
 
     def text(self) -> bytes:
         return self.model_dump_json(indent=1).encode() + b"\n"
+
+    def seconds_together(self) -> Mapping[tuple[str, str], float]:
+        """How long two people are on the screen at the same time, where they ever are."""
+        together: dict[tuple[str, str], float] = {}
+        for a, b in combinations(self.people, 2):
+            seconds = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in a.times for y in b.times)
+            if seconds:
+                together[a.name, b.name] = round(seconds, 3)
+        return together
 
 
 def read_people(path: Path) -> People | None:

@@ -381,6 +381,8 @@ class SmoothedHeader(BaseModel, defer_build=True):
 class Header(BaseModel, defer_build=True):
     """The JSON around the frames; what only its end says is None where a file of lines was cut off."""
 
+    facetrack: str = "unknown"
+    versions: dict[str, str] = {}
     source: ClipHeader
     recipe: dict[str, Any]
     seed: int
@@ -388,6 +390,9 @@ class Header(BaseModel, defer_build=True):
     split: SplitHeader | None = None
     seams: tuple[SeamHeader, ...] = ()
     smoothed: SmoothedHeader | None = None
+    complete: bool | None = None
+    stopped: str | None = None
+    variable_fps: bool | None = None
     warnings: tuple[str, ...] = ()
 
     @property
