@@ -339,10 +339,10 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
                 spread = np.sqrt(var[:, j] + var[:, k] + OUTLINE**2)
                 values["touches_face" if j == len(hands) else "touches_hand"] = above(reach - apart, spread)
         std = {"speed": np.where(np.isfinite(speed), noise, np.nan)}
-        has = [measure for measure in HAND_MEASURES if measure.name in values]
         measures[name] = {
             key: Measured(key, unit, frame, time_s, values[key], *[std.get(key, speed * np.nan)] * 2)
-            for key, unit, *_ in has
+            for key, unit, *_ in HAND_MEASURES
+            if key in values
         }
     return measures
 
@@ -351,10 +351,9 @@ def _bridged(values: Array, time_s: Array) -> Array:
     """(T, K): where a column is nan for `BRIDGE_S` at most, the straight line between."""
     values = values.copy()
     for column in values.T:
-        rows = np.flatnonzero(np.isfinite(column))
-        for a, b in zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True):
-            if b - a > 1 and time_s[b] - time_s[a] <= BRIDGE_S:
-                column[a:b] = np.interp(time_s[a:b], time_s[[a, b]], column[[a, b]])
+        for a, b in spans(np.isnan(column)):
+            if a and b < len(column) and time_s[b] - time_s[a - 1] <= BRIDGE_S:
+                column[a:b] = np.interp(time_s[a:b], time_s[[a - 1, b]], column[[a - 1, b]])
     return values
 
 
