@@ -102,6 +102,7 @@ CLOCKS = {
     "variable": (PHONE, 25.0),
     "pictures after the sound": (1.2 + np.arange(60) / 25, 25.0),
     "dropped": (np.delete(np.arange(50), [7, 20, 21, 40]) / 25, 25.0),
+    "faster than the tool": (np.arange(90) / 50, 25.0),
     "no times": (np.full(20, np.nan), 25.0),
     "29.97": (np.round(np.arange(900) * 1.001 / 30, 4), 30 / 1.001),
 }
@@ -211,6 +212,7 @@ BOX = "<box frame='3' xtl='0' ytl='0' xbr='{}' ybr='9'/>"
         (TRACK.format("<points frame='3' points='1,2;3'/>"), "a points of 1,2;3; boxes are read, and points x,y;x,y"),
         (TRACK.format(""), "has no track of a box or a point"),
         ("<annotations><image id='0'/></annotations>", 'export it as "CVAT for video 1.1"'),
+        ("<html></html>", "is XML, but not of CVAT's tracks"),
         ("<annotations>", "annotations.xml:1: is no XML"),
         ("<!DOCTYPE a [<!ENTITY b 'c'>]><annotations/>", "declares a document type"),
         ("PK\x03\x04....", r"is a ZIP archive; unpack it, and name the file in it"),
@@ -233,7 +235,9 @@ def test_xml_that_cannot_be_read(tmp_path, text, said):
         ([{"annotations": [{"result": [region(), region()]}]}], "is there twice"),
         ([{"annotations": [{"result": [region(None)]}]}], "region r has 0 labels"),
         ([{"annotations": [{"result": [region(width=0)]}]}], "the box has no area"),
+        ([{"annotations": [{"result": [region(width=float("inf"))]}]}], "are no pixels"),
         ([{"annotations": [{"result": [region(width=10**400)]}]}], "int too large"),
+        ([{"annotations": [{"result": [{"type": "textarea"}]}]}], "has no track of a box or a point"),
         ([{"data": {}}], "it has no 'annotations'"),
     ],
 )

@@ -46,8 +46,10 @@ def target(reported, name="face", who=None, sure=None):
     [
         {"name": ""},
         {"shape": (2, 3)},
+        {"shape": (0,)},
         {"decimals": -1},
         {"decimals": (1, 2)},
+        {"decimals": ()},
         {"shape": (3,), "decimals": (1, 2)},
     ],
 )
@@ -88,6 +90,7 @@ def test_values_become_arrays_and_what_is_not_known_nan():
         (POSTERIOR, {"anna": 1.01}, "posterior {'anna': 1.01} is not an object of names and numbers from 0 to 1"),
         (POSTERIOR, [1.0], "posterior [1.0] is not an object of names and numbers"),
         (SPREAD, [0.5], "spread [0.5] is not a list of 2 numbers"),
+        (SPREAD, 0.5, "spread 0.5 is not a list of 2 numbers"),
     ],
 )
 def test_a_value_that_does_not_fit_is_refused_with_its_place(one, value, why):

@@ -72,6 +72,7 @@ HEAD = "frame,target,part,x,y"
         (f"{HEAD}\n0,f,p,1,2\n1,f,p,1,two\n", r":3: column y: 'two' is no finite number; "),
         (f"{HEAD}\n0,f,p,1e999,2\n", "frame 0, f/p: x inf is no number from -1e\\+06 to 1e\\+06; correct it"),
         (f"{HEAD}\n\u0663,f,p,1,2\n", r":2: column frame: '\u0663' is no whole number"),
+        (f"{HEAD}\n{'9' * 19},f,p,1,2\n", r":2: column frame: '9{19}' is no whole number"),
         (f"{HEAD}\n0,f,,1,2\n", ":2: column part: '' is no name; correct it"),
         (f"{HEAD}\n0,f,p,1,2\n1, ,p,1,2\n", ":3: column target: '' is no name; correct it"),
         (f"{HEAD},identity_prob\n1,face,box,1,2,1.5\n", "face/box: identity_prob 1.5 is no number from 0 to 1"),
@@ -119,12 +120,16 @@ def other(**change):
         (other(mine=1), {}, r"parts\.0\.mine is not .*extra"),
         (other(by_hand=1), {}, r"parts\.0\.by_hand is not .*boolean"),
         (other(x=float("inf")), {}, "frame 0, other/nose: x inf is no number"),
+        (other(angle=float("inf")), {}, "frame 0, other/nose: angle inf is no number"),
+        (other(y=-1e7), {}, "frame 0, other/nose: y -10000000 is no number from"),
         (other(w=-1), {}, "frame 0, other/nose: w -1 is no number from 0 to .*; correct it"),
         (other(part=""), {}, r"parts\.0\.part is not .*at least 1 char"),
         (OTHER | {"identity_prob": 1.5}, {}, r"frame 0, other/nose: identity_prob 1\.5 is no number from 0 to 1; corr"),
         (OTHER | {"parts": [{"x": 1, "y": 2}]}, {}, r"parts\.0\.part is not .*required"),
         (TARGET, {}, "frame 0 has two rows of face/nose"),
         (OTHER, {"frame": 10**30}, r"frames\.0\.frame is not"),
+        (OTHER, {"frame": -1}, r"frames\.0\.frame is not"),
+        (OTHER, {"frame": True}, r"frames\.0\.frame is not .*integer"),
         (OTHER, {"targets": []}, "has a header and no rows"),
     ],
 )
@@ -186,25 +191,17 @@ def lines(rows):
     return "".join(csv_frames(rows))
 
 
-class Disk(io.BytesIO):
+class Disk(io.FileIO):
     """A file on a disk with room for `room` bytes; it takes what fits and then fails, as write(2) does."""
 
     def __init__(self, room, path):
-        super().__init__()
-        self.room, self.path = room, path
+        super().__init__(path, "w")
+        self.room = room
 
     def write(self, data):
-        blob = bytes(data)
-        end = self.tell() + len(blob)
-        fits = max(0, min(len(blob), max(self.room, len(self.getvalue())) - self.tell()))
-        if end > self.room and fits == 0:
+        if not (fits := bytes(data)[: max(self.room - self.tell(), 0)]):
             raise OSError(errno.ENOSPC, "No space left on device")
-        return super().write(blob[:fits])
-
-    def close(self):
-        if not self.closed:
-            self.path.write_bytes(self.getvalue())
-        super().close()
+        return super().write(fits)
 
 
 def write(path, form, frames, footer=None):
