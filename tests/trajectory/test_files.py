@@ -199,7 +199,8 @@ class Disk(io.FileIO):
         self.room = room
 
     def write(self, data):
-        if not (fits := bytes(data)[: max(self.room - self.tell(), 0)]):
+        fits = bytes(data)[: max(self.room - self.tell(), 0)]
+        if len(data) and not fits:
             raise OSError(errno.ENOSPC, "No space left on device")
         return super().write(fits)
 
