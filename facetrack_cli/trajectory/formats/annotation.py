@@ -25,6 +25,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 from xml.etree import ElementTree as ET
+from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -117,23 +118,15 @@ def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> st
 
     InputError for boxes without a size.
     """
-    root = ET.Element("annotations")
     tracks, last = list(_tracks(table)), int(table.frames[-1])
-
-    def fill(parent: ET.Element, **members: Any) -> None:
-        for tag, value in members.items():
-            ET.SubElement(parent, tag).text = clean(str(value))
-
-    fill(root, version="1.1")
-    task = ET.SubElement(ET.SubElement(root, "meta"), "task")
-    fill(task, name=name or "facetrack", size=last + 1, mode="interpolation", overlap=0, start_frame=0, stop_frame=last)
-    labels = ET.SubElement(task, "labels")
-    for label, track in tracks:
-        about = ET.SubElement(labels, "label")
-        fill(about, name=label, type="rectangle" if track.part == BOX else "points", attributes="")
-    if size is not None:
-        fill(ET.SubElement(task, "original_size"), width=size[0], height=size[1])
-    fill(task, source=name)
+    kinds = [(_xml(label), "rectangle" if track.part == BOX else "points") for label, track in tracks]
+    labels = "".join(f"<label><name>{name}</name><type>{kind}</type><attributes/></label>" for name, kind in kinds)
+    sides = "<original_size><width>{}</width><height>{}</height></original_size>".format(*size) if size else ""
+    root = ET.fromstring(
+        f"<annotations><version>1.1</version><meta><task><name>{_xml(name or 'facetrack')}</name>"
+        f"<size>{last + 1}</size><mode>interpolation</mode><overlap>0</overlap><start_frame>0</start_frame><stop_frame>{last}</stop_frame>"
+        f"<labels>{labels}</labels>{sides}<source>{_xml(name)}</source></task></meta></annotations>"
+    )
     for ident, (label, track) in enumerate(tracks):
         element = ET.SubElement(root, "track", id=str(ident), label=clean(label), source="file")
         is_box, boxes = track.part == BOX, track.boxes
@@ -154,6 +147,10 @@ def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> st
             ET.SubElement(element, "box" if is_box else "points", shape, z_order="0")
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _xml(text: str) -> str:
+    return escape(clean(text))
 
 
 def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
