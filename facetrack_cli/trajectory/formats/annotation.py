@@ -124,8 +124,9 @@ def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> st
     sides = "<original_size><width>{}</width><height>{}</height></original_size>".format(*size) if size else ""
     root = ET.fromstring(
         f"<annotations><version>1.1</version><meta><task><name>{_xml(name or 'facetrack')}</name>"
-        f"<size>{last + 1}</size><mode>interpolation</mode><overlap>0</overlap><start_frame>0</start_frame><stop_frame>{last}</stop_frame>"
-        f"<labels>{labels}</labels>{sides}<source>{_xml(name)}</source></task></meta></annotations>"
+        f"<size>{last + 1}</size><mode>interpolation</mode><overlap>0</overlap>"
+        f"<start_frame>0</start_frame><stop_frame>{last}</stop_frame><labels>{labels}</labels>{sides}"
+        f"<source>{_xml(name)}</source></task></meta></annotations>"
     )
     for ident, (label, track) in enumerate(tracks):
         element = ET.SubElement(root, "track", id=str(ident), label=clean(label), source="file")
