@@ -385,27 +385,6 @@ def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> It
                 yield begin, end, label
 
 
-def turning_points(signal: Array, least: float) -> list[int]:
-    """Where a signal turns by at least `least`: highs and lows in turn, smaller wiggles passed over."""
-    turns: list[int] = []
-    low = high = 0
-    up: bool | None = None
-    for i, value in enumerate(signal.tolist()):
-        if value > signal[high]:
-            high = i
-        if value < signal[low]:
-            low = i
-        if up is not False and signal[high] - value >= least:
-            turns.append(high)
-            up, low, high = False, i, i
-        elif up is not True and value - signal[low] >= least:
-            turns.append(low)
-            up, low, high = True, i, i
-    if up is not None:  # the last swing ends where it got farthest
-        turns.append(high if up else low)
-    return turns
-
-
 def _kernel(sigma: float) -> Array:
     reach = int(np.ceil(4 * sigma))
     weights: Array = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
