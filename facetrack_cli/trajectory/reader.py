@@ -124,9 +124,7 @@ def _read_csv(path: Path) -> Trajectory:
                 numbers, texts = zip(*block, strict=True)
                 for number, cells in block:
                     if len(cells) != len(header):
-                        why = (
-                            "give every column a value, or leave it empty between its commas; or was the run cut short?"
-                        )
+                        why = "leave what is not known empty between its commas; or was the run cut short?"
                         raise InputError(f"{path}:{number}: {len(cells)} values under {len(header)} columns; {why}")
                 columns = dict(zip(header, zip(*texts, strict=True), strict=True))
                 empty = ("",) * len(block)

@@ -7,16 +7,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any, Final, Literal, NamedTuple
 
-READERS: Final = {
-    "facetrack": "boxes",
-    "boxes": "boxes",
-    "otb": "boxes",
-    "got10k": "boxes",
-    "mot": "boxes",
-    "vot": "boxes",
-    "pts": "boxes",
-    "cvat": "annotation",
-}
+_BENCHMARKS: Final = ("facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
+READERS: Final = {**dict.fromkeys(_BENCHMARKS, "boxes"), "cvat": "annotation"}
 """The formats of ground truth, and the module of each: `read_x(path, shift=0)`."""
 TRUTH_FORMATS: Final = ("auto", *READERS)
 
