@@ -7,8 +7,10 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any, Final, Literal, NamedTuple
 
-_BENCHMARKS: Final = ("facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
-READERS: Final = {**dict.fromkeys(_BENCHMARKS, "boxes"), "cvat": "annotation"}
+READERS: Final = {
+    **dict.fromkeys(("facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts"), "boxes"),
+    "cvat": "annotation",
+}
 """The formats of ground truth, and the module of each: `read_x(path, shift=0)`."""
 TRUTH_FORMATS: Final = ("auto", *READERS)
 
