@@ -22,8 +22,8 @@ from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_MEDIA, load
 from facetrack_cli.trajectory.formats.eaf import add_tiers
 from facetrack_cli.trajectory.formats.tables import Clip
 from facetrack_cli.trajectory.reader import clip_of, frame_size_of, is_there
-from facetrack_cli.trajectory.trajectory import Trajectory, header_value
-from facetrack_cli.trajectory.views import Around, blank_lost, enclose, has_windows, hide_outside
+from facetrack_cli.trajectory.trajectory import Trajectory, header_value, hide_outside
+from facetrack_cli.trajectory.views import Around, blank_lost, enclose, has_windows
 from facetrack_cli.video import images
 from facetrack_cli.video.source import open_source
 

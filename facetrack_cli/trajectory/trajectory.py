@@ -375,14 +375,15 @@ def of_frame(
     values_of |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
     values_of |= {name: np.asarray(values, dtype=_KINDS.get(name, float)) for name, values in columns.items()}
     values_of["angle"] = shown_angle(values_of["angle"], frame.aspect)
-    if (beyond := is_beyond(values_of["x"], values_of["y"], frame.size)).any():
-        values_of["status"] = np.where(beyond & (values_of["status"] == "tracked"), "hidden", values_of["status"])
-    return Trajectory(names, **values_of, diagnostics=diagnostics)
+    return hide_outside(Trajectory(names, **values_of, diagnostics=diagnostics), frame.size, ("tracked",))
 
 
-def is_beyond(x: Array, y: Array, size: tuple[int, int]) -> Mask:
-    """Which places are beyond the outermost pixels of pictures of `size` (width, height)."""
-    return np.asarray((x < 0) | (x > size[0] - 1) | (y < 0) | (y > size[1] - 1))
+def hide_outside(rows: Trajectory, size: tuple[int, int], seen: Sequence[str] = SEEN) -> Trajectory:
+    """The rows in which places beyond the outermost pixels of pictures of `size` (width, height) are hidden."""
+    beyond = (rows.x < 0) | (rows.x > size[0] - 1) | (rows.y < 0) | (rows.y > size[1] - 1)
+    if not beyond.any():
+        return rows
+    return replace(rows, status=np.where(beyond & np.isin(rows.status, seen), "hidden", rows.status))
 
 
 @lru_cache
