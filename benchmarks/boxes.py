@@ -35,7 +35,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import truth_start
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory
 from facetrack_cli.video.source import open_source
 

@@ -48,7 +48,7 @@ from facetrack_cli.recipe.model import OpenCvRecipe, Recipe
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.source import open_source
 

@@ -42,7 +42,7 @@ from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.trackers.face.detectors import detector
-from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory
 
 NAMES = (".35", ".2", "off, lost", "lost, off", "false", "back")

@@ -38,7 +38,7 @@ from facetrack_cli import track_video
 from facetrack_cli.core.models import VARIABLE
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.evaluation.accuracy import measure_boxes
-from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory
 from facetrack_cli.video.source import open_source
 

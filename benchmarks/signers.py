@@ -30,7 +30,7 @@ from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.face_points import HANDS as NAMES
 from facetrack_cli.core.types import Box
 from facetrack_cli.evaluation.compare import default_truth
-from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from facetrack_cli.run_folder.manifest import read_run as read_trajectory
     from facetrack_cli.runs.api import Recording, Tracker, draw, track_frames, track_video
     from facetrack_cli.runs.export import annotated_video, export
-    from facetrack_cli.trajectory.formats.read import read_truth
+    from facetrack_cli.trajectory.formats.boxes import read_truth
     from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
     from facetrack_cli.video.overlay import Overlay
 
@@ -67,7 +67,7 @@ _PLACES = {
     "run_folder.manifest": ("read_run",),
     "runs.api": ("Recording", "Tracker", "draw", "track_frames", "track_video"),
     "runs.export": ("annotated_video", "export"),
-    "trajectory.formats.read": ("read_truth",),
+    "trajectory.formats.boxes": ("read_truth",),
     "trajectory.trajectory": ("FrameResult", "Trajectory"),
     "video.overlay": ("Overlay",),
 }

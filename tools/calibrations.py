@@ -43,7 +43,7 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import load_recipes
-from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 ROOT = Path(__file__).parent.parent

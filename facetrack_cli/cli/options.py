@@ -363,7 +363,7 @@ class TruthOptions:
         refuse((given, f"{names} say how to use ground truth; give its file with --truth FILE"))
 
     def read(self, path: Path, beside: Trajectory | None = None) -> Trajectory:
-        from facetrack_cli.trajectory.formats.read import read_truth
+        from facetrack_cli.trajectory.formats.boxes import read_truth
 
         return read_truth(path, self.truth_format, shift=self.shift, beside=beside)
 

@@ -19,8 +19,8 @@ from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.run_folder.manifest import read_run
 from facetrack_cli.trajectory.formats.annotation import read_cvat, read_labelstudio
 from facetrack_cli.trajectory.formats.eaf import Tier, read_tiers, seen_in, spans_of
-from facetrack_cli.trajectory.trajectory import DECIMALS, UNSEEN, Trajectory
-from facetrack_cli.trajectory.views import every_frame, frame_milliseconds, hide_outside
+from facetrack_cli.trajectory.trajectory import DECIMALS, UNSEEN, Trajectory, hide_outside
+from facetrack_cli.trajectory.views import every_frame, frame_milliseconds
 
 MOVED: Final = 0.05  # pixels: CVAT keeps two decimals
 Place: TypeAlias = "tuple[float, ...] | None"  # of a part: (x, y), or a box; None where it is absent

@@ -22,8 +22,8 @@ from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_MEDIA, load
 from facetrack_cli.trajectory.formats.eaf import add_tiers
 from facetrack_cli.trajectory.formats.tables import Clip
 from facetrack_cli.trajectory.reader import clip_of, frame_size_of, is_there
-from facetrack_cli.trajectory.trajectory import Trajectory, header_value
-from facetrack_cli.trajectory.views import Around, blank_lost, enclose, has_windows, hide_outside
+from facetrack_cli.trajectory.trajectory import Trajectory, header_value, hide_outside
+from facetrack_cli.trajectory.views import Around, blank_lost, enclose, has_windows
 from facetrack_cli.video import images
 from facetrack_cli.video.source import open_source
 
@@ -130,11 +130,11 @@ def content(
         values["boxes"] = [enclose(table.of_target(target), around) for target in table.targets]
         values["box"] = values["boxes"][0]
     values["table"] = table
-    content: str | bytes = load("write", form)(*(values[name] for name in takes))
     if into is None or "video" not in values:
-        return content
+        written: str | bytes = load("write", form)(*(values[name] for name in takes))
+        return written
     video = values["video"].name
-    data, tiers, linked = add_tiers(into, str(content), video)
+    data, tiers, linked = add_tiers(into, table, video)
     if not linked:
         say(f"facetrack: warning: {into} does not link to {video}; its times are taken for those of that clip")
     say(f"{into}: {', '.join(tiers) or 'no tier'} added")

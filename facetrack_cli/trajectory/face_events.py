@@ -148,9 +148,14 @@ def _log_likelihoods(kind: Kind, measure: Measured, rows: Whole) -> tuple[Array,
     z, std, doubt = (kind.sign or 1) * (value - rest) / unit, std / unit, doubt / unit
     noise = np.sqrt(doubt**2 + np.maximum(std**2 - kind.step**2, 0.0))
     z = np.sign(z) * np.maximum(np.abs(z) - noise, 0.0)
+    levels = (0.0, 0.5, 1.0) if kind.sign else (0.0, -1.0, 1.0)  # of the states, in steps
     level, step, quiet = 0.0, kind.step, kind.std[0]
-    log_p = _normal(kind, z, noise, level, step, quiet)
-    for _ in range(ROUNDS):
+    for rounds_left in range(ROUNDS, -1, -1):
+        off = np.clip(z - level, min(levels) * step, step)[:, None] - np.multiply(levels, step)
+        variance = np.square((quiet, step / 4 if kind.sign else kind.std[1], kind.std[1])) + noise[:, None] ** 2
+        log_p = -0.5 * (off**2 / variance + np.log(variance))
+        if not rounds_left:
+            break
         is_in = np.exp(log_p - np.logaddexp.reduce(log_p, axis=1, keepdims=True)) * kind.weight
         at_rest, away = is_in[:, 0], is_in[:, 1:].sum(axis=1) if not kind.sign else is_in[:, 2]
         # a few rows that are far off, as beside a hand before the mouth, say nothing of how it rests
@@ -159,18 +164,7 @@ def _log_likelihoods(kind: Kind, measure: Measured, rows: Whole) -> tuple[Array,
         quiet = math.sqrt((at_rest @ excess + PRIOR * kind.std[0] ** 2) / (at_rest.sum() + PRIOR))
         height = np.abs(z - level) if not kind.sign else z - level
         step = max(float((away @ height + PRIOR * kind.step) / (away.sum() + PRIOR)), LEAST_STEP * kind.step)
-        log_p = _normal(kind, z, noise, level, step, quiet)
     return (z if kind.sign else np.abs(z)), log_p
-
-
-def _normal(kind: Kind, z: Array, noise: Array, level: float, step: float, quiet: float) -> Array:
-    """(T, 3) log densities about the levels of the states."""
-    steps, spread = (0.0, 0.5, 1.0), (quiet, step / 4, kind.std[1])
-    if not kind.sign:
-        steps, spread = (0.0, -1.0, 1.0), (quiet, kind.std[1], kind.std[1])
-    off = np.clip(z - level, min(steps) * step, step)[:, None] - np.multiply(steps, step)
-    variance = np.square(spread) + noise[:, None] ** 2
-    return np.asarray(-0.5 * (off**2 / variance + np.log(variance)))
 
 
 class Chain(NamedTuple):

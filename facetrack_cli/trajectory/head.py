@@ -41,25 +41,18 @@ from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.trajectory.trajectory import SEEN, UNSEEN, Trajectory, aligned, joined, one_part
 
-# mm: x to the right of the image, y down, z away from the camera; the origin is midway between the eyes
-SHAPE: Final[Mapping[str, tuple[float, float, float]]] = {
-    "eye_left": (-31.5, 0.0, 0.0),
-    "eye_right": (31.5, 0.0, 0.0),
-    "nose": (0.0, 33.5, -33.5),
-    "mouth_left": (-26.5, 66.0, 0.0),
-    "mouth_right": (26.5, 66.0, 0.0),
-    "lip_upper": (0.0, 58.5, -21.0),
-    "lip_lower": (0.0, 80.0, -14.5),
+# place and standard deviation in mm: x to the right of the image, y down, z away from the camera; the origin is midway
+# between the eyes
+_GENERIC: Final = {
+    "eye_left": ((-31.5, 0.0, 0.0), (1.8, 1.6, 2.4)),
+    "eye_right": ((31.5, 0.0, 0.0), (1.8, 1.6, 2.4)),
+    "nose": ((0.0, 33.5, -33.5), (1.2, 2.2, 4.2)),
+    "mouth_left": ((-26.5, 66.0, 0.0), (2.9, 2.6, 3.6)),
+    "mouth_right": ((26.5, 66.0, 0.0), (2.9, 2.6, 3.6)),
+    "lip_upper": ((0.0, 58.5, -21.0), (0.5, 2.3, 2.2)),
+    "lip_lower": ((0.0, 80.0, -14.5), (0.6, 3.5, 2.1)),
 }
-SPREAD: Final[Mapping[str, tuple[float, float, float]]] = {
-    "eye_left": (1.8, 1.6, 2.4),
-    "eye_right": (1.8, 1.6, 2.4),
-    "nose": (1.2, 2.2, 4.2),
-    "mouth_left": (2.9, 2.6, 3.6),
-    "mouth_right": (2.9, 2.6, 3.6),
-    "lip_upper": (0.5, 2.3, 2.2),
-    "lip_lower": (0.6, 3.5, 2.1),
-}
+SHAPE, SPREAD = ({name: both[i] for name, both in _GENERIC.items()} for i in (0, 1))
 MIN_POINTS: Final = 4  # points; three have two poses that fit exactly
 FLAT: Final = 0.1  # least depth of the points that are seen, as a share of their extent
 STEPS: Final = 30
@@ -137,9 +130,8 @@ def fit_pose(
     rows = np.flatnonzero(_deep(shape, seen))
     if rows.size:
         points = np.where(seen[rows, :, None], xy[rows], 0.0), cov[rows], seen[rows], shape, spread
-        start, size = _begin(points[0], seen[rows], shape)
-        # and with the depth of all points reversed
-        first, other = (_refined(euler(_completed(start * (1, 1, sign))), size, *points) for sign in (1, -1))
+        begins, size = _begin(points[0], seen[rows], shape)
+        first, other = (_refined(begin, size, *points) for begin in begins)
         better = other.cost < first.cost
         chosen = better.astype(int), np.arange(len(rows))
         best = _Fit(*(np.stack(both)[chosen] for both in zip(first, other, strict=True)))
@@ -194,8 +186,10 @@ def _refined(angles: Array, scale: Array, xy: Array, cov: Array, seen: Mask, sha
         axes = rotation[:, None, :2] * spread[None, :, None]  # (T, K, 2, 3)
         precision = weight * np.linalg.inv(cov + (scale**2)[:, None, None, None] * (axes @ axes.swapaxes(2, 3)))
         residual = xy - scale[:, None, None] * turned[..., :2] - origin[:, None]
+        # (T, 3, 3): for each of pitch, yaw and roll the axis, in the camera's, about which its change turns the head
+        about = np.stack([rotation_of(angles * before)[..., i] for i, before in enumerate(np.tri(3, k=-1))], axis=1)
         # (T, K, 2, 6): how the points move with pitch, yaw and roll, with log s and with t
-        ways = np.concatenate([np.cross(_axes(angles)[:, None], turned[:, :, None]), turned[:, :, None]], axis=2)
+        ways = np.concatenate([np.cross(about[:, None], turned[:, :, None]), turned[:, :, None]], axis=2)
         steps = scale[:, None, None, None] * ways[..., :2].swapaxes(2, 3)
         jacobian = np.concatenate([steps, np.broadcast_to(np.eye(2), cov.shape)], axis=3)
         weighed = precision @ jacobian
@@ -217,10 +211,10 @@ def _refined(angles: Array, scale: Array, xy: Array, cov: Array, seen: Mask, sha
     return _Fit(angles, scale, origin, np.stack([inverse, own], axis=1), cost)
 
 
-def _begin(xy: Array, seen: Mask, shape: Array) -> tuple[Array, Array]:
-    """The first rows (T, 2, 3) of the rotation nearest to the affine map of least squares, and the scale (T,) of that.
+def _begin(xy: Array, seen: Mask, shape: Array) -> tuple[list[Array], Array]:
+    """The angles (T, 3) of the rotation nearest to the affine map of least squares, and the scale (T,) of that.
 
-    All points are weighed alike.
+    The angles are also those with the depth of all points reversed. All points are weighed alike.
     """
     weight = seen[..., None].astype(np.float64)
     count = weight.sum(axis=1)
@@ -228,20 +222,9 @@ def _begin(xy: Array, seen: Mask, shape: Array) -> tuple[Array, Array]:
     moved = weight * (xy - (weight * xy).sum(axis=1, keepdims=True) / count[:, None])
     affine = moved.swapaxes(1, 2) @ np.linalg.pinv(centred.swapaxes(1, 2))
     u, scales, v = np.linalg.svd(affine, full_matrices=False)
-    return np.asarray(u @ v), np.maximum(scales.mean(axis=1), 1e-3)
-
-
-def _completed(rows: Array) -> Array:
-    """The rotation (T, 3, 3) with these first two rows (T, 2, 3)."""
-    return np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
-
-
-def _axes(angles: Array) -> Array:
-    """(T, 3, 3): for each of pitch, yaw and roll the axis, in the camera's, about which its change turns the head."""
-    (pitch, yaw, _), zero = angles.T, np.zeros(len(angles))
-    about_y = np.stack([zero, np.cos(pitch), np.sin(pitch)], -1)
-    about_z = np.stack([np.sin(yaw), -np.sin(pitch) * np.cos(yaw), np.cos(pitch) * np.cos(yaw)], -1)
-    return np.stack([np.stack([zero + 1, zero, zero], -1), about_y, about_z], axis=1)
+    both = [(u @ v) * (1, 1, sign) for sign in (1, -1)]  # the first two rows of a rotation
+    angles = [euler(np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)) for rows in both]
+    return angles, np.maximum(scales.mean(axis=1), 1e-3)
 
 
 def _deep(shape: Array, seen: Mask) -> Mask:
@@ -291,10 +274,10 @@ def head_motion(parts: Sequence[Trajectory]) -> dict[str, list[tuple[int, int, s
 
     A single point has neither angle nor size. `time_s` must be known and increase.
     """
-    frame, time_s, begins, signals = _signals(parts)
+    frame, time_s, apart, signals = _signals(parts)
     motions: dict[str, list[tuple[int, int, str]]] = {kind: [] for kind in KINDS if kind in signals or kind == "still"}
     there = np.isfinite(signals["horizontal"] + signals["vertical"] + time_s)
-    for a, b in spans(there, (np.diff(time_s) > GAP_S) | begins[1:]):  # rows without a break, and not lost
+    for a, b in spans(there, (np.diff(time_s) > GAP_S) | apart):  # rows without a break, and not lost
         if b - a > 2 and time_s[b - 1] - time_s[a] >= MIN_SPAN_S:
             own = {kind: signal[a:b] for kind, signal in signals.items()}
             for kind, first, last, label in _spans(time_s[a:b], own):
@@ -303,7 +286,7 @@ def head_motion(parts: Sequence[Trajectory]) -> dict[str, list[tuple[int, int, s
 
 
 def _signals(parts: Sequence[Trajectory]) -> tuple[Whole, Array, Mask, dict[str, Array]]:
-    """(T,) frames, times, which rows begin again, and signals of the kinds of RATES that can be told, nan where lost.
+    """(T,) frames, times, (T - 1,) where rows begin again, and signals of RATES that can be told, nan where lost.
 
     Only differences of a signal's values mean something, and none across rows that begin again. Parts may have rows in
     different frames.
@@ -311,26 +294,22 @@ def _signals(parts: Sequence[Trajectory]) -> tuple[Whole, Array, Mask, dict[str,
     frame, columns = aligned([part.squared for part in parts], "x", "y", "w", "h", "angle", "status")
     seen = ~np.isin(columns.pop("status"), UNSEEN)
     x, y, w, h, angle = (np.where(seen, values, np.nan) for values in columns.values())
-    side = np.where((w > 0) & (h > 0), 0.5 * np.log(w * h), np.nan)
     if len(parts) == 1:
-        sized = np.isfinite(side).any()
-        size = side if sized and np.nanmax(side) > np.nanmin(side) else None
-        turn = np.exp(1j * np.radians(angle)) if np.isfinite(angle).any() else None
-        unit = float(np.exp(nanmedian(side)))
+        size, turn = np.where((w > 0) & (h > 0), 0.5 * np.log(w * h), np.nan), np.exp(1j * np.radians(angle))
+        unit = float(np.exp(nanmedian(size)))
     else:
         size, turn, unit = _of_pairs(np.stack([x, y], axis=2))
-    if not unit > 0:  # nothing tells how large it is
-        unit = np.nan
-    good = np.isfinite(x) & np.isfinite(y)
-    (x, begins), (y, _) = _follow(x, good), _follow(y, good)
-    signals = {"horizontal": x / unit, "vertical": y / unit}
-    if turn is not None:  # unit complex numbers, to degrees from the usual direction
+    placed = np.isfinite(x) & np.isfinite(y)
+    unit = unit if unit > 0 else np.nan  # nothing tells how large it is
+    ways = {"horizontal": x, "vertical": y}
+    signals = {kind: _follow(np.where(placed, way, np.nan)) / unit for kind, way in ways.items()}
+    if np.isfinite(turn).any():  # unit complex numbers, to degrees from the usual direction
         usual = np.nansum(turn, axis=0)
-        departure = np.degrees(np.angle(turn / np.where(np.abs(usual) > 0, usual, 1.0)))
-        signals["tilt"] = _follow(departure, np.isfinite(departure))[0]
-    if size is not None:
-        signals["size"] = _follow(size, np.isfinite(size))[0]
-    return frame, joined(parts).times, begins, signals
+        signals["tilt"] = _follow(np.degrees(np.angle(turn / np.where(np.abs(usual) > 0, usual, 1.0))))
+    if (sizes := size[np.isfinite(size)]).size and np.ptp(sizes):
+        signals["size"] = _follow(size)
+    apart = ~(placed[1:] & placed[:-1]).any(axis=1)
+    return frame, joined(parts).times, np.asarray(apart), signals
 
 
 def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
@@ -350,23 +329,20 @@ def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
     return np.log(length), np.where(np.isfinite(length), turn, np.nan), POINTS_TO_FACE * largest
 
 
-def _follow(values: Array, good: Mask) -> tuple[Array, Mask]:
+def _follow(values: Array) -> Array:
     """One signal (T,) for columns (T, M) that move together: the median of their departures from their usual values.
 
-    Where other columns are good than in the row before, the step is that of the columns good in both, so that a column
-    that comes or goes makes none. Also whether each row begins again: it shares no good column with the row before.
+    Where other columns are finite than in the row before, the step is that of the columns finite in both, so that a
+    column that comes or goes makes none.
     """
-    values = np.where(good, values, np.nan)
-    departure = values - nanmedian(values, axis=0)
-    level = nanmedian(departure, axis=1)
-    step = np.diff(level, prepend=np.nan)
-    both = good[1:] & good[:-1]
+    good, steps = np.isfinite(values), np.diff(values, axis=0)
+    level = nanmedian(values - nanmedian(values, axis=0), axis=1)
+    step, both = np.diff(level, prepend=np.nan), good[1:] & good[:-1]
     changed = 1 + np.flatnonzero((good[1:] != good[:-1]).any(axis=1) & both.any(axis=1))
-    steps = np.where(both, np.diff(values, axis=0), np.nan)
     step[changed] = nanmedian(steps[changed - 1], axis=1)
-    begins = np.concatenate([[True], ~both.any(axis=1)])[: len(values)]
-    step[begins] = 0.0  # each stretch is relative to its first row
-    return np.where(good.any(axis=1), np.cumsum(np.nan_to_num(step)), np.nan), begins
+    step[:1] = 0.0
+    step[1:][~both.any(axis=1)] = 0.0  # each stretch is relative to its first row
+    return np.where(good.any(axis=1), np.cumsum(np.nan_to_num(step)), np.nan)
 
 
 def nanmedian(values: Array, axis: int | None = None) -> Any:
@@ -381,24 +357,19 @@ def _spans(time_s: Array, signals: Mapping[str, Array]) -> Iterator[tuple[str, i
     """Kind, first row, last, and label of the spans in rows without a break, on a grid of equal steps in time."""
     dt = float(np.median(np.diff(time_s)))
     grid = np.arange(time_s[0], time_s[-1] + dt / 2, dt)
-
-    def of_kind(kind: str, label: str, begin: int, end: int) -> Iterator[tuple[str, int, int, str]]:
-        # grid times are rounding errors away from the rows'; where rows are far apart, a span may hold none
-        first = int(np.searchsorted(time_s, grid[begin] - dt / 4))
-        after = int(np.searchsorted(time_s, grid[begin] + (end - begin - 0.25) * dt))
-        if after > first:
-            yield kind, first, after - 1, label
-
-    busy = np.zeros(len(grid), dtype=bool)
+    busy, moved = np.zeros(len(grid), dtype=bool), list[tuple[str, int, int, str]]()
     for kind, signal in signals.items():
         finite = np.isfinite(signal)  # of angle and size, pairs may be missing where points are not
         even = np.interp(grid, time_s[finite], signal[finite]) if finite.any() else np.zeros(len(grid))
         for begin, end, label in _moving(even, dt, RATES[kind], LABELS[kind]):
             busy[begin:end] = True
-            yield from of_kind(kind, label, begin, end)
-    for begin, end in spans(~busy):
-        if (end - begin) * dt >= STILL_S:
-            yield from of_kind("still", "still", begin, end)
+            moved.append((kind, begin, end, label))
+    still = (("still", begin, end, "still") for begin, end in spans(~busy) if (end - begin) * dt >= STILL_S)
+    for kind, begin, end, label in (*moved, *still):
+        # grid times are rounding errors away from the rows'; where rows are far apart, a span may hold none
+        first, after = np.searchsorted(time_s, grid[begin] + np.array([-0.25, end - begin - 0.25]) * dt).tolist()
+        if after > first:
+            yield kind, first, after - 1, label
 
 
 def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> Iterator[tuple[int, int, str]]:
@@ -412,27 +383,6 @@ def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> It
             change = abs(smooth[end - 1] - smooth[begin])
             if fast and (end - begin) * dt >= MIN_SPAN_S and change >= rate.change:
                 yield begin, end, label
-
-
-def turning_points(signal: Array, least: float) -> list[int]:
-    """Where a signal turns by at least `least`: highs and lows in turn, smaller wiggles passed over."""
-    turns: list[int] = []
-    low = high = 0
-    up: bool | None = None
-    for i, value in enumerate(signal.tolist()):
-        if value > signal[high]:
-            high = i
-        if value < signal[low]:
-            low = i
-        if up is not False and signal[high] - value >= least:
-            turns.append(high)
-            up, low, high = False, i, i
-        elif up is not True and value - signal[low] >= least:
-            turns.append(low)
-            up, low, high = True, i, i
-    if up is not None:  # the last swing ends where it got farthest
-        turns.append(high if up else low)
-    return turns
 
 
 def _kernel(sigma: float) -> Array:

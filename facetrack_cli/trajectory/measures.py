@@ -40,18 +40,7 @@ import numpy as np
 from facetrack_cli.core.face_points import EYE_DISTANCE, HANDS, IRISES
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Mask, Whole
-from facetrack_cli.trajectory.head import (
-    GAP_S,
-    NORMAL,
-    SHAPE,
-    gauss,
-    head_pose,
-    nanmedian,
-    noise_of,
-    rotation_of,
-    turning_points,
-    with_eyes,
-)
+from facetrack_cli.trajectory.head import GAP_S, NORMAL, gauss, head_pose, nanmedian, noise_of, rotation_of, with_eyes
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 
 LENGTH, DEGREES = "eye distances", "degrees"
@@ -169,7 +158,7 @@ HAND_MEASURES: Final = (
     Measure("touches_hand", "probability", "that a hand meets the other hand in the image"),
     Measure("touches_face", "probability", "that a hand meets the face in the image"),
 )
-USED: Final = {BOX, *SHAPE, *(name for one in MEASURES for name in one.needs)}
+USED: Final = {BOX, *(name for one in MEASURES for name in one.needs)}
 
 
 class Measured(NamedTuple):
@@ -261,12 +250,33 @@ def _talking(mouth: Measured) -> Array:
     swings, talks = np.zeros(len(rows)), np.full(len(mouth.value), np.nan)
     if len(rows) > 2:
         value, time_s, doubt = mouth.value[rows], mouth.time_s[rows], np.nan_to_num(mouth.doubt[rows])
-        for a, b in pairwise(turning_points(value, max(SWING, 4 * noise_of(value, 0.0)))):
+        for a, b in pairwise(_turning_points(value, max(SWING, 4 * noise_of(value, 0.0)))):
             clear = abs(value[b] - value[a]) > 2 * doubt[(a + b) // 2]
             swings[(a + b) // 2] += clear and time_s[b] - time_s[a] <= SWING_S
         sigma = AROUND_S / max(float(np.median(np.diff(time_s))), AROUND_S / 500)
         talks[rows] = above(gauss(swings, sigma) * sigma * np.sqrt(2 * np.pi) - SWINGS, SWINGS_STD)
     return talks
+
+
+def _turning_points(signal: Array, least: float) -> list[int]:
+    """Where a signal turns by at least `least`: highs and lows in turn, smaller wiggles passed over."""
+    turns: list[int] = []
+    low = high = 0
+    up: bool | None = None
+    for i, value in enumerate(signal.tolist()):
+        if value > signal[high]:
+            high = i
+        if value < signal[low]:
+            low = i
+        if up is not False and signal[high] - value >= least:
+            turns.append(high)
+            up, low, high = False, i, i
+        elif up is not True and value - signal[low] >= least:
+            turns.append(low)
+            up, low, high = True, i, i
+    if up is not None:  # the last swing ends where it got farthest
+        turns.append(high if up else low)
+    return turns
 
 
 def _moved(pose: Array, time_s: Array, by: float) -> Array:
@@ -339,10 +349,10 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
                 spread = np.sqrt(var[:, j] + var[:, k] + OUTLINE**2)
                 values["touches_face" if j == len(hands) else "touches_hand"] = above(reach - apart, spread)
         std = {"speed": np.where(np.isfinite(speed), noise, np.nan)}
-        has = [measure for measure in HAND_MEASURES if measure.name in values]
         measures[name] = {
             key: Measured(key, unit, frame, time_s, values[key], *[std.get(key, speed * np.nan)] * 2)
-            for key, unit, *_ in has
+            for key, unit, *_ in HAND_MEASURES
+            if key in values
         }
     return measures
 
@@ -351,10 +361,9 @@ def _bridged(values: Array, time_s: Array) -> Array:
     """(T, K): where a column is nan for `BRIDGE_S` at most, the straight line between."""
     values = values.copy()
     for column in values.T:
-        rows = np.flatnonzero(np.isfinite(column))
-        for a, b in zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True):
-            if b - a > 1 and time_s[b] - time_s[a] <= BRIDGE_S:
-                column[a:b] = np.interp(time_s[a:b], time_s[[a, b]], column[[a, b]])
+        for a, b in spans(np.isnan(column)):
+            if a and b < len(column) and time_s[b] - time_s[a - 1] <= BRIDGE_S:
+                column[a:b] = np.interp(time_s[a:b], time_s[[a - 1, b]], column[[a - 1, b]])
     return values
 
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Final, Literal, TypeAlias
+from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -154,12 +154,10 @@ def people_of(
         times = tuple((round(clock.at(first), 4), round(clock.at(stop), 4)) for first, stop in spans)
         seconds = round(sum(stop - first for first, stop in times), 3)
         p = round(float(np.average([row.p for row in theirs], weights=[row.stop - row.first for row in theirs])), 4)
-        person = PersonRecord(name=name, seconds=seconds, p=p, intervals=spans, times=times)
-        picture = {"still": stills.get(name, ""), "photograph": name in photographs}
-        people.append(person.model_copy(update=picture))
-    return People(
-        fps=clock.fps, shots=tuple(shots), people=tuple(people), tracks=ordered, corrections=tuple(corrections)
-    )
+        picture: dict[str, Any] = {"still": stills.get(name, ""), "photograph": name in photographs}
+        people.append(PersonRecord(name=name, seconds=seconds, p=p, intervals=spans, times=times, **picture))
+    own: dict[str, Any] = {"tracks": ordered, "corrections": tuple(corrections)}
+    return People(fps=clock.fps, shots=tuple(shots), people=tuple(people), **own)
 
 
 Tracks: TypeAlias = "list[tuple[str, TrackRecord]]"  # each with the target whose rows it has

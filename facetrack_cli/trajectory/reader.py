@@ -8,7 +8,7 @@ import csv
 import itertools
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
@@ -115,19 +115,22 @@ def _read_csv(path: Path) -> Trajectory:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file)
             header = [name.strip() for name in next(lines, [])]
-            counts = {name: header.count(name) for name in (*COLUMNS, "hidden")}
+            counts = {name: header.count(name) for name in _CELLS}
             if wrong := [name for name, n in counts.items() if n > 1 or (n < 1 and name in REQUIRED)]:
                 why = f"the header has no column, or two, called {', '.join(wrong)}"
                 raise InputError(f"{path}:1: {why}; it should read {','.join(COLUMNS)}")
-            rows = _rows(path, lines, len(header))
+            rows = ((lines.line_num, cells) for cells in lines if cells)
             while block := list(itertools.islice(rows, _BLOCK)):
                 numbers, texts = zip(*block, strict=True)
-                cells = dict(zip(header, zip(*texts, strict=True), strict=True))
-                read: dict[str, Any] = {
-                    name: _column(path, name, cells.get(name, ("",) * len(block)), numbers)
-                    for name in (*COLUMNS, "hidden")
-                }
-                read["status"] = np.where((read["status"] == "") & read.pop("hidden"), "hidden", read["status"])
+                for number, cells in block:
+                    if len(cells) != len(header):
+                        why = "leave what is not known empty between its commas; or was the run cut short?"
+                        raise InputError(f"{path}:{number}: {len(cells)} values under {len(header)} columns; {why}")
+                columns = dict(zip(header, zip(*texts, strict=True), strict=True))
+                empty = ("",) * len(block)
+                read: dict[str, Any] = {n: _column(path, n, columns.get(n, empty), numbers) for n in _CELLS}
+                hidden = np.char.lower(read.pop("hidden"))
+                read["status"] = np.where((read["status"] == "") & np.isin(hidden, _TRUE), "hidden", read["status"])
                 pairs = zip(read.pop("target").tolist(), read.pop("part").tolist(), strict=True)
                 read["which"] = [names.setdefault(pair, len(names)) for pair in pairs]
                 blocks.append(read)
@@ -137,53 +140,27 @@ def _read_csv(path: Path) -> Trajectory:
     return _build(path, names, whole)
 
 
-def _rows(path: Path, lines: Any, width: int) -> Iterator[tuple[int, list[str]]]:
-    """Lines of `width` cells, each with its number."""
-    for cells in lines:
-        if len(cells) not in (0, width):
-            why = "give every column a value, or leave it empty between its commas; or was the run cut short?"
-            raise InputError(f"{path}:{lines.line_num}: {len(cells)} values under {width} columns; {why}")
-        if cells:
-            yield lines.line_num, cells
-
-
-def _numbers(cells: list[str]) -> list[float]:
-    return [float(cell or "nan") for cell in cells]
-
-
-def _names(cells: list[str]) -> list[str]:
-    if "" in cells:
-        raise ValueError
-    return cells
-
-
-def _frames(cells: list[str]) -> NDArray[np.int64]:
-    return np.array(list(map(int, cells)), np.int64)
-
-
-def _hidden(cells: list[str]) -> list[bool]:
-    return [_HIDDEN[cell.lower()] for cell in cells]
-
-
-_HIDDEN: Final = {"": False, "0": False, "false": False, "1": True, "true": True}
-# of the cells of a column: their values, the characters that stand in them, and what they are
-_CELLS: Final[Mapping[str, tuple[Callable[[list[str]], Any], re.Pattern[str], str]]] = {
-    **dict.fromkeys(FLOATS, (_numbers, re.compile(r"[-+.0-9eE]*"), "finite number")),
-    **dict.fromkeys(TEXTS, (list, re.compile(r"(?s).*"), "name")),
-    **dict.fromkeys(("target", "part"), (_names, re.compile(r"(?s).*"), "name")),
-    "frame": (_frames, re.compile(r"[0-9]*"), "whole number from 0 up"),
-    "particles": (_numbers, re.compile(r"[0-9]*"), "whole number from 0 up"),
-    "hidden": (_hidden, re.compile(r"(?s).*"), "0, 1, true or false"),
+_TRUE, _FALSE = ("1", "true"), ("", "0", "false")
+_TEXT: Final = (np.str_, re.compile(r"(?s).*"), "name")
+# of the cells of a column: the type of their values, the characters that stand in them, and what they are
+_CELLS: Final[Mapping[str, tuple[type, re.Pattern[str], str]]] = {
+    **dict.fromkeys(COLUMNS, (np.float64, re.compile(r"[-+.0-9eE]*"), "finite number")),
+    **dict.fromkeys((*TEXTS, "target", "part"), _TEXT),
+    "frame": (np.int64, re.compile(r"[0-9]*"), "whole number from 0 up"),
+    "particles": (np.float64, re.compile(r"[0-9]*"), "whole number from 0 up"),
+    "hidden": (np.str_, _TEXT[1], "0, 1, true or false"),
 }
 
 
 def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int]) -> NDArray[Any]:
     """The values of a column's cells; InputError, with the line, for the first that it cannot have."""
-    values, characters, what = _CELLS[name]
-    cells = list(map(str.strip, cells))
-    with suppress(ValueError, KeyError, OverflowError):
-        if characters.fullmatch("".join(cells)):
-            return np.array(values(cells))
+    kind, characters, what = _CELLS[name]
+    cells = [cell.strip() for cell in cells]
+    strange = name in ("target", "part") and "" in cells
+    strange |= name == "hidden" and not {cell.lower() for cell in cells} <= {*_TRUE, *_FALSE}
+    with suppress(ValueError, OverflowError):
+        if not strange and characters.fullmatch("".join(cells)):
+            return np.array([cell or "nan" for cell in cells] if kind is np.float64 else cells, kind)
     if len(cells) > 1:  # each alone, to name the line
         return np.concatenate([_column(path, name, [cell], [at]) for cell, at in zip(cells, numbers, strict=True)])
     raise InputError(f"{path}:{numbers[0]}: column {name}: {cells[0]!r} is no {what}; correct it")
@@ -201,13 +178,11 @@ def _read_json(path: Path) -> Trajectory:
         except ValidationError as e:
             raise not_as_written(path, e, "frames", at) from None
         for target in frame.targets:
-            columns["which"] += [names.setdefault((target.target, part.part), len(names)) for part in target.parts]
-            for name in ("frame", "time_s"):
-                columns[name] += [getattr(frame, name)] * len(target.parts)
-            for name in OF_TARGET[1:]:
-                columns[name] += [getattr(target, name)] * len(target.parts)
-            for name in OF_PART[1:]:
-                columns[name] += [getattr(part, name) for part in target.parts]
+            for part in target.parts:
+                columns["which"].append(names.setdefault((target.target, part.part), len(names)))
+                for said, keys in ((frame, ("frame", "time_s")), (target, OF_TARGET[1:]), (part, OF_PART[1:])):
+                    for name in keys:
+                        columns[name].append(getattr(said, name))
             if not declared.keys().isdisjoint(target.model_extra):
                 reported.setdefault(target.target, {}).setdefault(frame.frame, target.model_extra)
     columns["identity"] = [name or "" for name in columns["identity"]]

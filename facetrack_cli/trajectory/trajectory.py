@@ -375,11 +375,15 @@ def of_frame(
     values_of |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
     values_of |= {name: np.asarray(values, dtype=_KINDS.get(name, float)) for name, values in columns.items()}
     values_of["angle"] = shown_angle(values_of["angle"], frame.aspect)
-    (x, y), (width, height) = (values_of["x"], values_of["y"]), frame.size
-    beyond = (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
-    if beyond.any():
-        values_of["status"] = np.where(beyond & (values_of["status"] == "tracked"), "hidden", values_of["status"])
-    return Trajectory(names, **values_of, diagnostics=diagnostics)
+    return hide_outside(Trajectory(names, **values_of, diagnostics=diagnostics), frame.size, ("tracked",))
+
+
+def hide_outside(rows: Trajectory, size: tuple[int, int], seen: Sequence[str] = SEEN) -> Trajectory:
+    """The rows in which places beyond the outermost pixels of pictures of `size` (width, height) are hidden."""
+    beyond = (rows.x < 0) | (rows.x > size[0] - 1) | (rows.y < 0) | (rows.y > size[1] - 1)
+    if not beyond.any():
+        return rows
+    return replace(rows, status=np.where(beyond & np.isin(rows.status, seen), "hidden", rows.status))
 
 
 @lru_cache

@@ -7,23 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import BOX, Array, Texts, Whole
-from facetrack_cli.trajectory.trajectory import (
-    DECIMALS,
-    MAX_ROWS,
-    SEEN,
-    UNSEEN,
-    Trajectory,
-    aligned,
-    header_value,
-    joined,
-    one_part,
-)
+from facetrack_cli.trajectory.trajectory import MAX_ROWS, UNSEEN, Trajectory, aligned, header_value, joined, one_part
 
 Around: TypeAlias = Literal["windows", "points"]
 
@@ -42,17 +32,8 @@ def choose(table: Trajectory, select: str | None) -> Trajectory:
 
 def blank_lost(table: Trajectory) -> Trajectory:
     """The table with the place and size of lost rows not known."""
-    lost = table.status == "lost"
-    x, y, w, h = (np.where(lost, np.nan, values) for values in (table.x, table.y, table.w, table.h))
-    return replace(table, x=x, y=y, w=w, h=h)
-
-
-def hide_outside(table: Trajectory, size: tuple[int, int]) -> Trajectory:
-    """The table in which places beyond the outermost pixels of pictures of `size` (width, height) are hidden."""
-    beyond = [(x < 0) | (x > side - 1) for x, side in zip((table.x, table.y), size, strict=True)]
-    return replace(
-        table, status=np.where(np.isin(table.status, SEEN) & (beyond[0] | beyond[1]), "hidden", table.status)
-    )
+    columns: Any = {name: np.where(table.status == "lost", np.nan, getattr(table, name)) for name in "xywh"}
+    return replace(table, **columns)
 
 
 def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajectory:
@@ -165,8 +146,8 @@ def every_frame(table: Trajectory) -> tuple[Whole, Array]:
     if step > 0 and (line := float(np.polyfit(at, time_s, 1)[0])) > 0:
         usual = [n / round(n / line) for n in (1, 1.001) if round(n / line)]  # 24, 25, 30, 30 / 1.001, ...
         periods += [*usual, line]
-    # containers may keep whole milliseconds
-    rounded = 1.1e-3 if table.header.get("variable_fps") is False else 1.1 * 10.0 ** -DECIMALS["time_s"]
+    # containers may keep whole milliseconds, our rows four decimals
+    rounded = 1.1e-3 if table.header.get("variable_fps") is False else 1.1e-4
     for period in periods if len(at) else ():
         begins = time_s - at * period
         if np.ptp(begins) <= rounded:

@@ -26,7 +26,7 @@ from facetrack_cli.engine.confidence import load_calibration
 from facetrack_cli.runs.smooth import KIND
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.appearance.gallery import load_gallery, name_problem
-from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.source import open_source
 

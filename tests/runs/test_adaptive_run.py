@@ -16,7 +16,7 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.evaluation.goldens import read_golden
 from facetrack_cli.recipe.load import load_recipe, with_gallery
 from facetrack_cli.trackers.appearance.gallery import fit_gallery
-from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
 from tests.support.media import write_pictures
 from tests.support.samples import FOLDER, read_pictures

@@ -31,7 +31,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import live
 from facetrack_cli.runs.live import LiveCast, follow, piped, received
 from facetrack_cli.trackers.face.detectors import check_cascades
-from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.people import read_people
 from facetrack_cli.video.shots import find_cuts, passing_shots
 from facetrack_cli.video.source import open_source

@@ -1,7 +1,6 @@
 """CVAT's XML and Label Studio's JSON: written, read back, and what is refused."""
 
 import json
-import math
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.trajectory.formats.annotation import read_cvat, read_labelstudio, write_cvat, write_labelstudio
-from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from facetrack_cli.trajectory.views import every_frame
 
@@ -200,52 +199,44 @@ TRACK = "<annotations><track id='0' label='head'>{}</track></annotations>"
 BOX = "<box frame='3' xtl='0' ytl='0' xbr='{}' ybr='9'/>"
 
 
+POLYGON = "<polygon frame='3' points='0,0;1,1;2,2'/>"
+
+
+def of_regions(*regions):
+    return [{"annotations": [{"result": regions}]}]
+
+
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("content", "said"),
     [
-        (TRACK.format("<polygon frame='3' points='0,0;1,1;2,2'/>"), "frame 3: a polygon; boxes and points are read"),
+        (TRACK.format(POLYGON), "frame 3: a polygon of 0,0;1,1;2,2; boxes"),
         (TRACK.format(BOX.format("nan")), r"track 0 \(head\), frame 3: 0, 0, nan, 9 are no pixels"),
-        (TRACK.format(BOX.format("0")), "the box has no area"),
         (TRACK.format(BOX.format("9") * 2), "another track of the same label"),
         (TRACK.format(BOX.format("9").replace("3", "-3")), "that is no frame number"),
-        (TRACK.format("<points frame='3' points='1'/>"), "points are written x,y;x,y"),
-        (TRACK.format("<points frame='3' points='1,2;3'/>"), "points are written x,y;x,y"),
+        (TRACK.format("<points frame='3' points='1,2;3'/>"), "a points of 1,2;3; boxes are read, and points x,y;x,y"),
         (TRACK.format(""), "has no track of a box or a point"),
         ("<annotations><image id='0'/></annotations>", 'export it as "CVAT for video 1.1"'),
         ("<html></html>", "is XML, but not of CVAT's tracks"),
-        ("<annotations>", "annotations.xml:1: is no XML"),
+        ("<annotations>", "from_a_tool:1: is no XML"),
         ("<!DOCTYPE a [<!ENTITY b 'c'>]><annotations/>", "declares a document type"),
-        ("PK\x03\x04....", r"is a ZIP archive; unpack it, and name the annotations\.xml"),
-    ],
-)
-def test_xml_that_cannot_be_read(tmp_path, text, said):
-    path = tmp_path / "annotations.xml"
-    path.write_bytes(text.encode())
-    with pytest.raises(InputError, match=said) as error:
-        read_cvat(path)
-    assert str(path) in str(error.value) and "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
+        ("PK\x03\x04....", r"is a ZIP archive; unpack it, and name the file in it"),
         ([], "has 0 tasks with 0 annotations"),
         ([{"annotations": [{"result": []}] * 2}], "keep one annotation"),
-        ([{"annotations": [{"result": [region(frame=0)]}]}], "0 is no frame"),
-        ([{"annotations": [{"result": [region(), region()]}]}], "is there twice"),
-        ([{"annotations": [{"result": [region(None)]}]}], "region r has 0 labels"),
-        ([{"annotations": [{"result": [region(width=0)]}]}], "the box has no area"),
-        ([{"annotations": [{"result": [region(width=math.inf)]}]}], "are no pixels"),
-        ([{"annotations": [{"result": [region(width=10**400)]}]}], "int too large"),
-        ([{"annotations": [{"result": [{"type": "textarea"}]}]}], "has no track of a box or a point"),
+        (of_regions(region(frame=0)), "0 is no frame"),
+        (of_regions(region(), region()), "is there twice"),
+        (of_regions(region(None)), "region r has 0 labels"),
+        (of_regions(region(width=0)), "the box has no area"),
+        (of_regions(region(width=float("inf"))), "are no pixels"),
+        (of_regions(region(width=10**400)), "int too large"),
+        (of_regions({"type": "textarea"}), "has no track of a box or a point"),
         ([{"data": {}}], "it has no 'annotations'"),
     ],
 )
-def test_json_that_cannot_be_read(tmp_path, given, said):
-    path = tmp_path / "ls.json"
-    path.write_text(given if isinstance(given, str) else json.dumps(given))
+def test_what_cannot_be_read_is_said_in_one_line(tmp_path, content, said):
+    path = tmp_path / "from_a_tool"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
     with pytest.raises(InputError, match=said) as error:
-        read_labelstudio(path, SIZE)
+        read_cvat(path) if isinstance(content, str) else read_labelstudio(path, SIZE)
     assert str(path) in str(error.value) and "\n" not in str(error.value)
 
 

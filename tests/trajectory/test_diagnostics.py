@@ -51,7 +51,6 @@ def target(reported, name="face", who=None, sure=None):
         {"decimals": (1, 2)},
         {"decimals": ()},
         {"shape": (3,), "decimals": (1, 2)},
-        {"shape": None, "decimals": (1,)},
     ],
 )
 def test_a_declaration_that_cannot_be_is_refused(wrong):
@@ -86,9 +85,7 @@ def test_values_become_arrays_and_what_is_not_known_nan():
     [
         (FOCUS, -0.001, "focus -0.001 is not a number from 0 to inf"),
         (FOCUS, math.inf, "focus inf is not a number"),
-        (FOCUS, "1", "focus '1' is not a number"),
         (FOCUS, 10**400, "is not a number from 0 to inf"),
-        (Diagnostic("tilt"), -math.inf, "tilt -inf is not a number"),
         (Diagnostic("tilt", least=-5, most=5), -6, "tilt -6 is not a number from -5 to 5"),
         (POSTERIOR, {"anna": 1.01}, "posterior {'anna': 1.01} is not an object of names and numbers from 0 to 1"),
         (POSTERIOR, [1.0], "posterior [1.0] is not an object of names and numbers"),
@@ -226,34 +223,23 @@ def file(folder, *targets, **header):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "why"),
+    ("said", "declared", "why"),
     [
-        ({"scale": "1"}, "scale '1' is not a number"),
-        ({"error": 10**400}, "is not a number"),
-        ({"posterior": {"": 0.2}}, "posterior {'': 0.2} is not an object of names and numbers"),
-        ({"affine": [1, 0, 0, 1, 5, "x"]}, "is not a list of 6 numbers"),
+        ({"scale": "1"}, [], "frame 1, face: scale '1' is not a number.*; correct it, or leave it"),
+        (
+            {"posterior": {"": 1}},
+            [],
+            "frame 1, face: posterior {'': 1} is not an object of names and",
+        ),
+        ({"focus": 1}, 5, "diagnostics is not as facetrack run writes it.*; make the run again"),
+        ({"focus": 1}, [{"name": "focus"}, {"name": "b", "shape": 3}], "diagnostics.1.shape is not as"),
+        ({"focus": 1}, [{"name": "b", "shape": [2, 3]}], "diagnostics.0.* is not as .*needs a name, and a shape"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(tmp_path, wrong, why):
-    with pytest.raises(InputError, match=rf"one\.json: frame 1, face: .*{why}.*; correct it, or leave it") as caught:
-        read_trajectory(file(tmp_path, {}, wrong))
+def test_what_is_wrong_is_said_in_one_line(tmp_path, said, declared, why):
+    with pytest.raises(InputError, match=rf"one\.json: {why}") as caught:
+        read_trajectory(file(tmp_path, {}, said, diagnostics=declared))
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 1000
-
-
-@pytest.mark.parametrize(
-    ("declared", "why"),
-    [
-        (5, "diagnostics is not as facetrack run writes it"),
-        ([5], "diagnostics.0 is not as"),
-        ([{"meaning": "x"}], "diagnostics.0.name is not as .*required"),
-        ([{"name": "focus"}, {"name": "b", "shape": 3}], "diagnostics.1.shape is not as"),
-        ([{"name": "b", "shape": [2, 3]}], "diagnostics.0.* is not as .*needs a name, and a shape"),
-    ],
-)
-def test_a_wrong_declaration_is_said_in_one_line(tmp_path, declared, why):
-    with pytest.raises(InputError, match=rf"one\.json: {why}.*; make the run again") as caught:
-        read_trajectory(file(tmp_path, {"focus": 1}, diagnostics=declared))
-    assert "\n" not in str(caught.value)
 
 
 def test_a_declaration_of_a_later_version_is_read_and_a_known_name_keeps_its_meaning(tmp_path):

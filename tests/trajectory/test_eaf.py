@@ -92,24 +92,18 @@ def check_schema(root):
 
 
 @pytest.mark.parametrize(
-    ("parts", "lost"),
+    ("statuses", "more", "lost"),
     [
-        (
-            [part("nose", states("..LLLL..")), part("lip", states("....LLL."))],
-            [(80, 160, "nose"), (160, 240, "nose, lip"), (240, 280, "lip")],
-        ),
-        ([part("box", states("...LL"))], [(120, 200, "lost")]),
+        ({"nose": "..LLLL..", "lip": "....LLL."}, {}, [(80, 160, "nose"), (160, 240, "nose, lip"), (240, 280, "lip")]),
+        ({"box": "...LL"}, {}, [(120, 200, "lost")]),
         # at a variable rate a span ends when the next frame begins
-        (
-            [part("nose", states("..L.LL"), time_s=[0.0, 0.04, 0.08, 0.2, 0.24, 0.5])],
-            [(80, 200, "nose"), (240, 540, "nose")],
-        ),
+        ({"nose": "..L.LL"}, {"time_s": [0.0, 0.04, 0.08, 0.2, 0.24, 0.5]}, [(80, 200, "nose"), (240, 540, "nose")]),
         # frames without rows are in no span
-        ([part("nose", states(".LLLL."), frames=[0, 1, 2, 50, 51, 52])], [(40, 120, "nose"), (2000, 2080, "nose")]),
+        ({"nose": ".LLLL."}, {"frames": [0, 1, 2, 50, 51, 52]}, [(40, 120, "nose"), (2000, 2080, "nose")]),
     ],
 )
-def test_spans_of_lost_parts_name_the_parts(parts, lost):
-    root = eaf(*parts)
+def test_spans_of_lost_parts_name_the_parts(statuses, more, lost):
+    root = eaf(*(part(name, states(text), **more) for name, text in statuses.items()))
     check_schema(root)
     assert tiers(root)["lost@face"] == lost
 
@@ -244,10 +238,7 @@ def session(folder, text=SESSION, origin=""):
 
 def ours():
     hand = part("box", ["tracked"] * 12, target="left_hand")
-    return write_eaf(
-        joined([part("nose", states("..LLLL..L...")), hand], path=Path("t.csv")),
-        Path("/videos/clip one.mp4"), Path("/videos"), written=WRITTEN,
-    )  # fmt: skip
+    return joined([part("nose", states("..LLLL..L...")), hand], path=Path("t.csv"))
 
 
 def check(before, after):
@@ -270,9 +261,8 @@ def test_tiers_are_added_and_nothing_else_is_touched(tmp_path):
     assert found["lost@face-2"].get("LINGUISTIC_TYPE_REF") == "lost-2", "lost is another type there"
     rows = tiers(root)
     assert rows["lost@face"] == [(50, 150, "<HOUSE> & garden")]
-    assert rows["lost@face-2"] == [(80, 240, "nose"), (320, 360, "nose")] and rows["seen@left_hand"] == [
-        (0, 480, "seen")
-    ]
+    assert rows["lost@face-2"] == [(80, 240, "nose"), (320, 360, "nose")]
+    assert rows["seen@left_hand"] == [(0, 480, "seen")]
     assert data.count(b"\r\n") == 2 and data.endswith(b"<!-- the end -->")
 
 
@@ -291,9 +281,8 @@ def test_times_are_those_of_the_file_whose_clip_begins_later(tmp_path):
     path = session(tmp_path, origin=' TIME_ORIGIN="100"')
     data, _, _ = add_tiers(path, ours(), "clip one.mp4")
     rows = tiers(check(path.read_bytes(), data))
-    assert rows["lost@face-2"] == [(0, 140, "nose"), (220, 260, "nose")] and rows["seen@left_hand"] == [
-        (0, 380, "seen")
-    ]
+    assert rows["lost@face-2"] == [(0, 140, "nose"), (220, 260, "nose")]
+    assert rows["seen@left_hand"] == [(0, 380, "seen")]
     (tmp_path / "again.eaf").write_bytes(data)
     found = {tier.name: tier for tier in read_tiers(tmp_path / "again.eaf", "clip one.mp4")}
     assert found["lost@face-2"].notes[1] == (320, 360, "nose")

@@ -67,21 +67,16 @@ HEAD = "frame,target,part,x,y"
         ("\n", r":1: the header has no column, or two, called frame, target, part, x, y; it should read frame,"),
         (f"{HEAD},hidden\n0,f,p,1,2,0\n1,f,p,1,2,yes\n", ":3: column hidden: 'yes' is no 0, 1, true or false; correct"),
         (f"{HEAD},hidden,hidden\n", ":1: the header has no column, or two, called hidden; it"),
-        ("a,b\n1,2\n", ":1: the header has no column, or two, called frame"),
-        (f"{HEAD},x\n", ":1: the header has no column, or two, called x; it"),
-        (f"{HEAD}\n0,f,p,1\n0,f,p,1,2\n", r":2: 4 values under 5 columns; .*empty between"),
         (f"{HEAD}\n0,f,p,1\n", r":2: 4 values under 5 columns; .*cut short"),
         (f"{HEAD}\n0,f,p,1_0,2\n", r":2: column x: '1_0' is no finite number; "),
         (f"{HEAD}\n0,f,p,1,2\n1,f,p,1,two\n", r":3: column y: 'two' is no finite number; "),
         (f"{HEAD}\n0,f,p,1e999,2\n", "frame 0, f/p: x inf is no number from -1e\\+06 to 1e\\+06; correct it"),
-        (f"{HEAD}\n1.5,f,p,1,2\n", r":2: column frame: '1.5' is no whole number"),
         (f"{HEAD}\n\u0663,f,p,1,2\n", r":2: column frame: '\u0663' is no whole number"),
         (f"{HEAD}\n{'9' * 19},f,p,1,2\n", r":2: column frame: '9{19}' is no whole number"),
         (f"{HEAD}\n0,f,,1,2\n", ":2: column part: '' is no name; correct it"),
         (f"{HEAD}\n0,f,p,1,2\n1, ,p,1,2\n", ":3: column target: '' is no name; correct it"),
         (f"{HEAD},identity_prob\n1,face,box,1,2,1.5\n", "face/box: identity_prob 1.5 is no number from 0 to 1"),
         (b"frame,target,part,x,y\n0,f,\xff,1,2\n", r"truth\.csv: byte 26 is not UTF-8"),
-        (b"\x00\x01\x02", r"truth\.csv:"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(tmp_path, text, message):
@@ -123,24 +118,18 @@ def other(**change):
         (other(x="1"), {}, r"frames\.0\.targets\.1\.parts\.0\.x is not as facetrack run writes it .*valid number"),
         (other(x=10**400), {}, r"frames\.0\.targets\.1\.parts\.0\.x is not"),
         (other(mine=1), {}, r"parts\.0\.mine is not .*extra"),
-        (other(status=None), {}, r"parts\.0\.status is not .*string"),
         (other(by_hand=1), {}, r"parts\.0\.by_hand is not .*boolean"),
         (other(x=float("inf")), {}, "frame 0, other/nose: x inf is no number"),
         (other(angle=float("inf")), {}, "frame 0, other/nose: angle inf is no number"),
         (other(y=-1e7), {}, "frame 0, other/nose: y -10000000 is no number from"),
         (other(w=-1), {}, "frame 0, other/nose: w -1 is no number from 0 to .*; correct it"),
-        (other(part=["a"]), {}, r"parts\.0\.part is not .*string"),
         (other(part=""), {}, r"parts\.0\.part is not .*at least 1 char"),
-        (OTHER | {"particles": "9"}, {}, r"targets\.1\.particles is not .*number"),
-        (OTHER | {"identity": 5}, {}, r"targets\.1\.identity is not .*string"),
         (OTHER | {"identity_prob": 1.5}, {}, r"frame 0, other/nose: identity_prob 1\.5 is no number from 0 to 1; corr"),
-        (OTHER | {"target": None}, {}, r"targets\.1\.target is not .*string"),
         (OTHER | {"parts": [{"x": 1, "y": 2}]}, {}, r"parts\.0\.part is not .*required"),
-        (OTHER | {"parts": "nose"}, {}, r"targets\.1\.parts is not .*list"),
         (TARGET, {}, "frame 0 has two rows of face/nose"),
+        (OTHER, {"frame": 10**30}, r"frames\.0\.frame is not"),
         (OTHER, {"frame": -1}, r"frames\.0\.frame is not"),
         (OTHER, {"frame": True}, r"frames\.0\.frame is not .*integer"),
-        (OTHER, {"frame": 10**30}, r"frames\.0\.frame is not"),
         (OTHER, {"targets": []}, "has a header and no rows"),
     ],
 )
@@ -202,25 +191,18 @@ def lines(rows):
     return "".join(csv_frames(rows))
 
 
-class Disk(io.BytesIO):
+class Disk(io.FileIO):
     """A file on a disk with room for `room` bytes; it takes what fits and then fails, as write(2) does."""
 
     def __init__(self, room, path):
-        super().__init__()
-        self.room, self.path = room, path
+        super().__init__(path, "w")
+        self.room = room
 
     def write(self, data):
-        blob = bytes(data)
-        end = self.tell() + len(blob)
-        fits = max(0, min(len(blob), max(self.room, len(self.getvalue())) - self.tell()))
-        if end > self.room and fits == 0:
+        fits = bytes(data)[: max(self.room - self.tell(), 0)]
+        if len(data) and not fits:
             raise OSError(errno.ENOSPC, "No space left on device")
-        return super().write(blob[:fits])
-
-    def close(self):
-        if not self.closed:
-            self.path.write_bytes(self.getvalue())
-        super().close()
+        return super().write(fits)
 
 
 def write(path, form, frames, footer=None):
@@ -265,17 +247,14 @@ def test_what_was_given_by_hand_and_what_is_absent(form, tmp_path):
     assert '{"target":"hand","parts":[{"part":"lip","status":"absent"}]}' in text
 
 
-@pytest.mark.parametrize("value", [-0.0, -0.00004, np.float32(-1e-5)])
-def test_no_negative_zero(value):
-    line = lines(one_part("f", "p", [0], time_s=[value], x=[value], y=[value], angle=[value]))
-    assert line.startswith("0,0.0000,f,p,0.000,0.000,") and "-" not in line
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_left_empty(value, tmp_path):
-    assert lines(result(x=value).rows).startswith("7,0.2800,face,nose,,-2.000,")
-    write(tmp_path / "t.json", "json", [result(x=value)])
-    assert '{"part":"nose","y":-2.000,' in (tmp_path / "t.json").read_text()
+def test_no_negative_zero_and_what_is_not_finite_is_left_empty(tmp_path):
+    for value in (-0.0, -0.00004, np.float32(-1e-5)):
+        line = lines(one_part("f", "p", [0], time_s=[value], x=[value], y=[value], angle=[value]))
+        assert line.startswith("0,0.0000,f,p,0.000,0.000,") and "-" not in line
+    for value in (math.nan, math.inf, -math.inf):
+        assert lines(result(x=value).rows).startswith("7,0.2800,face,nose,,-2.000,")
+        write(tmp_path / "t.json", "json", [result(x=value)])
+        assert '{"part":"nose","y":-2.000,' in (tmp_path / "t.json").read_text()
 
 
 # --- what is written is read back ---

@@ -333,9 +333,8 @@ def test_columns_frames_and_landmarks_are_openface_s():
         one = table.find("face", name)
         np.testing.assert_allclose(found[f"x_{number}"], one.x, atol=5e-4)
         np.testing.assert_allclose(found[f"y_{number}"], one.y, atol=5e-4)
-    assert found.drop(columns=[f"{c}_{n}" for c in "xy" for n in (30, 48, 54, 51, 57)]).filter(
-        regex="^[xy]_"
-    ).isna().all(axis=None)  # fmt: skip
+    others = found.drop(columns=[f"{c}_{n}" for c in "xy" for n in (30, 48, 54, 51, 57)]).filter(regex="^[xy]_")
+    assert others.isna().all(axis=None)
 
 
 def test_points_of_a_face_and_of_the_mesh_fill_their_columns():
@@ -351,12 +350,9 @@ def test_points_of_a_face_and_of_the_mesh_fill_their_columns():
     lids = {f"eye_{side}_{lid}" for side in ("left", "right") for lid in ("upper", "lower")}
     assert {*few.values()} == {*POINTS} - lids
     assert [few[i] for i in (4, 8, 12)] == ["jaw_left", "chin", "jaw_right"]
-    assert [few[i] for i in (17, 21, 22, 26)] == [
-        "brow_left_outer", "brow_left_inner", "brow_right_inner", "brow_right_outer",
-    ]  # fmt: skip
-    assert [few[i] for i in (36, 39, 42, 45)] == [
-        "eye_left_outer", "eye_left_inner", "eye_right_inner", "eye_right_outer",
-    ]  # fmt: skip
+    ends = [f"brow_{end}" for end in ("left_outer", "left_inner", "right_inner", "right_outer")]
+    assert [few[i] for i in (17, 21, 22, 26)] == ends
+    assert [few[i] for i in (36, 39, 42, 45)] == [end.replace("brow", "eye") for end in ends]
     named = {number: name for name, number in MESH.items()}
     all_of_them = columns([named.get(i, f"mesh_{i}") for i in range(468)])
     assert sorted(all_of_them) == list(range(68)) and few.items() <= all_of_them.items()
@@ -395,9 +391,8 @@ def test_the_pose_is_seen_by_openface_s_camera():
     np.testing.assert_allclose(ahead, place / np.linalg.norm(place), atol=2e-3)
     without = framed(write_openface(joined(turned_face()), None)).iloc[0]
     assert np.isnan(without["pose_Tz"])
-    np.testing.assert_allclose(
-        without[["pose_Rx", "pose_Ry", "pose_Rz"]].to_numpy(float), np.radians([10, -20, 5]), atol=2e-3
-    )
+    angles = without[["pose_Rx", "pose_Ry", "pose_Rz"]].to_numpy(float)
+    np.testing.assert_allclose(angles, np.radians([10, -20, 5]), atol=2e-3)
 
 
 def test_faces_have_ids_and_stand_by_frame():
@@ -407,9 +402,8 @@ def test_faces_have_ids_and_stand_by_frame():
     points = [one_part("face", f"point_{i + 1:02d}", [0], x=[float(i)], y=[2.0 * i]) for i in range(68)]
     found = framed(write_openface(joined(points), None)).iloc[0]
     assert found[[f"x_{i}" for i in range(68)]].tolist() == list(range(68)) and np.isnan(found["pose_Rx"])
-    with pytest.raises(
-        InputError, match=r"no part is one of .* landmarks, which are mouth_left, .*, chin, .*, and point_01"
-    ):
+    said = r"no part is one of .* landmarks, which are mouth_left, .*, chin, .*, and point_01"
+    with pytest.raises(InputError, match=said):
         write_openface(one_part("hand", "box", [0], x=[1.0], y=[1.0]), None)
 
 

@@ -154,14 +154,17 @@ def test_rows_that_corrections_gave(status, by_hand, expected):
 # --- for other libraries ---
 
 
-def test_columns_are_the_rows_in_the_order_of_the_file():
-    columns = some().columns()
-    assert tuple(columns) == COLUMNS
-    assert columns["frame"].tolist() == [2, 2, 3, 3, 4, 5, 5]
-    assert columns["target"].tolist() == ["face", "face", "face", "hand", "hand", "face", "face"]
-    assert columns["part"].tolist() == ["nose", "lip", "nose", "box", "box", "nose", "lip"]
-    assert columns["x"].tolist() == [20, 21, 30, 32, 42, 50, 51]
-    assert [row.x for row in rows_of(some())] == columns["x"].tolist()
+def test_a_data_frame_has_the_rows_in_the_order_of_the_file(monkeypatch):
+    pandas = pytest.importorskip("pandas")
+    columns = some().to_pandas()
+    assert tuple(columns) == COLUMNS and pandas.isna(columns.y).all()
+    assert columns.frame.tolist() == [2, 2, 3, 3, 4, 5, 5]
+    assert columns.target.tolist() == ["face", "face", "face", "hand", "hand", "face", "face"]
+    assert columns.part.tolist() == ["nose", "lip", "nose", "box", "box", "nose", "lip"]
+    assert columns.x.tolist() == [20, 21, 30, 32, 42, 50, 51] == [row.x for row in rows_of(some())]
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(UsageError, match=r"facetrack\[pandas\]"):
+        some().to_pandas()
 
 
 def test_intervals_are_spans_of_frames_without_a_gap():
@@ -170,16 +173,6 @@ def test_intervals_are_spans_of_frames_without_a_gap():
     assert table.lost_intervals() == {"face/nose": [(5, 7), (12, 13)]}
     assert table.visible_intervals() == {"face/nose": [(3, 5), (9, 10)]}
     assert some().visible_intervals() == {"face/nose": [(2, 4)], "face/lip": [(2, 3)], "hand/box": [(3, 5)]}
-
-
-def test_a_data_frame_of_pandas_and_what_names_the_extra(monkeypatch):
-    pandas = pytest.importorskip("pandas")
-    table = some().to_pandas()
-    assert list(table.columns) == list(COLUMNS) and len(table) == 7
-    assert table[table.part == "lip"].x.tolist() == [21, 51] and pandas.isna(table.y).all()
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(UsageError, match=r"facetrack\[pandas\]"):
-        some().to_pandas()
 
 
 # --- put together ---

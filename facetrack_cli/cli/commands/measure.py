@@ -91,7 +91,7 @@ def eval_command(
     from facetrack_cli.evaluation.rows import check_normalise
     from facetrack_cli.evaluation.summary import Options, evaluate, to_csv, to_json, to_text
     from facetrack_cli.run_folder.manifest import check_run, other_clip
-    from facetrack_cli.trajectory.formats.read import read_results
+    from facetrack_cli.trajectory.formats.boxes import read_results
     from facetrack_cli.trajectory.reader import clip_of, frame_size_of
 
     outputs = {"--json": json_file, "--csv": csv_file, "--plot": plot}

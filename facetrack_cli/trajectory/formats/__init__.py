@@ -8,13 +8,7 @@ from importlib import import_module
 from typing import Any, Final, Literal, NamedTuple
 
 READERS: Final = {
-    "facetrack": "read",
-    "boxes": "boxes",
-    "otb": "boxes",
-    "got10k": "boxes",
-    "mot": "boxes",
-    "vot": "boxes",
-    "pts": "boxes",
+    **dict.fromkeys(("facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts"), "boxes"),
     "cvat": "annotation",
 }
 """The formats of ground truth, and the module of each: `read_x(path, shift=0)`."""
@@ -37,41 +31,23 @@ class Export(NamedTuple):
 EXPORTS: Final = {
     "csv-wide": Export("tables", "wide.csv", "table", "CSV with one row a frame, for spreadsheets"),
     "pose": Export("tables", "pose.csv", "table", "CSV of the head's pitch, yaw and roll, with their spread"),
-    "measures": Export(
-        "tables", "measures.csv", "clips many", "CSV of mouth, brows, lids, pose, hands, with their spread"
-    ),
+    "measures": Export("tables", "measures.csv", "clips many", "CSV of mouth, brows, lids, pose, hands, with spreads"),
     "events": Export("tables", "events.csv", "clips", "CSV of when mouths open, eyes blink, heads nod, hands move"),
     "boris": Export("tables", "boris", "clips written", "the same as a project of BORIS 8, a clip an observation"),
     "srt": Export("tables", "srt", "table", "the same as subtitles (SubRip), of one run"),
     "vtt": Export("tables", "vtt", "table", "the same as subtitles (WebVTT), of one run"),
     "textgrid": Export("tables", "TextGrid", "table", "the same as a TextGrid of Praat, of one run"),
-    "openface": Export(
-        "keypoints", "openface.csv", "table size", "OpenFace's CSV: confidence, success, pose, landmarks"
-    ),
+    "openface": Export("keypoints", "openface.csv", "table size", "OpenFace's CSV: confidence, pose, landmarks"),
     "mot": Export("boxes", "mot.txt", "boxes", "MOTChallenge: frame, id, box, confidence; all from 1"),
     "otb": Export("boxes", "otb.txt", "box", "OTB boxes, one a line, pixels from 1; one target"),
     "got10k": Export("boxes", "got10k.txt", "box", "GOT-10k boxes, one a line, pixels from 1; one target"),
     "vot": Export("boxes", "vot.txt", "box", "VOT result, one region a line, pixels from 0; one target"),
-    "coco": Export(
-        "keypoints",
-        "coco.json",
-        "table frame_size file_name around",
-        "COCO keypoints JSON: boxes and points of every frame",
-    ),
+    "coco": Export("keypoints", "coco.json", "table frame_size file_name around", "COCO: boxes and keypoints"),
     "dlc": Export("keypoints", "dlc.csv", "table scorer", "DeepLabCut CSV: x, y, likelihood of every point"),
     "dlc-h5": Export("keypoints", "dlc.h5", "table scorer", "the same as DeepLabCut's HDF5; needs pandas and PyTables"),
-    "eaf": Export(
-        "eaf", "eaf", "table video folder written", "ELAN annotations: what was lost, what head, face, hands did"
-    ),
-    "cvat": Export(
-        "annotation", "cvat.xml", "table size name", "CVAT for video 1.1: a track for each part, to correct there"
-    ),
-    "labelstudio": Export(
-        "annotation",
-        "labelstudio.json",
-        "table frame_size fps name",
-        "Label Studio's video rectangles, to correct there",
-    ),
+    "eaf": Export("eaf", "eaf", "table video folder written", "ELAN: what was lost, what head, face, hands did"),
+    "cvat": Export("annotation", "cvat.xml", "table size name", "CVAT for video 1.1: a track a part, to correct"),
+    "labelstudio": Export("annotation", "labelstudio.json", "table frame_size fps name", "Label Studio's rectangles"),
 }
 """The formats that are written, in the order of the help."""
 ALIASES: Final = {"elan": "eaf"}

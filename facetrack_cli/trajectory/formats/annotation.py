@@ -25,6 +25,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 from xml.etree import ElementTree as ET
+from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -117,23 +118,16 @@ def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> st
 
     InputError for boxes without a size.
     """
-    root = ET.Element("annotations")
     tracks, last = list(_tracks(table)), int(table.frames[-1])
-
-    def fill(parent: ET.Element, **members: Any) -> None:
-        for tag, value in members.items():
-            ET.SubElement(parent, tag).text = clean(str(value))
-
-    fill(root, version="1.1")
-    task = ET.SubElement(ET.SubElement(root, "meta"), "task")
-    fill(task, name=name or "facetrack", size=last + 1, mode="interpolation", overlap=0, start_frame=0, stop_frame=last)
-    labels = ET.SubElement(task, "labels")
-    for label, track in tracks:
-        about = ET.SubElement(labels, "label")
-        fill(about, name=label, type="rectangle" if track.part == BOX else "points", attributes="")
-    if size is not None:
-        fill(ET.SubElement(task, "original_size"), width=size[0], height=size[1])
-    fill(task, source=name)
+    kinds = [(_xml(label), "rectangle" if track.part == BOX else "points") for label, track in tracks]
+    labels = "".join(f"<label><name>{name}</name><type>{kind}</type><attributes/></label>" for name, kind in kinds)
+    sides = "<original_size><width>{}</width><height>{}</height></original_size>".format(*size) if size else ""
+    root = ET.fromstring(
+        f"<annotations><version>1.1</version><meta><task><name>{_xml(name or 'facetrack')}</name>"
+        f"<size>{last + 1}</size><mode>interpolation</mode><overlap>0</overlap>"
+        f"<start_frame>0</start_frame><stop_frame>{last}</stop_frame><labels>{labels}</labels>{sides}"
+        f"<source>{_xml(name)}</source></task></meta></annotations>"
+    )
     for ident, (label, track) in enumerate(tracks):
         element = ET.SubElement(root, "track", id=str(ident), label=clean(label), source="file")
         is_box, boxes = track.part == BOX, track.boxes
@@ -156,6 +150,10 @@ def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> st
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
+def _xml(text: str) -> str:
+    return escape(clean(text))
+
+
 def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
     """The tracks: status visible, hidden (occluded) or absent (outside); `by_hand` are keyframes.
 
@@ -164,12 +162,8 @@ def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
 
     Raises
     ------
-    InputError : with the track and the frame, for what cannot be read, as a ZIP archive.
+    InputError : with the track and the frame, for what cannot be read.
     """
-    if path.is_file():
-        with path.open("rb") as file:
-            if file.read(4) == b"PK\x03\x04":
-                raise InputError(f"{path}: is a ZIP archive; unpack it, and name the annotations.xml in it")
     text = read_text(path)
     if "<!DOCTYPE" in text:
         raise InputError(f"{path}: declares a document type, which CVAT's files do not; it is not read")
@@ -184,8 +178,6 @@ def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
         label = str(track.get("label", ""))
         for shape in track:
             place, frame = f"{path}: track {track.get('id')} ({label}), frame {shape.get('frame')}", shape.get("frame")
-            if shape.tag not in ("box", "points", "skeleton"):
-                raise InputError(f"{place}: a {shape.tag}; boxes and points are read: remove that track")
             if frame is None or not (frame.isascii() and frame.isdigit() and int(frame) <= MAX_FRAME):
                 raise InputError(f"{place}: that is no frame number; export the file from CVAT again")
             for name, mark in _shape_marks(place, label, shape):
@@ -199,32 +191,27 @@ def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
 
 def _shape_marks(place: str, label: str, shape: ET.Element) -> Iterator[tuple[tuple[str, str], _Mark]]:
     """The parts of a shape of CVAT, each with its mark."""
-
-    def about(element: ET.Element) -> dict[str, Any]:
-        status = "hidden" if element.get("occluded") == "1" else "visible"
-        status = "absent" if element.get("outside") == "1" else status
-        return {"status": status, "by_hand": element.get("keyframe") != "0"}
-
-    def points(element: ET.Element, state: ET.Element) -> list[_Mark]:
-        pairs = [pair.split(",") for pair in str(element.get("points")).split(";")]
-        if any(len(pair) != 2 for pair in pairs):
-            raise InputError(f"{place}: points are written x,y;x,y; export the file from CVAT again")
-        centres = (_pixels(place, *pair) for pair in pairs)
-        return [_Mark(x - _HALF_PIXEL, y - _HALF_PIXEL, **about(state)) for x, y in centres]
-
+    if shape.tag == "skeleton":
+        for point in shape.iter("points"):
+            for _, mark in _shape_marks(place, label, point):
+                yield (label, str(point.get("label"))), mark
+        return
+    status = "hidden" if shape.get("occluded") == "1" else "visible"
+    about: dict[str, Any] = {"status": "absent" if shape.get("outside") == "1" else status}
+    about["by_hand"] = shape.get("keyframe") != "0"
     if shape.tag == "box":
         left, top, right, bottom = _pixels(place, *(shape.get(name) for name in ("xtl", "ytl", "xbr", "ybr")))
         (turn,) = _pixels(place, shape.get("rotation", 0))
-        angle = {"angle": turn} if turn else {}
-        yield _named(label), _box(place, left, top, right - left, bottom - top, **about(shape), **angle)
-    elif shape.tag == "skeleton":
-        for point in shape.iter("points"):
-            for mark in points(point, point if point.get("outside") else shape):
-                yield (label, str(point.get("label"))), mark
-    else:
-        marks = points(shape, shape)
-        for number, mark in enumerate(marks, 1):
-            yield (_named(label) if len(marks) == 1 else (label, f"point_{number:02d}")), mark
+        yield _named(label), _box(place, left, top, right - left, bottom - top, angle=turn or math.nan, **about)
+        return
+    pairs = [pair.split(",") for pair in str(shape.get("points")).split(";")]
+    if shape.tag != "points" or any(len(pair) != 2 for pair in pairs):
+        why = "boxes are read, and points x,y;x,y: remove that track, or export the file from CVAT again"
+        raise InputError(f"{place}: a {shape.tag} of {shape.get('points')!s:.40}; {why}")
+    for number, pair in enumerate(pairs, 1):
+        x, y = _pixels(place, *pair)
+        name = _named(label) if len(pairs) == 1 else (label, f"point_{number:02d}")
+        yield name, _Mark(x - _HALF_PIXEL, y - _HALF_PIXEL, **about)
 
 
 def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, name: str) -> str:
@@ -302,7 +289,7 @@ def read_labelstudio(
     ------
     InputError : for more than one task or annotation, regions without a label, or two of one label in a frame.
     """
-    sequences: dict[str, dict[int, tuple[float | None, _Mark]]] = {}
+    places: dict[tuple[str, int], tuple[float | None, _Mark]] = {}  # by label and frame
     try:
         content = json.loads(read_text(path))
         tasks = content if isinstance(content, list) else [content]
@@ -311,28 +298,25 @@ def read_labelstudio(
             count = f"{len(tasks)} tasks with {len(annotations)} annotations"
             raise InputError(f"{path}: has {count}; export the one task of the clip, and keep one annotation of it")
         for region in (region for region in annotations[0]["result"] if region.get("type") == _REGION):
-            labels, ident = region["value"].get("labels", []), region.get("id", "")
+            where, labels = f"{path}: region {region.get('id', '')}", region["value"].get("labels", [])
             if len(labels) != 1:
-                raise InputError(f"{path}: region {ident} has {len(labels)} labels; give it one")
-            sequence = sequences.setdefault(labels[0], {})
-            where = f"{path}: region {ident} ({labels[0]})"
+                raise InputError(f"{where} has {len(labels)} labels; give it one")
             for record in region["value"]["sequence"]:
-                frame, time, mark = _rectangle(where, record, size)
-                if frame in sequence:
+                frame, time, mark = _rectangle(f"{where} ({labels[0]})", record, size)
+                if (labels[0], frame) in places:
                     why = "is there twice, here or in another region of the same label; remove one"
-                    raise InputError(f"{where}, frame {frame}: {why}")
-                sequence[frame] = time, mark
+                    raise InputError(f"{where} ({labels[0]}), frame {frame}: {why}")
+                places[labels[0], frame] = time, mark
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as e:
         why = f"it has no {e}" if isinstance(e, KeyError) else f"{e!s:.60}"
         raise InputError(f"{path}: is not Label Studio's JSON of a video ({why}); export it again, as JSON") from None
-    by_hand = ((n, time) for own in sequences.values() for n, (time, mark) in own.items() if mark.by_hand)
-    picture = _pictures(sorted((n, time) for n, time in by_hand if time is not None), clock, fps)
-    marks: _Marks = {}
-    for name, sequence in sequences.items():
-        own = marks.setdefault(_named(name), {})
-        for n, (_, mark) in sorted(sequence.items()):
-            if mark.by_hand or picture(n) not in own:
-                own[picture(n)] = mark
+    timed = sorted((n, time) for (_, n), (time, mark) in places.items() if mark.by_hand and time is not None)
+    picture = _pictures(timed, clock, fps)
+    marks: _Marks = {_named(label): {} for label, _ in places}
+    for (label, n), (_, mark) in sorted(places.items(), key=lambda place: place[0][1]):
+        own = marks[_named(label)]
+        if mark.by_hand or picture(n) not in own:
+            own[picture(n)] = mark
     return _trajectory(path, marks, "Label Studio: frames from 1, percent of the image")
 
 

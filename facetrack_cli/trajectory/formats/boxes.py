@@ -1,4 +1,6 @@
-"""Text files of tracking benchmarks: boxes, polygons and landmarks; docs/measure.md lists them.
+"""Ground truth and results of any kind that is read here; boxes, polygons and landmarks of tracking benchmarks as text.
+
+docs/measure.md lists them. Frames and pixels of the table are counted from 0 whatever the file's own counting is.
 
 - `boxes`: a CSV of ours.
 - `otb`: Matlab's pixels: 1 is subtracted. Line 1 is the first frame. A line of zeros or nan: the target is absent.
@@ -24,38 +26,133 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from facetrack_cli.core.errors import InputError, reading
+from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.files import MAX_TABLE_BYTES, read_bounded
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
+from facetrack_cli.trajectory.formats import READERS, load
+from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, REQUIRED, read_trajectory
 from facetrack_cli.trajectory.trajectory import MAX_ROWS, SEEN, Trajectory, build
 from facetrack_cli.trajectory.views import check_sized
 
-FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # boxes (..., 4) that count pixels from 1, minus boxes that count from 0
-BOX_COLUMNS = ("frame", "x", "y", "w", "h")
-LTWH = "left,top,width,height"
-REGION = f"{LTWH}, x1,y1,...,x4,y4 or a code 0, 1, 2"
+FROM_ONE: Final = np.array([1.0, 1.0, 0.0, 0.0])  # boxes (..., 4) that count pixels from 1, minus boxes that do from 0
+BOX_COLUMNS: Final = ("frame", "x", "y", "w", "h")
+LTWH: Final = "left,top,width,height"
+REGION: Final = f"{LTWH}, x1,y1,...,x4,y4 or a code 0, 1, 2"
 UNKNOWN, INIT, FAILURE = 0, 1, 2
-DISTRACTORS = (2, 7, 8, 12)  # of MOT16 and MOT17: on a vehicle, a static person, a distractor, a reflection
-_MOT = f"frame,id,{LTWH}"
-MOT_COLUMNS = {6: _MOT, 7: f"{_MOT},conf", 9: f"{_MOT},flag,class,visibility", 10: f"{_MOT},conf,x,y,z"}
+DISTRACTORS: Final = (2, 7, 8, 12)  # of MOT16 and MOT17: on a vehicle, a static person, a distractor, a reflection
+_MOT: Final = f"frame,id,{LTWH}"
+MOT_COLUMNS: Final = {6: _MOT, 7: f"{_MOT},conf", 9: f"{_MOT},flag,class,visibility", 10: f"{_MOT},conf,x,y,z"}
 # iBUG's numbers of the 68 points, from 1; left and right as seen in the image, which is where iBUG begins to count
-NAMED = {"nose": 31, "mouth_left": 49, "mouth_right": 55, "lip_upper": 52, "lip_lower": 58}
-_HEAD = re.compile(r"\s*version:\s*\S+\s+n_points:\s*(\d{1,4})\s*\{", re.IGNORECASE)
+NAMED: Final = {"nose": 31, "mouth_left": 49, "mouth_right": 55, "lip_upper": 52, "lip_lower": 58}
+_NUMBER: Final = re.compile(r"([-+]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[-+]?[0-9]+)?|[-+]?nan)?", re.IGNORECASE)
+
+
+def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0, beside: Trajectory | None = None) -> Trajectory:
+    """The ground truth in a file or folder.
+
+    Parameters
+    ----------
+    form : one of TRUTH_FORMATS; `auto` goes by the shape of the file.
+    shift : is added to every frame number.
+    beside : results; what may be OTB's or VOT's is VOT's beside a result of VOT.
+
+    Returns
+    -------
+    Trajectory : its `header["read_as"]` says how it was read, `header["shift"]` is the shift.
+
+    Raises
+    ------
+    InputError : for a file that is broken or of no known shape.
+    UsageError : for a shift beyond any clip.
+    """
+    path = Path(path)
+    if abs(shift) > MAX_FRAME:
+        raise UsageError(f"--shift {shift}: no clip has so many frames; correct it")
+    with reading(path, "make it readable, or name another"):
+        file, shape = recognise(path) if form == "auto" else (path, form)
+        if form == "auto" and shape == "otb" and beside is not None:
+            shape = "vot" if str(beside.header.get("read_as")).startswith("VOT") else shape
+        table: Trajectory = load("read", shape)(file, shift=shift)
+    return replace(table, header={**table.header, "shift": shift})
+
+
+def read_results(path: Path, form: str = "auto") -> Trajectory:
+    """A trajectory of ours, or what another tracker wrote, read as `form`, one of TRUTH_FORMATS, or by its shape.
+
+    Status is init, tracked or lost where the file says so, else "". `header["read_as"]` is there for those of others.
+    """
+    with reading(path, "make it readable, or name another"):
+        shape = form
+        if form == "auto":
+            shape = "facetrack"  # whose reader says what a trajectory is
+            with contextlib.suppress(InputError):
+                shape = recognise(path)[1] if path.is_file() or any(path.glob("*.pts")) else shape
+        if shape == "facetrack":
+            return read_trajectory(path)
+        # the seventh column of MOT results is a confidence, also where all are 0 or 1
+        table: Trajectory = load("read", shape)(path, **({"results": True} if shape == "mot" else {}))
+    read_as = str(table.header["read_as"]).replace("--truth-format", "--format")
+    status = np.where(np.isin(table.status, ("visible", "hidden", "absent")), "", table.status)
+    return replace(table, status=status, header={**table.header, "read_as": read_as})
+
+
+def recognise(path: Path) -> tuple[Path, str]:
+    """The file to read, inside of `path` if that is a folder, and which of TRUTH_FORMATS it has."""
+    if path.is_dir():
+        if any((path / f"trajectory.{suffix}").is_file() for suffix in ("json", "csv", "jsonl")):
+            return path, "facetrack"
+        if any(path.glob("*.pts")) or any(path.glob("annot/*.pts")):
+            return path, "pts"
+        named = ("gt/gt.txt", "groundtruth_rect.txt", "groundtruth.txt", "groundtruth.csv")
+        if (file := next((path / name for name in named if (path / name).is_file()), None)) is not None:
+            return recognise(file)
+        files = f"trajectory.csv, {', '.join(named)} or .pts files"
+        raise InputError(f"{path}: is a folder without {files}; name the ground truth file")
+    lines = Lines.of(path)
+    first = lines.texts[0]
+    names = {name.strip().strip('"').lower() for name in first.split(",")}
+    cells = [cell.strip() for cell in first.split(delimiter([first]))]
+    count = len(cells) if all(cells) and all(map(_NUMBER.fullmatch, cells)) else 0
+    shape = next((form for begin, form in _BEGINS.items() if first.lower().startswith(begin)), "")
+    if shape or {"target", "part"} <= names:
+        return path, shape or "facetrack"
+    if names.issuperset(BOX_COLUMNS):
+        return path, "boxes"
+    mask = cells[0][:1] in ("m", "M") and _NUMBER.fullmatch(cells[0][1:])
+    if mask or count in (1, 8) or (count == 4 and not {"0", "1", "2"}.isdisjoint(lines.texts)):
+        return path, "vot"
+    if count == 4:
+        beside = {
+            "sequence": "vot",
+            "absence.label": "got10k",
+            "cover.label": "got10k",
+        }  # VOT's says of a clip what it is
+        return path, next((form for name, form in beside.items() if path.with_name(name).is_file()), "otb")
+    if count in MOT_COLUMNS and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
+        return path, "mot"
+    heads = f"a header reads {','.join(REQUIRED)} for points or {','.join(BOX_COLUMNS)} for boxes"
+    why = f"begins no ground truth file that is known here; {heads}, without a header a line is {LTWH}"
+    remedy = f"commas stand between columns, and decimals have a point; or give --truth-format: {', '.join(READERS)}"
+    raise lines.error(0, f"{why}; {remedy}")
+
+
+_BEGINS: Final = {"{": "facetrack", "<": "cvat", "version:": "pts"}
 
 
 def read_text(path: Path) -> str:
     """The text of a file, with `\\n` after each line. InputError if missing, a folder, a pipe, empty, or no text."""
     with reading(path, "name another file"):
         raw = read_bounded(path, MAX_TABLE_BYTES, "table of rows")
+    if raw.startswith(b"PK\x03\x04"):
+        raise InputError(f"{path}: is a ZIP archive; unpack it, and name the file in it")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as e:
@@ -80,13 +177,12 @@ class Lines:
     places: list[int]
 
     @classmethod
-    def of(cls, path: Path, text: str | None = None, first: int = 1, *, by_frame: bool = False) -> Lines:
-        """The lines of a file, or of a `text` of it whose first line is its line `first`, without the blank ones.
+    def of(cls, path: Path, *, by_frame: bool = False) -> Lines:
+        """The lines of a file that are not blank.
 
         With `by_frame` line i is frame i: a blank line is an error, but not at the end.
         """
-        lines = enumerate((read_text(path) if text is None else text).split("\n"), first)
-        known = {place: line.strip() for place, line in lines if line.strip()}
+        known = {place: line.strip() for place, line in enumerate(read_text(path).split("\n"), 1) if line.strip()}
         if by_frame and (blank := {*range(1, max(known) + 1)} - known.keys()):
             why = "is blank, and each line is a frame; for none write nan,nan,nan,nan"
             raise InputError(f"{path}:{min(blank)}: {why}")
@@ -100,34 +196,33 @@ class Lines:
         at = np.arange(len(self))[rows].tolist()
         return Lines(self.path, [self.texts[i] for i in at], [self.places[i] for i in at])
 
-    def refuse(self, wrong: ArrayLike, why: str | Callable[[int], str]) -> None:
-        """Raises InputError for the first line that is `wrong` (T,); `why` may depend on its index."""
-        if (rows := np.flatnonzero(wrong)).size:
-            message = why if isinstance(why, str) else why(int(rows[0]))
-            raise InputError(f"{self.path}:{self.places[rows[0]]}: {message}")
+    def error(self, row: int, why: str) -> InputError:
+        """What is wrong with a line."""
+        return InputError(f"{self.path}:{self.places[row]}: {self.texts[row]!r:.60} {why}")
+
+    def refuse(self, wrong: ArrayLike, why: str) -> None:
+        """Raises InputError for the first line that is `wrong` (T,)."""
+        for row in np.flatnonzero(wrong)[:1].tolist():
+            raise self.error(row, why)
 
     def numbers(self, wanted: str, *counts: int, use: Sequence[int] | None = None) -> Array:
         """(T, last of `counts`, or `use`) numbers of lines of so many cells; nan for an empty cell, and beyond a line.
 
         InputError with the line of what is not `wanted`.
         """
-        values = np.full((len(self), len(use or range(counts[-1]))), np.nan)
-        fine, between = np.zeros(len(self), bool), delimiter(self.texts)
-        for i, text in enumerate(self.texts):
-            cells = [cell.strip() for cell in text.split(between)]
-            with contextlib.suppress(ValueError, IndexError):  # float() would take 1_0 for 10
-                row = [float(cells[k].replace("_", "?") or "nan") for k in use or range(len(cells))]
-                values[i, : len(row)] = row
-                fine[i] = len(cells) in counts
+        between, width = delimiter(self.texts), counts[-1]
+        rows = [[cell.strip() for cell in text.split(between)] for text in self.texts]
+        which = range(width) if use is None else use
+        rows = [[row[k] for k in which if k < len(row)] if len(row) in counts else ["?"] for row in rows]
         why = f"is no line of {wanted}; write numbers with a point, and one kind of comma, tab or blank between them"
-        self.refuse(~fine | np.isinf(values).any(axis=1), lambda at: f"{self.texts[at]!r:.60} {why}")
-        return values
+        self.refuse([not all(map(_NUMBER.fullmatch, row)) for row in rows], why)
+        cells = [float(cell or "nan") for row in rows for cell in row + ["nan"] * (len(which) - len(row))]
+        return np.array(cells).reshape(len(self), len(which))
 
     def whole(self, values: Array, name: str, least: int) -> Whole:
         """A column (T,) as whole numbers from `least` on."""
-        with np.errstate(invalid="ignore"):
-            fine = (values >= least) & (values <= MAX_FRAME) & (values == np.floor(values))
-        self.refuse(~fine, lambda row: f"{name} {values[row]:.15g} is no whole number from {least} up; correct it")
+        fine = (values >= least) & (values <= MAX_FRAME) & (values == np.floor(values))
+        self.refuse(~fine, f"has no {name} that is a whole number from {least} up; correct it")
         return values.astype(np.int64)
 
     def boxes(self, frame: Whole, ltwh: Array, *, ids: Any = "", status: Any = "visible", **others: Any) -> Trajectory:
@@ -139,8 +234,8 @@ class Lines:
         state = np.broadcast_to(status, len(frame)).astype("<U8")
         absent = (state == "absent") | np.isnan(ltwh).all(axis=1) | (ltwh[:, 2:] == 0).all(axis=1)
         fine = (np.abs(ltwh) <= MAX_PIXELS).all(axis=1) & (ltwh[:, 2:] > 0).all(axis=1)
-        why = "that is no box: left, top, a width and a height above 0, none farther out than any image; four times nan"
-        self.refuse(~fine & ~absent, f"{why} or 0 say that there is none")
+        why = "is no box: left, top, a width and a height above 0, none farther out than any image; four times nan or 0"
+        self.refuse(~fine & ~absent, f"{why} say that there is none")
         left, top, w, h = np.where(absent[:, None], np.nan, ltwh).T
         place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h}
         targets, which = np.unique(np.broadcast_to(ids, len(frame)), return_inverse=True)
@@ -148,14 +243,21 @@ class Lines:
         return build(pairs, which, frame, **place, status=np.where(absent, "absent", state), path=self.path, **others)
 
 
+def read_facetrack(path: Path, *, shift: int = 0) -> Trajectory:
+    """A table of facetrack as ground truth."""
+    table = read_trajectory(path)
+    header = {**table.header, "read_as": "facetrack's own table"}
+    return replace(table, frame=table.frame + shift, diagnostics={}, header=header)
+
+
 def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
     """CSV with the header frame,x,y,w,h: frames from 0, the left and top edges in pixels from 0."""
     lines = Lines.of(path)
     names = [name.strip().strip('"').lower() for name in lines.texts[0].split(",")]
-    centres = "has the columns target and part, and with them x, y are centres; read it as facetrack's own table"
-    lines.refuse([{"target", "part"} <= set(names)], centres)
-    missing = ", ".join(name for name in BOX_COLUMNS if name not in names)
-    lines.refuse([bool(missing)], f"the header has no column {missing}; it should read frame,x,y,w,h")
+    if {"target", "part"} <= {*names}:
+        raise lines.error(0, "has target and part, with which x, y are centres; read it as facetrack's own table")
+    if missing := ", ".join(name for name in BOX_COLUMNS if name not in names):
+        raise lines.error(0, f"is a header without {missing}; it should read frame,x,y,w,h")
     if len(lines) == 1:
         raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
     lines = lines.take(slice(1, None))
@@ -174,7 +276,7 @@ def read_otb(path: Path, *, shift: int = 0) -> Trajectory:
 def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
     """GOT-10k text, with absence.label and cover.label where they lie beside it."""
     lines = Lines.of(path, by_frame=True)
-    ltwh, used = lines.numbers(LTWH, 4) - FROM_ONE, list[str]()
+    ltwh = lines.numbers(LTWH, 4) - FROM_ONE
     gone = (ltwh[:, 2:] == 0).any(axis=1) | (ltwh == [-2, -2, -1, -1]).all(axis=1)
     status = np.where(gone, "absent", "visible")
     for name, means in (("cover", "hidden"), ("absence", "absent")):  # what is absent is so whatever covers it
@@ -185,34 +287,28 @@ def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
                 why = "they belong to different clips: move one away"
                 raise InputError(f"{file}: has {len(labels)} lines, {path.name} beside it {len(lines)}; {why}")
             status[((labels == 0) == (name == "cover")) & ~gone] = means
-            used.insert(0, file.name)
-    with_labels = f", with {' and '.join(used)}" if used else ""
-    header = {"read_as": f"GOT-10k text: {LTWH} a line, pixels from 1{with_labels}"}
+    header = {"read_as": f"GOT-10k text: {LTWH} a line, pixels from 1, and .label files that lie beside it"}
     return lines.boxes(np.arange(len(lines)) + shift, ltwh, status=status, header=header)
 
 
 def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
     """VOT ground truth or results; line i, from 0, is frame i + `shift`. Polygons are the rows' `corners`."""
-    if path.suffix.lower() == ".bin":
-        raise InputError(f"{path}: is binary; let vot-toolkit write text, with VOT_RESULTS_BINARY=false")
     lines = Lines.of(path, by_frame=True)
     values = lines.numbers(f"{REGION} (masks and other polygons are not read)", 1, 4, 8)
-    count = np.array([len(text.split(delimiter(lines.texts))) for text in lines.texts])
-    codes = np.where(count == 1, np.nan_to_num(values[:, 0]), np.nan)
-    values[count == 1] = np.nan
-    polygons = np.where((count == 8)[:, None], values, np.nan)
+    count = np.array([len(text.split(delimiter(lines.texts))) for text in lines.texts])[:, None]
+    codes = np.where(count == 1, np.nan_to_num(values), np.nan)[:, 0]
+    polygons, boxes = (np.where(count == n, values[:, :n], np.nan) for n in (8, 4))
     known = np.isnan(polygons).all(axis=1) | (np.abs(polygons) <= MAX_PIXELS).all(axis=1)
-    wrong = ~np.isin(codes, (UNKNOWN, INIT, FAILURE)) & ~np.isnan(codes) | ~known
-    lines.refuse(wrong, f"is none of {REGION}; no number is farther out than any image, or all of them are nan")
+    result = bool((codes == INIT).any())
+    wrong = ~known | ~(np.isnan(codes) | np.isin(codes, (UNKNOWN, INIT, FAILURE) if result else (UNKNOWN,)))
+    why = f"is none of {REGION}; a 2, a failure, comes after a 1, where a track begins"
+    lines.refuse(wrong, f"{why}; no number is farther out than any image, or all of them are nan")
     corners = polygons.reshape(-1, 4, 2)
     low, high = corners.min(axis=1), corners.max(axis=1)
-    ltwh = np.where((count == 8)[:, None], np.concatenate([low, high - low], axis=1), values[:, :4])
-    result = bool((codes == INIT).any())
-    if not result:
-        lines.refuse(codes == FAILURE, "the code 2, a failure, in a file without a 1, where a track begins")
     kept = np.flatnonzero(codes != UNKNOWN) if result else np.arange(len(lines))
+    ltwh = np.where(count == 8, np.concatenate([low, high - low], axis=1), boxes)[kept]
     header = {"read_as": f"VOT {'result' if result else 'text'}: pixels from 0"}
-    table = lines.take(kept).boxes(kept + shift, ltwh[kept], header=header)
+    table = lines.take(kept).boxes(kept + shift, ltwh, header=header)
     unknown, outline = np.isnan(table.x), np.where(np.isnan(table.x)[:, None, None], np.nan, corners[kept])
     status = np.select([codes[kept] == INIT, unknown], ["init", "lost"], "tracked") if result else table.status
     return replace(table, status=status, corners=None if np.isnan(outline).all() else outline)
@@ -237,17 +333,17 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     """
     lines = Lines.of(path)
     count = len(lines.texts[0].split(delimiter(lines.texts)))
-    layouts = f"{count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}"
-    lines.refuse([count not in MOT_COLUMNS], layouts)
-    values = lines.numbers(MOT_COLUMNS[count], count)
+    if count not in MOT_COLUMNS:
+        raise lines.error(0, f"has {count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}")
+    values = np.full((len(lines), 10), np.nan)
+    values[:, :count] = lines.numbers(MOT_COLUMNS[count], count)
     frame, ident = lines.whole(values[:, 0], "frame", 1), lines.whole(values[:, 1], "id", 1)
-    seventh = values[:, 6] if count > 6 else np.full(len(lines), np.nan)
+    seventh, eighth, covered = values[:, 6:9].T
     if results is None:
         results = count != 9 and not np.isin(seventh, (0, 1)).all()
-    kept: Mask = np.full(len(lines), True) if results else seventh != 0
-    eighth = values[:, 7] if count > 7 and not results else np.full(len(lines), np.nan)
+    kept: Mask = (seventh != 0) | results
     # of ten values the eighth is a class where all are whole numbers, else a coordinate in the world
-    of_class = (count == 9 or bool((eighth == np.floor(eighth)).all())) & (eighth >= 1)
+    of_class = (count == 9 or bool((eighth == np.floor(eighth)).all())) & (eighth >= 1) & (not results)
     classes = np.unique(eighth[of_class & kept])
     other: Mask = of_class & (eighth != (classes[0] if len(classes) == 1 else 1))
     ignored = other & np.isin(eighth, DISTRACTORS)
@@ -255,13 +351,13 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     if not counts[~ignored].any():
         raise InputError(f"{path}: no row counts; write 1 for the flag of those that do, and for the class of people")
     confidence = np.where(results & (seventh >= 0) & (seventh <= 1), seventh, np.nan)
-    covered = values[:, 8] if count == 9 and not results else np.full(len(lines), np.nan)
     left_out = f", {(~counts).sum()} rows of flag 0 or other classes left out" if not counts.all() else ""
     header = {"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"}
-    status = np.where(ignored | (covered == 0), "hidden", "visible")[counts]
-    frame, ltwh = frame[counts] - 1 + shift, values[counts, 2:6] - FROM_ONE
-    own = {"ids": ident[counts], "status": status, "confidence": confidence[counts]}
-    return lines.take(counts).boxes(frame, ltwh, header=header, **own)
+    hidden = ignored | ((covered == 0) & (count == 9) & (not results))
+    own = {"ids": ident, "status": np.where(hidden, "hidden", "visible"), "confidence": confidence}
+    own = {name: column[counts] for name, column in own.items()}
+    ltwh = values[counts, 2:6] - FROM_ONE
+    return lines.take(counts).boxes(frame[counts] - 1 + shift, ltwh, header=header, **own)
 
 
 def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
@@ -269,15 +365,13 @@ def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
     files = sorted(path.glob("*.pts")) or sorted(path.glob("annot/*.pts")) if path.is_dir() else [path]
     if not files:
         raise InputError(f"{path}: no .pts file in this folder, nor in annot/ below it; name the folder with them")
-    digits = [re.findall(r"\d+", file.stem) or ["1"] * (len(files) == 1) or ["0"] for file in files]
-    frames = np.array([int(those[-1]) for those in digits])
+    frames = np.array([int((re.findall(r"\d+", file.stem) or ["1"])[-1]) for file in files])
     if len(np.unique(frames)) < len(files) or not (frames.min() >= 1 and frames.max() <= MAX_FRAME):
         raise InputError(f"{path}: its .pts files are not numbered by their frames, the first 000001.pts; rename them")
     points = [_points(file) for file in files]
-    for file, own in zip(files, points, strict=True):
-        if len(own) != len(points[0]):
-            raise InputError(f"{file}: has {len(own)} points, {files[0].name} {len(points[0])}; a folder is one clip")
     count = len(points[0])
+    if strange := next((file for file, own in zip(files, points, strict=True) if len(own) != count), None):
+        raise InputError(f"{strange}: has not the {count} points of {files[0].name}; a folder is one clip")
     numbers = {**(NAMED if count == 68 else {}), **{f"point_{number:02d}": number for number in range(1, count + 1)}}
     xy = np.stack(points, axis=1)[[number - 1 for number in numbers.values()]] - 1  # (parts, T, 2)
     x, y = xy.reshape(-1, 2).T
@@ -291,18 +385,17 @@ def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
 
 def _points(path: Path) -> Array:
     """(points, 2), as the file has them; nan where it says so."""
-    text = read_text(path)
-    head = _HEAD.match(text)
+    lines = Lines.of(path)
+    head = re.fullmatch(r"version:\s*\S+ n_points:\s*(\d{1,4}) \{", " ".join(lines.texts[:3]), re.IGNORECASE)
     if head is None:
-        raise InputError(f'{path}:1: a .pts file begins with the lines "version: 1", "n_points: 68" and "{{"')
-    body, brace, rest = text[head.end() :].partition("}")
-    lines = Lines.of(path, body, text.count("\n", 0, head.end()) + 1)
+        raise lines.error(0, 'begins no .pts file, whose first lines are "version: 1", "n_points: 68" and "{"')
+    if lines.texts[-1] != "}" or len(lines) != int(head[1]) + 4 or len(lines) < 5:
+        there = f"{len(lines) - 4} points between the braces, and n_points says {head[1]}"
+        raise InputError(f"{path}: {there}; was the file cut short?")
+    lines = lines.take(slice(3, -1))
     points = lines.numbers("x y", 2)
     fine = np.isnan(points).all(axis=1) | (np.abs(points) <= MAX_PIXELS).all(axis=1)
-    lines.refuse(~fine, "that is no point: two numbers, none farther out than any image, or nan nan")
-    if not brace or rest.strip() or len(points) != int(head[1]) or not len(points):
-        there = f"{len(points)} points between the braces, and n_points says {head[1]}"
-        raise InputError(f"{path}: {there}; was the file cut short?")
+    lines.refuse(~fine, "is no point: two numbers, none farther out than any image, or nan nan")
     return points
 
 
@@ -317,8 +410,7 @@ def write_otb(part: Trajectory, unknown: str = "nan,nan,nan,nan") -> str:
         between = f"no row between frames {part.frame[gaps[0]]} and {part.frame[gaps[0] + 1]}"
         why = "a format without frame numbers has no room for a gap; export to mot or vot"
         raise InputError(f"{part.name}: {between}, and {why}")
-    boxes = (_known_boxes(part) + FROM_ONE).tolist()
-    return "".join((",".join(map(_decimal, box)) if box[0] == box[0] else unknown) + "\n" for box in boxes)
+    return "".join(f"{region or unknown}\n" for region in _regions(part, FROM_ONE))
 
 
 def write_got10k(part: Trajectory) -> str:
@@ -337,10 +429,10 @@ def write_vot(part: Trajectory) -> str:
     if first < 0 or last >= MAX_ROWS:
         raise InputError(f"{part.name}: frames {first} to {last} have no room in VOT text, a line a frame from frame 0")
     lines = ["0"] * (last + 1)
-    corners = np.full((len(part), 8), np.nan) if part.corners is None else part.corners.reshape(-1, 8)
-    for frame, box, polygon in zip(part.frame.tolist(), _known_boxes(part).tolist(), corners.tolist(), strict=True):
-        region = polygon if polygon[0] == polygon[0] else box  # nan is not equal to itself
-        lines[frame] = ",".join(map(_decimal, region)) if region[0] == region[0] else "2"
+    corners = np.full((len(part), 4, 2), np.nan) if part.corners is None else part.corners
+    polygons = map(_region, corners.reshape(-1, 8).tolist())
+    for frame, box, polygon in zip(part.frame.tolist(), _regions(part), polygons, strict=True):
+        lines[frame] = polygon or box or "2"
     lines[first] = "1"
     return "\n".join(lines) + "\n"
 
@@ -361,22 +453,20 @@ def write_mot(parts: Sequence[Trajectory]) -> str:
     truth = "visible" in statuses and statuses <= {"", "visible", "hidden", "absent"}
     rows: list[tuple[int, int, str]] = []
     for ident, part in zip(idents, parts, strict=True):
-        boxes, seen = (_known_boxes(part) + FROM_ONE).tolist(), np.isin(part.status, SEEN).astype(int).tolist()
-        for frame, conf, ltwh, visible in zip(part.frame.tolist(), part.confidence.tolist(), boxes, seen, strict=True):
-            if ltwh[0] == ltwh[0]:  # not nan
-                score = _decimal(conf) if conf == conf else "-1"
-                rest = f"1,1,{visible}" if truth else f"{score},1,{visible},-1"
-                rows.append((frame + 1, ident, f"{','.join(map(_decimal, ltwh))},{rest}\n"))
-    return "".join(f"{frame},{ident},{rest}" for frame, ident, rest in sorted(rows))
+        seen, regions = np.isin(part.status, SEEN).astype(int).tolist(), _regions(part, FROM_ONE)
+        for frame, conf, box, visible in zip(part.frame.tolist(), part.confidence.tolist(), regions, seen, strict=True):
+            rest = f"1,1,{visible}" if truth else f"{_region([conf]) or '-1'},1,{visible},-1"
+            rows += [(frame + 1, ident, f"{box},{rest}")] if box else []
+    return "".join(f"{frame},{ident},{rest}\n" for frame, ident, rest in sorted(rows))
 
 
-def _known_boxes(part: Trajectory) -> Array:
-    """(T, 4) left, top, width, height from 0; nan where the place is not known. InputError for a place without size."""
+def _regions(part: Trajectory, moved: Array | float = 0.0) -> list[str]:
+    """left,top,width,height of each row, moved from 0; "" where the place is not known, InputError without a size."""
     check_sized(part, "these formats hold boxes: export points to coco or dlc")
-    return part.boxes
+    return [_region(box) for box in (part.boxes + moved).tolist()]
 
 
-def _decimal(value: float) -> str:
-    """At most 4 decimals, as many as the centres of a CSV need: it has 3, and half a width makes a fourth."""
-    text = f"{value:.4f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
+def _region(values: Sequence[float]) -> str:
+    """At most 4 decimals, as the centres of a CSV need: it has 3, and half a width makes a fourth. "" of nan."""
+    texts = [f"{value:.4f}".rstrip("0").rstrip(".") for value in values]
+    return "" if "nan" in texts else ",".join("0" if text == "-0" else text for text in texts)

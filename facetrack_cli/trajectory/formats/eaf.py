@@ -13,7 +13,6 @@ import os
 import re
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -30,7 +29,6 @@ from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.face_events import KINDS, events_of
 from facetrack_cli.trajectory.head import LABELS, head_motion
-from facetrack_cli.trajectory.measures import Measured
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 from facetrack_cli.trajectory.views import frame_milliseconds
 
@@ -51,50 +49,92 @@ ORDER: Final = (
 """The schema's, of what stands at the top."""
 LEAST_FORMAT: Final = 2.8  # earlier vocabularies are written in another way
 IDS: Final = ("TIME_SLOT_ID", "ANNOTATION_ID", "TIER_ID", "LINGUISTIC_TYPE_ID", "CV_ID", "CVE_ID", "LANG_ID")
-REFS: Final = {
-    "TIME_SLOT_REF1": "TIME_SLOT_ID", "TIME_SLOT_REF2": "TIME_SLOT_ID", "LINGUISTIC_TYPE_REF": "LINGUISTIC_TYPE_ID",
-    "CONTROLLED_VOCABULARY_REF": "CV_ID", "CVE_REF": "CVE_ID", "LANG_REF": "LANG_ID",
-}  # fmt: skip
-"""Attributes that name what another attribute declares."""
 
 
 def write_eaf(table: Trajectory, video: Path, folder: Path, written: datetime) -> str:
     """The XML text, which will stand in `folder`. InputError for times that do not increase."""
-    begin, end = frame_milliseconds(table)
-    tiers = [
-        (kind, target, spans)
-        for name in table.targets
-        for kind, target, measured in _tiers(name, table.of_target(name), table.measures[name])
-        # readers have trouble with tiers without annotations
-        if (spans := [(begin[a], end[b], text) for a, b, text in measured if end[b] > begin[a]])
-    ]
     about = {"AUTHOR": "facetrack", "DATE": written.astimezone().isoformat(timespec="seconds")}
     schema = {"FORMAT": "3.0", "VERSION": "3.0", "xmlns:xsi": XSI, "xsi:noNamespaceSchemaLocation": SCHEMA}
     root = ET.Element("ANNOTATION_DOCUMENT", {**about, **schema})
-    _header(root, video, folder, sum(len(spans) for *_, spans in tiers))
-    # every annotation has two slots of its own, as ELAN makes them; slots stand in the order of their times
-    times = sorted((time, n) for n, time in enumerate(t for *_, spans in tiers for a, b, _ in spans for t in (a, b)))
-    order = ET.SubElement(root, "TIME_ORDER")
-    slots: dict[int, str] = {}
-    for place, (time, n) in enumerate(times, 1):
-        slots[n] = f"ts{place}"
-        ET.SubElement(order, "TIME_SLOT", TIME_SLOT_ID=f"ts{place}", TIME_VALUE=str(time))
-    count = 0
-    for kind, target, spans in tiers:
-        # readers find a tier by a path with its name in straight quotes
-        name = clean(f"{kind}@{target}").translate(QUOTES)
-        about = {"LINGUISTIC_TYPE_REF": kind, "TIER_ID": name, "ANNOTATOR": "facetrack"}
-        tier = ET.SubElement(root, "TIER", {**about, "PARTICIPANT": clean(target)})
-        for _, _, text in spans:
-            count += 1
-            entry = {"CVE_REF": _entry(kind, text)} if kind in VOCABULARIES else {}
-            ends = {"TIME_SLOT_REF1": slots[2 * count - 2], "TIME_SLOT_REF2": slots[2 * count - 1]}
-            own = {"ANNOTATION_ID": f"a{count}", **entry, **ends}
-            element = ET.SubElement(ET.SubElement(tier, "ANNOTATION"), "ALIGNABLE_ANNOTATION", own)
-            ET.SubElement(element, "ANNOTATION_VALUE").text = clean(text)
-    _types(root, list(dict.fromkeys(kind for kind, _, _ in tiers)))
+    slots, others, last = _elements(table, root)
+    header = ET.SubElement(root, "HEADER", MEDIA_FILE="", TIME_UNITS="milliseconds")
+    whole = Path(os.path.normpath(video.absolute())).as_posix()  # a link keeps the name that the user knows it by
+    mime = MIME.get(video.suffix.lower(), "*")
+    media = {"MEDIA_URL": "file:///" + clean(whole.lstrip("/")), "MIME_TYPE": f"video/{mime}"}
+    with contextlib.suppress(ValueError):  # another drive of Windows: no way leads there
+        relative = Path(os.path.relpath(whole, folder)).as_posix()
+        media["RELATIVE_MEDIA_URL"] = clean(relative if relative.startswith("../") else f"./{relative}")
+    ET.SubElement(header, "MEDIA_DESCRIPTOR", media)
+    urn = uuid.uuid5(uuid.NAMESPACE_URL, f"{media['MEDIA_URL']} {last} {about['DATE']}")
+    ET.SubElement(header, "PROPERTY", NAME="URN").text = f"urn:nl-mpi-tools-elan-eaf:{urn}"
+    ET.SubElement(header, "PROPERTY", NAME="lastUsedAnnotationId").text = str(last)
+    ET.SubElement(root, "TIME_ORDER").extend(slots)
+    root.extend(others)
     ET.indent(root, "    ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _elements(table: Trajectory, root: ET.Element, offset: int = 0) -> tuple[list[ET.Element], list[ET.Element], int]:
+    """The slots of time in their order, what stands below them in the schema's, and the number of the last annotation.
+
+    Their names are free in the document `root`; what it has of our types and vocabularies is not among them.
+    """
+    taken = {element.get(key, "") for element in root.iter() for key in IDS}
+    numbered = [name[1:].removeprefix("s") for name in taken if name[:1] in ("a", "t")]
+    numbered.append(root.findtext(".//PROPERTY[@NAME='lastUsedAnnotationId']") or "")
+    first = last = max([0, *map(int, filter(_is_whole, numbered))])
+
+    def free(name: str) -> str:
+        name = next(text for text in (name, *(f"{name}-{n}" for n in range(2, 10**6))) if text not in taken)
+        taken.add(name)
+        return name
+
+    tiers, ends, names = list[ET.Element](), list[tuple[int, ET.Element, str]](), dict[str, str]()
+    for kind, target, spans in _tiers(table, offset):
+        if kind not in names:
+            names[kind] = kind if _is_ours(root, kind) else free(kind)
+        # readers find a tier by a path with its name in straight quotes
+        name = free(clean(f"{kind}@{target}").translate(QUOTES))
+        about = {"LINGUISTIC_TYPE_REF": names[kind], "TIER_ID": name, "ANNOTATOR": "facetrack"}
+        tiers.append(ET.Element("TIER", {**about, "PARTICIPANT": clean(target)}))
+        for begin, end, text in spans:
+            last += 1
+            entry = {"CVE_REF": f"cveid_{names[kind]}_{text}"} if kind in VOCABULARIES else {}
+            holder = ET.SubElement(tiers[-1], "ANNOTATION")
+            note = ET.SubElement(holder, "ALIGNABLE_ANNOTATION", {"ANNOTATION_ID": f"a{last}", **entry})
+            ET.SubElement(note, "ANNOTATION_VALUE").text = clean(text)
+            ends += [(begin, note, "TIME_SLOT_REF1"), (end, note, "TIME_SLOT_REF2")]
+    slots = []  # every annotation has two of its own, as ELAN makes them
+    for number, (time, note, ref) in enumerate(sorted(ends, key=lambda end: end[0]), first + 1):
+        slots.append(ET.Element("TIME_SLOT", TIME_SLOT_ID=f"ts{number}", TIME_VALUE=str(time)))
+        note.set(ref, f"ts{number}")
+    types, vocabularies = list[ET.Element](), list[ET.Element]()
+    for kind, name in names.items():
+        if not _is_ours(root, kind):
+            vocabulary = {"CONTROLLED_VOCABULARY_REF": name} if kind in VOCABULARIES else {}
+            about = {"GRAPHIC_REFERENCES": "false", "LINGUISTIC_TYPE_ID": name, "TIME_ALIGNABLE": "true"}
+            types.append(ET.Element("LINGUISTIC_TYPE", {**vocabulary, **about}))
+            if vocabulary:
+                vocabularies.append(ET.Element("CONTROLLED_VOCABULARY", CV_ID=name))
+                about_it = ET.SubElement(vocabularies[-1], "DESCRIPTION", LANG_REF="eng")
+                about_it.text = "motion of the target in the image plane"
+            for label in VOCABULARIES.get(kind, ()):
+                entry_of = ET.SubElement(vocabularies[-1], "CV_ENTRY_ML", CVE_ID=f"cveid_{name}_{label}")
+                ET.SubElement(entry_of, "CVE_VALUE", LANG_REF="eng").text = label
+    language = {"LANG_DEF": "http://cdb.iso.org/lg/CDB-00138502-001", "LANG_ID": "eng", "LANG_LABEL": "English (eng)"}
+    languages = [ET.Element("LANGUAGE", language)] if "eng" not in taken else []
+    return slots, [*tiers, *types, *languages, *vocabularies], last
+
+
+def _is_ours(root: ET.Element, kind: str) -> bool:
+    """Whether a document has the type of a tier, with all of its vocabulary."""
+    own = root.find(f"LINGUISTIC_TYPE[@LINGUISTIC_TYPE_ID='{kind}']")
+    if own is None or own.get("CONSTRAINTS") is not None:
+        return False
+    labels = VOCABULARIES.get(kind, ())
+    entries = {entry.get("CVE_ID") for entry in root.iterfind(f"CONTROLLED_VOCABULARY[@CV_ID='{kind}']/*")}
+    same = own.get("CONTROLLED_VOCABULARY_REF") == (kind if labels else None)
+    return same and {f"cveid_{kind}_{label}" for label in labels} <= entries
 
 
 def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[int, int, str]]:
@@ -117,54 +157,26 @@ def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
     return [] if always else [(int(frames[a]), int(frames[b - 1])) for a, b in runs]
 
 
-def _tiers(
-    target: str, parts: Sequence[Trajectory], measures: Mapping[str, Measured]
-) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
-    """Kind, target, and its spans, of which there may be none."""
-    name = target or "target"
-    yield "seen", name, [(first, last, "seen") for first, last in seen_in(parts)]
-    yield "lost", name, spans_of(parts)
-    yield "hidden", name, spans_of(parts, "hidden")
-    yield "absent", name, spans_of([part.take(~part.vanished) for part in parts], "absent")  # as corrections say
-    for kind, moved in head_motion(parts).items():
-        yield kind, name, moved
-    for kind, events in events_of(name, measures).items():
-        yield kind, name, [(event.first_frame, event.last_frame, event.value) for event in events]
+def _tiers(table: Trajectory, offset: int) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
+    """Kind, target and annotations, in ms from `offset` on, of each tier that has some: readers have trouble without.
 
-
-def _header(root: ET.Element, media: Path, folder: Path, annotations: int) -> None:
-    header = ET.SubElement(root, "HEADER", MEDIA_FILE="", TIME_UNITS="milliseconds")
-    whole = Path(os.path.normpath(media.absolute())).as_posix()  # a link keeps the name that the user knows it by
-    mime = MIME.get(media.suffix.lower(), "*")
-    about = {"MEDIA_URL": "file:///" + clean(whole.lstrip("/")), "MIME_TYPE": f"video/{mime}"}
-    with contextlib.suppress(ValueError):  # another drive of Windows: no way leads there
-        relative = Path(os.path.relpath(whole, folder)).as_posix()
-        about["RELATIVE_MEDIA_URL"] = clean(relative if relative.startswith("../") else f"./{relative}")
-    ET.SubElement(header, "MEDIA_DESCRIPTOR", about)
-    urn = uuid.uuid5(uuid.NAMESPACE_URL, f"{about['MEDIA_URL']} {annotations} {root.get('DATE')}")
-    ET.SubElement(header, "PROPERTY", NAME="URN").text = f"urn:nl-mpi-tools-elan-eaf:{urn}"
-    ET.SubElement(header, "PROPERTY", NAME="lastUsedAnnotationId").text = str(annotations)
-
-
-def _types(root: ET.Element, kinds: Sequence[str]) -> None:
-    """What stands below the tiers, in the schema's order: types, language, vocabularies."""
-    for kind in kinds:
-        about = {"GRAPHIC_REFERENCES": "false", "LINGUISTIC_TYPE_ID": kind, "TIME_ALIGNABLE": "true"}
-        vocabulary = {"CONTROLLED_VOCABULARY_REF": kind} if kind in VOCABULARIES else {}
-        ET.SubElement(root, "LINGUISTIC_TYPE", {**vocabulary, **about})
-    language = {"LANG_DEF": "http://cdb.iso.org/lg/CDB-00138502-001", "LANG_ID": "eng", "LANG_LABEL": "English (eng)"}
-    ET.SubElement(root, "LANGUAGE", language)
-    for kind in kinds:
-        if kind in VOCABULARIES:
-            group = ET.SubElement(root, "CONTROLLED_VOCABULARY", CV_ID=kind)
-            ET.SubElement(group, "DESCRIPTION", LANG_REF="eng").text = "motion of the target in the image plane"
-            for label in VOCABULARIES[kind]:
-                entry = ET.SubElement(group, "CV_ENTRY_ML", CVE_ID=_entry(kind, label))
-                ET.SubElement(entry, "CVE_VALUE", LANG_REF="eng").text = label
-
-
-def _entry(kind: str, label: str) -> str:
-    return f"cveid_{kind}_{label}"
+    What ends before is no annotation, and what begins before begins there.
+    """
+    begin, end = ({f: max(time - offset, 0) for f, time in of.items()} for of in frame_milliseconds(table))
+    for target in table.targets:
+        parts = table.of_target(target)
+        kinds = {
+            "seen": [(first, last, "seen") for first, last in seen_in(parts)],
+            "lost": spans_of(parts),
+            "hidden": spans_of(parts, "hidden"),
+            "absent": spans_of([part.take(~part.vanished) for part in parts], "absent"),  # as corrections say
+            **head_motion(parts),
+        }
+        for kind, events in events_of(target, table.measures[target]).items():
+            kinds[kind] = [(event.first_frame, event.last_frame, event.value) for event in events]
+        for kind, spans in kinds.items():
+            if times := [(begin[a], end[b], text) for a, b, text in spans if end[b] > begin[a]]:
+                yield kind, target or "target", times
 
 
 def clean(text: str) -> str:
@@ -210,147 +222,69 @@ def _offset_of(root: ET.Element, clip: str) -> int | None:
     return None
 
 
-def add_tiers(path: Path, ours: str, clip: str) -> tuple[bytes, list[str], bool]:
-    """The file with the tiers of `ours`, the text of an .eaf; the names that they have there; whether it has the clip.
+def add_tiers(path: Path, table: Trajectory, clip: str) -> tuple[bytes, list[str], bool]:
+    """The file with the tiers of a table; the names that they have there; whether it has the clip.
 
     Tiers whose name is there get another. InputError for a file that cannot take them.
     """
-    data, root, spans = _read(path)
-    new, offset = ET.fromstring(ours), _offset_of(root, clip)
-    tiers, slots = _named_apart(root, new), sorted(_moved(new, offset or 0), key=lambda slot: slot[0])
-    edits: list[tuple[int, int, bytes]] = []  # where, how many bytes are replaced, by what
+    data, root, places = _read(path)
+    offset = _offset_of(root, clip)
+    slots, others, last = _elements(table, root, offset or 0)
+    edits: list[tuple[int, int, str]] = []  # from where to where, and what stands there then
 
-    def insert(where: int, elements: list[ET.Element], depth: int, *, last: bool) -> None:
-        """Each on a line of its own, before what stands at `where`, or as the `last` ones of their parent."""
-        texts = []
-        for element in elements:
-            ET.indent(element, "    ", level=depth)
-            element.tail = ""
-            texts.append(ET.tostring(element, encoding="unicode") + "\n" + "    " * depth)
-        text = "".join(texts)
-        edits.append((where, 0, ("    " + text[:-4] if last else text).encode()))
+    def insert(after: int, element: ET.Element, depth: int) -> None:
+        ET.indent(element, "    ", level=depth)
+        edits.append((after, after, "\n" + "    " * depth + ET.tostring(element, encoding="unicode")))
 
-    order = next(span for span in spans if span.tag == "TIME_ORDER")
-    times = [(span.begin, int(span.about["TIME_VALUE"])) for span in spans if span.about.get("TIME_VALUE")]
-    at, rows = 0, dict[int, list[ET.Element]]()
-    for time, slot in slots:
-        while at < len(times) and times[at][1] <= time:
-            at += 1
-        rows.setdefault(times[at][0] if at < len(times) else order.end, []).append(slot)
-    for where, elements in rows.items():
-        insert(where, elements, 2, last=where == order.end)
-    if rows and data[order.begin : order.end].endswith(b"/>") and data.count(b"<", order.begin, order.end) == 1:
-        text = edits.pop()[2].decode().rstrip()
-        edits.append((order.begin, order.end - order.begin, f"<TIME_ORDER>\n    {text}\n    </TIME_ORDER>".encode()))
-    for tag in ("TIER", "LINGUISTIC_TYPE", "LANGUAGE", "CONTROLLED_VOCABULARY"):
-        later = ORDER[ORDER.index(tag) + 1 :]
-        after = next((span.begin for span in spans if span.depth == 1 and span.tag in later), None)
-        if elements := new.findall(tag):
-            insert(spans[0].end if after is None else after, elements, 1, last=after is None)
-    numbers = [int(str(note.get("ANNOTATION_ID"))[1:]) for note in new.iter("ALIGNABLE_ANNOTATION")]
-    for span in spans:
-        if span.about.get("NAME") == "lastUsedAnnotationId" and span.text and numbers:
-            edits.append((*span.text, str(max(numbers)).encode()))
-    parts, done = [], 0
-    for where, replaced, addition in sorted(edits, key=lambda edit: edit[0]):
-        parts += [data[done:where], addition]
-        done = where + replaced
-    return b"".join([*parts, data[done:]]), tiers, offset is not None
+    order = root.find("TIME_ORDER")
+    assert order is not None
+    known = (slot.get("TIME_VALUE", "") for slot in order)
+    times = np.array([int(time) if _is_whole(time) else -1 for time in known], np.int64)
+    content = data.index(b">", places[order][0]) + 1
+    ends = [content, *(places[slot][1] for slot in order)]
+    closed = slots and content == places[order][1]  # <TIME_ORDER/>
+    if closed:
+        edits.append((content - 2, content, ">"))
+    for slot in slots:
+        earlier = np.searchsorted(np.maximum.accumulate(times), int(slot.get("TIME_VALUE", 0)), side="right")
+        insert(ends[earlier], slot, 2)
+    if closed:
+        edits.append((content, content, "\n    </TIME_ORDER>"))
+    for element in others:
+        above = ORDER[: ORDER.index(element.tag) + 1]
+        insert(max(places[child][1] for child in root if child.tag in above), element, 1)
+    for number in root.iterfind(".//PROPERTY[@NAME='lastUsedAnnotationId']") if slots else ():
+        if number.text:
+            begin = data.index(b">", places[number][0]) + 1
+            edits.append((begin, data.index(b"<", begin), str(last)))
+    pieces, done = [], 0
+    for begin, end, text in sorted(edits, key=lambda edit: edit[0]):
+        pieces += [data[done:begin], text.encode()]
+        done = end
+    tiers = [element.get("TIER_ID", "") for element in others if element.tag == "TIER"]
+    return b"".join([*pieces, data[done:]]), tiers, offset is not None
 
 
-def _moved(new: ET.Element, offset: int) -> list[tuple[int, ET.Element]]:
-    """The slots at the file's times; what lies before its beginning is no annotation, or begins there."""
-    slots = {str(slot.get("TIME_SLOT_ID")): slot for slot in new.iter("TIME_SLOT")}
-    times = {name: max(int(str(slot.get("TIME_VALUE"))) - offset, 0) for name, slot in slots.items()}
-    for tier in new.findall("TIER"):
-        for holder in list(tier):
-            first, last = (str(holder[0].get(f"TIME_SLOT_REF{n}")) for n in (1, 2))
-            if times[first] >= times[last]:
-                tier.remove(holder)
-                del times[first], times[last]
-    for name, time in times.items():
-        slots[name].set("TIME_VALUE", str(time))
-    return [(time, slots[name]) for name, time in times.items()]
-
-
-def _named_apart(root: ET.Element, new: ET.Element) -> list[str]:
-    """Give what is new names that the file does not have; types and vocabularies of ours that it has stay out."""
-    taken = {key: {element.get(key, "") for element in root.iter()} - {""} for key in IDS}
-    prefixes = {"ANNOTATION_ID": "a", "TIME_SLOT_ID": "ts"}
-    numbers = [
-        name.removeprefix(prefix) for key, prefix in prefixes.items() for name in taken[key] if name.startswith(prefix)
-    ]
-    numbers.append(root.findtext(".//PROPERTY[@NAME='lastUsedAnnotationId']") or "")
-    first = max([0, *map(int, filter(_is_whole, numbers))])
-    same = {kind.get("LINGUISTIC_TYPE_ID") for kind in root.findall("LINGUISTIC_TYPE") if _is_ours(root, new, kind)}
-    for element in list(new):
-        kind = element.get("LINGUISTIC_TYPE_ID") or element.get("CV_ID")
-        if kind in same or (element.tag == "LANGUAGE" and element.get("LANG_ID") in taken["LANG_ID"]):
-            new.remove(element)
-    names: dict[tuple[str, str], str] = {}
-    for element in new.iter():
-        for key in (key for key in IDS if element.get(key)):
-            name = str(element.get(key))
-            if prefix := prefixes.get(key):
-                names[key, name] = f"{prefix}{first + int(name.removeprefix(prefix))}"
-            elif name in taken[key]:
-                names[key, name] = next(f"{name}-{n}" for n in range(2, 10**6) if f"{name}-{n}" not in taken[key])
-    for element in new.iter():
-        for key in set(element.keys()) & {*IDS, *REFS}:
-            name = str(element.get(key))
-            element.set(key, names.get((REFS.get(key, key), name), name))
-    return [str(tier.get("TIER_ID")) for tier in new.findall("TIER")]
-
-
-def _is_ours(root: ET.Element, new: ET.Element, kind: ET.Element) -> bool:
-    """Whether a type of the file is one of the new ones, with all of its vocabulary."""
-    name = kind.get("LINGUISTIC_TYPE_ID")
-    ours = next((kind for kind in new.findall("LINGUISTIC_TYPE") if kind.get("LINGUISTIC_TYPE_ID") == name), None)
-    if ours is None or any(ours.get(key) != kind.get(key) for key in ("CONTROLLED_VOCABULARY_REF", "CONSTRAINTS")):
-        return False
-    path = f"CONTROLLED_VOCABULARY[@CV_ID='{name}']/*"
-    return {entry.get("CVE_ID") for entry in new.iterfind(path)} <= {
-        entry.get("CVE_ID") for entry in root.iterfind(path)
-    }
-
-
-@dataclass
-class _Span:
-    """Where an element stands in the bytes: its beginning, that of its closing tag, and where its text is, how long."""
-
-    tag: str
-    depth: int
-    about: dict[str, str]
-    begin: int
-    end: int = 0
-    text: tuple[int, int] | None = None
-
-
-def _read(path: Path) -> tuple[bytes, ET.Element, list[_Span]]:
-    """The bytes of a file, its tree, and where each element is in the bytes."""
+def _read(path: Path) -> tuple[bytes, ET.Element, dict[ET.Element, tuple[int, int]]]:
+    """The bytes of a file, its tree, and where each element begins and ends in the bytes."""
     with reading(path, "name an .eaf"):
         data = read_bounded(path)
     if b"<!DOCTYPE" in data[:4096] or b"<!ENTITY" in data:
         raise InputError(f"{path}: declares a document type, which ELAN's files do not; it is not read")
-    spans: list[_Span] = []
-    open_spans: list[_Span] = []
+    places: dict[ET.Element, tuple[int, int]] = {}
+    begun: list[tuple[ET.Element, int]] = []
     parser, builder = expat.ParserCreate("UTF-8"), ET.TreeBuilder()
 
-    def start(tag: str, about: dict[str, Any]) -> None:
-        span = _Span(tag, len(open_spans), about, parser.CurrentByteIndex)
-        spans.append(span)
-        open_spans.append(span)
-        builder.start(tag, about)
+    def start(tag: str, about: dict[Any, Any]) -> None:
+        begun.append((builder.start(tag, about), parser.CurrentByteIndex))
 
     def stop(tag: str) -> None:
-        open_spans.pop().end = parser.CurrentByteIndex
+        (element, begin), end = begun.pop(), parser.CurrentByteIndex
+        closes = data.startswith(f"</{tag}".encode(), end)  # else that of <tag/>, after which it is
+        places[element] = begin, data.index(b">", end) + 1 if closes else end
         builder.end(tag)
 
-    def text(piece: str) -> None:
-        open_spans[-1].text = parser.CurrentByteIndex, len(piece.encode())
-        builder.data(piece)
-
-    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, stop, text
+    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, stop, builder.data
     try:
         parser.Parse(data, True)
     except (expat.ExpatError, ValueError, LookupError) as e:
@@ -361,4 +295,4 @@ def _read(path: Path) -> tuple[bytes, ET.Element, list[_Span]]:
     version = root.get("FORMAT") or root.get("VERSION") or ""
     if not version.replace(".", "", 1).isdigit() or float(version) < LEAST_FORMAT:
         raise InputError(f"{path}: is of EAF {version or 'without a version'}; save it by ELAN 4.9 or later")
-    return data, root, spans
+    return data, root, places

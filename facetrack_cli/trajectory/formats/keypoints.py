@@ -30,7 +30,7 @@ OpenFace 2's FeatureExtraction (Baltrusaitis et al., FG 2018; its wiki page "Out
 
 import math
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, Final
 
 import numpy as np
@@ -162,12 +162,8 @@ def _dlc(table: Trajectory, scorer: str) -> tuple[list[str], list[tuple[str, ...
     parts, values = places(table, frames)
     values[~np.isfinite(values[..., :2]).all(axis=3)] = np.nan
     names = ["scorer", *(["individuals"] if several else []), "bodyparts", "coords"]
-    columns = [
-        (scorer, *((target,) if several else ()), part, coord)
-        for target in table.targets
-        for part in parts
-        for coord in ("x", "y", "likelihood")
-    ]
+    individuals = [(scorer, target) if several else (scorer,) for target in table.targets]
+    columns = [(*one, part, coord) for one, part, coord in product(individuals, parts, ("x", "y", "likelihood"))]
     return names, columns, frames, values.reshape(len(frames), -1, 3)
 
 
