@@ -52,7 +52,7 @@ from facetrack_cli.run_folder.manifest import (
 from facetrack_cli.run_folder.status import ClipStatus, badness, name_of, survey
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.start.init_file import as_yaml
-from facetrack_cli.trajectory.diagnostics import EVIDENCE
+from facetrack_cli.trajectory.diagnostics import EVIDENCE, SURE
 from facetrack_cli.trajectory.people import PersonRecord, TrackRecord, read_people, read_still
 from facetrack_cli.trajectory.reader import Header, read_header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
@@ -205,8 +205,8 @@ class _Maker:
 
 def _fit(size: tuple[int, int]) -> tuple[int, int]:
     """The size of an image: enlarged to `MIN_SIZE`, or reduced to `MAX_SIZE`, keeping its shape."""
-    grow = min(MIN_SIZE[0] / size[0], MIN_SIZE[1] / size[1])
-    zoom = grow if grow > 1 else min(1.0, MAX_SIZE[0] / size[0], MAX_SIZE[1] / size[1])
+    least, most = (min(limit[0] / size[0], limit[1] / size[1]) for limit in (MIN_SIZE, MAX_SIZE))
+    zoom = min(max(least, 1.0), most)
     return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
 
 
@@ -216,8 +216,6 @@ def _jpeg(image: Pixels, quality: int = 85) -> bytes:
 
 BATCH_PAGE: Final = "batch.html"
 MAX_SPANS: Final = 100  # rows of a table
-MAX_NOTES: Final = 5  # lines on clips of a batch without a picture
-_MAX_SVG_BYTES: Final = 1_000_000  # a larger drawing becomes a PNG
 _PERSON_PX, _STILL_PX = 120, 320  # the width of a picture of a person, and of a frame of a clip of a batch
 _BINS: Final = 1000  # of the bar that shows when a part was lost
 # what HTML forbids, and lone surrogates, which names of files may hold and UTF-8 may not
@@ -264,9 +262,7 @@ def make_report(
     keys = key_frames(history, reasons, first, last)
     images, notes = key_images(table, header, keys, clip, report)
     mean, looks = story.confidence_of(table), story.to_look_at(followed, history, clock)
-    longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last)
-    network = f" Its points were placed {manifest.network}." if manifest is not None and manifest.network else ""
 
     def picture(entry: PersonRecord | TrackRecord) -> Image | None:
         still = read_still(run, entry.still)
@@ -278,22 +274,22 @@ def make_report(
         header=header,
         clock=clock,
         history=history,
-        summary=story.sentences(table, header, clock, history) + network,
+        network=manifest and manifest.network,
         cast=people,
         seen=lambda person: [Stretch(begin, stop - 1) for begin, stop in person.intervals],
         picture=picture,
         pictures={} if people is None else {person.name: picture(person) for person in people.people},
-        parts=[part for part in history.parts if part.spans or part.hidings or part.absences],
+        parts=[part for part in history.parts if part.lost or part.hidden or part.absent],
         looks=looks,
         leading=next((frame for frame in (*(at for at, _ in looks), *keys) if frame in images), None),
-        identities=list(story.identities(table, clock)),
+        identities=list(story.identities(table)),
         mean=mean,
         calibrated=calibrated(header.recipe),
         warnings=[*story.doubts(header, mean), *header.warnings, *notes],
         bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
         events=sorted(sorted(table.events, key=lambda event: -event.probability)[:MAX_SPANS]),
         several=len(table.targets) > 1,
-        spans=sorted(longest, key=lambda s: (s.first, s.name)),
+        spans=sorted(sorted(history.lost, key=lambda span: -span.seconds)[:MAX_SPANS]),
         keys=keys,
         images=images,
         some_left_out=not reasons.keys() <= {*keys},
@@ -333,8 +329,6 @@ def make_batch_report(batch: Path, to: Path, report: Report = silent) -> ReportP
     if not rows:
         raise InputError(f"{batch}: has no runs yet; wait for the first, or look at facetrack status {batch}")
     title = f"{batch.resolve().name}, {len(rows)} clips"
-    if len(notes) > MAX_NOTES:
-        notes[MAX_NOTES:] = [f"and {len(notes) - MAX_NOTES} more clips without a picture"]
     return ReportPage(encoded(template.render(title=title, rows=rows, counts=progress.counts)), tuple(notes))
 
 
@@ -372,7 +366,7 @@ def page_template(name: str) -> Any:
     style = (folder / "report.css").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
-    environment.globals |= {"bins": _BINS, "max_spans": MAX_SPANS}
+    environment.globals |= {"bins": _BINS, "max_spans": MAX_SPANS, "sure": SURE}
     return environment.get_template(name)
 
 
@@ -389,14 +383,9 @@ def _measured(
 
 
 def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Image:
-    """The plots, as a drawing that scales if it is small."""
     figure = page_figure(table, pairs, title=title)
     width, height = figure.get_size_inches()
-    size = (round(96 * width), round(96 * height))
-    drawing = render(figure, "svg")
-    if len(drawing) <= _MAX_SVG_BYTES:
-        return Image(drawing, size, "image/svg+xml")
-    return Image(render(figure, "png", dpi=150), size, "image/png")
+    return Image(render(figure, dpi=150), (round(96 * width), round(96 * height)), "image/png")
 
 
 def _bars(spans: Sequence[Span | Stretch], first: int, scale: float) -> list[tuple[float, float]]:

@@ -316,8 +316,8 @@ class _Page:
                 axes.broken_barh(across, place, facecolors=style.STATUS[status], linewidth=0, antialiased=False)
             starts = line.ours.frame[line.ours.status == "init"]
             if starts.size and not self.many:
-                look = {"color": style.INK, "markersize": 3, "clip_on": False}
-                axes.plot(starts, np.full(len(starts), top + tall / 2), "D", **look)
+                middle = np.full(len(starts), top + tall / 2)
+                axes.plot(starts, middle, "D", color=style.INK, markersize=3, clip_on=False)
         axes.set_ylim(len(self.lines) - 0.45, -0.55)
         axes.grid(False, axis="y")
         axes.spines["left"].set_visible(False)
