@@ -203,7 +203,7 @@ def identities(table: Trajectory) -> Iterator[tuple[str, str, float, int | None]
 
 def _sure(rows: Trajectory) -> Array:
     """The confidences of rows after the start, also of rows called lost."""
-    return rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")]
+    return np.asarray(rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")])
 
 
 def confidence_of(table: Trajectory) -> float | None:
