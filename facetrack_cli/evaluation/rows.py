@@ -53,7 +53,6 @@ def measures_of(kind: type) -> dict[str, Measure]:
 
 
 COUNT: Final = "{:,.0f}".format
-HALVES: Final = "{:g}".format  # the median of whole frames
 PX: Final = "{:.2f}".format
 UNIT: Final = "{:.3f}".format
 

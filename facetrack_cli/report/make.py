@@ -34,7 +34,7 @@ from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import BOX, Frame
 from facetrack_cli.core.types import Image as Pixels
 from facetrack_cli.evaluation.rows import Pair
-from facetrack_cli.evaluation.summary import Options, evaluate, facts, sheets
+from facetrack_cli.evaluation.summary import evaluate, facts, sheets
 from facetrack_cli.recipe.load import calibrated, load_recipe
 from facetrack_cli.recipe.model import completed, to_dict
 from facetrack_cli.report import story
@@ -376,7 +376,7 @@ def _measured(
     """The pairs of the run and its ground truth, and the words and tables of the page."""
     notes: list[str] = []
     pairs = pair(table, truth, notes.append)
-    measures = evaluate(pairs, notes, Options(size=header.source.size), reference=truth.parts)
+    measures = evaluate(pairs, notes, size=header.source.size, reference=truth.parts)
     shift = f", {truth.header['shift']:+d} frames" if truth.header["shift"] else ""
     about = f"Read as {truth.header['read_as']}{shift}; {'; '.join(facts(measures))}."
     return pairs, {"path": str(truth.path), "about": about, "tables": list(sheets(measures)), "notes": measures.notes}

@@ -22,7 +22,6 @@ from facetrack_cli.evaluation.compare import (
     Comparison,
     Entry,
     Score,
-    Scoring,
     aligned,
     check_measure,
     default_truth,
@@ -138,34 +137,34 @@ def truth_of(made):
 
 def test_a_run_of_points_is_scored():
     truth = truth_of(points(0.0, status="visible"))
-    found = score_run(run_of(points(2.0)), truth, Scoring())
+    found = score_run(run_of(points(2.0)), truth)
     assert found.figures["points.mean_px"] == pytest.approx(2)
     assert found.figures["points.mean_normalised"] == pytest.approx(2 / 40)
     assert np.allclose(found.error, 2) and found.frame.tolist() == list(range(60)) and not found.hidden.size
     assert found.success is None and not found.failed
     assert found.cumulative[CUMULATIVE_AT < 0.049].max() == 0 and found.cumulative[CUMULATIVE_AT > 0.051].min() == 1
     lost = np.where(np.arange(60) < 40, 0.0, 15.0)  # more than a quarter of 40 px for most of the last 25 rows
-    assert score_run(run_of(points(lost)), truth, Scoring()).failed
+    assert score_run(run_of(points(lost)), truth).failed
     back = np.where(np.arange(60) < 30, 15.0, 0.0)
-    assert not score_run(run_of(points(back)), truth, Scoring()).failed
+    assert not score_run(run_of(points(back)), truth).failed
 
 
 def test_the_truth_of_the_frames_asked_for_counts():
     truth = truth_of(points(np.where(np.arange(60) < 30, 0.0, 30.0), status="visible"))
     run = run_of(tuple(one.take(one.frame < 30) for one in points(0.0)))
-    assert score_run(run, truth, Scoring(stop=30)).figures["points.mean_px"] == 0
+    assert score_run(run, truth, stop=30).figures["points.mean_px"] == 0
     with pytest.raises(InputError):  # the clip ended before the ground truth did
-        score_run(run, truth, Scoring())
+        score_run(run, truth)
     late = run_of(tuple(one.take(one.frame > 40) for one in points(0.0)))
     with pytest.raises(InputError, match="no row from frame 41 to 39"):
-        score_run(late, truth, Scoring(stop=40))
+        score_run(late, truth, stop=40)
 
 
 def test_hidden_frames_are_known():
     made = points(0.0, status="visible")
     status = np.where((np.arange(60) >= 20) & (np.arange(60) < 30), "hidden", "visible")
     truth = truth_of((one_part("face", "nose", made[0].frame, x=made[0].x, y=made[0].y, status=status), made[1]))
-    assert score_run(run_of(points(0.0)), truth, Scoring()).hidden.tolist() == list(range(20, 30))
+    assert score_run(run_of(points(0.0)), truth).hidden.tolist() == list(range(20, 30))
 
 
 def boxes(left, frames=40, size=20.0, status="tracked"):
@@ -178,7 +177,7 @@ def boxes(left, frames=40, size=20.0, status="tracked"):
 def test_a_run_of_boxes_is_scored():
     truth = truth_of(boxes(50.0, status="visible"))
     off = np.where(np.arange(40) < 36, 0.0, 19.5)  # the last tenth is off
-    good, lost = (score_run(run_of(boxes(50 + x)), truth, Scoring(size=(320, 240))) for x in (np.zeros(40), off))
+    good, lost = (score_run(run_of(boxes(50 + x)), truth) for x in (np.zeros(40), off))
     assert good.figures["boxes.success_auc"] == pytest.approx(20 / 21)
     assert good.success.shape == (21,) and good.precision.shape == (51,) and good.cumulative is None
     assert not good.failed and lost.failed

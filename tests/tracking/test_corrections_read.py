@@ -12,7 +12,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, TargetStart
-from facetrack_cli.evaluation.accuracy import measure_points, measure_recovery, occlusions
+from facetrack_cli.evaluation.accuracy import measure_points
 from facetrack_cli.evaluation.reliability import measure_confidence, measure_coverage, measure_lost
 from facetrack_cli.evaluation.rows import match
 from facetrack_cli.evaluation.summary import evaluate
@@ -117,13 +117,6 @@ def test_what_is_said_to_be_absent_is_not_what_the_tracker_says():
     part = rows([0, 0, NAN, NAN, 0, 0], "vvhhvv", ours=corrected("ittaat"))
     found = measure_lost([part])
     assert (found.rows, found.covered, found.called) == (3, 1, 0), "neither called lost nor missed"
-
-
-@pytest.mark.parametrize("ours, decided", [("tttttltttttt", True), ("tttttlittttt", False), ("tttaattttttt", False)])
-def test_what_comes_back_by_a_correction_is_not_decided(ours, decided):
-    [hidden] = found = occlusions([rows([0] * 3 + [9] * 3 + [0] * 6, "vvvhhhvvvvvv", ours=corrected(ours))])
-    assert (hidden.decided, hidden.frames_to_return) == (decided, 0)
-    assert measure_recovery(found).recovered == (1.0 if decided else None)
 
 
 def boxes(status, x, frames=6, **more):
