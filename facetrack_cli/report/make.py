@@ -261,7 +261,7 @@ def make_report(
     reasons = story.reasons(followed, history, header.init.origin, first, last)
     keys = key_frames(history, reasons, first, last)
     images, notes = key_images(table, header, keys, clip, report)
-    mean, looks = story.confidence_of(table), story.to_look_at(followed, history, clock)
+    mean, looks = story.confidence_of(table), [*(episode.first for episode in history.longest), history.worst]
     again = command(header, last)
 
     def picture(entry: PersonRecord | TrackRecord) -> Image | None:
@@ -280,8 +280,7 @@ def make_report(
         picture=picture,
         pictures={} if people is None else {person.name: picture(person) for person in people.people},
         parts=[part for part in history.parts if part.lost or part.hidden or part.absent],
-        looks=looks,
-        leading=next((frame for frame in (*(at for at, _ in looks), *keys) if frame in images), None),
+        leading=next((frame for frame in (*looks, *keys) if frame in images), None),
         identities=list(story.identities(table)),
         mean=mean,
         calibrated=calibrated(header.recipe),

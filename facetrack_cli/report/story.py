@@ -12,14 +12,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, Array
+from facetrack_cli.core.types import BOX
 from facetrack_cli.recipe.load import fitted
-from facetrack_cli.runs.verdict import LOW
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL
 from facetrack_cli.trajectory.reader import Header, SeamHeader
-from facetrack_cli.trajectory.trajectory import Trajectory, mean_confidence
+from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.views import Clock
 
 MAX_KEY_FRAMES: Final = 12
@@ -88,6 +86,11 @@ class RunHistory:
     def hidden(self) -> list[Span]:
         return sorted(span for part in self.parts for span in part.hidden)
 
+    @property
+    def longest(self) -> list[Stretch]:
+        """The three longest episodes, in their order."""
+        return sorted(sorted(self.episodes, key=lambda episode: episode.first - episode.last)[:3])
+
     def ending(self, status: str) -> list[str]:
         """The parts with this status at the end."""
         return [part.name for part in self.parts if part.last_status == status]
@@ -138,28 +141,13 @@ def key_frames(history: RunHistory, events: Iterable[int], first: int, last: int
     """
     left, taken = np.array(sorted({*events, first})), {first, last}
     taken |= set() if history.worst is None else {history.worst}
-    taken |= {span.first for span in sorted(history.episodes, key=lambda e: e.first - e.last)[:1]}
+    taken |= {min(history.episodes, key=lambda e: e.first - e.last).first} if history.episodes else set()
     while len(taken) < MAX_KEY_FRAMES:
         away = np.abs(left[:, None] - np.array(sorted(taken))).min(axis=1)
         if not away.max():
             break
         taken.add(int(left[np.argmax(away)]))
     return sorted(taken)
-
-
-def to_look_at(table: Trajectory, history: RunHistory, clock: Clock) -> list[tuple[int, str]]:
-    """Frames to look at first, as the run names them, each with the words: the longest stretches in which a part is
-    called lost, and the frame of the lowest confidence where that is low.
-    """
-    looks = []
-    for first, last in sorted(sorted(history.episodes, key=lambda episode: episode.first - episode.last)[:3]):
-        lost = dict.fromkeys(span.name for span in history.lost if span.first <= last and span.last >= first)
-        frames = f"frames {first} to {last}" if last > first else f"frame {first}"
-        looks.append((first, f"{at_clock(clock.at(first))}, {frames}: {names([*lost], 3)} lost"))
-    if history.worst is not None and (mean := mean_confidence(_sure(table.at(history.worst)))) < LOW:
-        at = f"{at_clock(clock.at(history.worst))}, frame {history.worst}"
-        looks.append((history.worst, f"{at}: the lowest confidence, {number(mean)}"))
-    return looks
 
 
 def reasons(
@@ -201,14 +189,9 @@ def identities(table: Trajectory) -> Iterator[tuple[str, str, float, int | None]
             yield target, name, float(rows.identity_prob[last]), table.recognised(target, name)
 
 
-def _sure(rows: Trajectory) -> Array:
-    """The confidences of rows after the start, also of rows called lost."""
-    return np.asarray(rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")])
-
-
 def confidence_of(table: Trajectory) -> float | None:
-    """The mean confidence of all rows after the start; None without confidences."""
-    sure = _sure(table)
+    """The mean confidence of all rows after the start, also of rows called lost; None without confidences."""
+    sure = table.confidence[np.isfinite(table.confidence) & (table.status != "init")]
     return float(sure.mean()) if sure.size else None
 
 

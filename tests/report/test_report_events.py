@@ -9,12 +9,10 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.models import shipped_recipes
-from facetrack_cli.core.types import Start
 from facetrack_cli.recipe.load import _shipped, calibrated, load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report.make import command, init_yaml, recipe_yaml
-from facetrack_cli.report.story import doubts, history_of, key_frames, number, reasons, to_look_at
-from facetrack_cli.runs.verdict import RunMonitor
+from facetrack_cli.report.story import doubts, history_of, key_frames, reasons
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, mean_confidence
 from facetrack_cli.trajectory.views import Clock
@@ -36,6 +34,7 @@ def test_the_history_of_each_part(tmp_path):
     assert clock.duration == pytest.approx(0.8)
     assert a.mean == pytest.approx((15 * 0.75 + 4 * 0.05) / 19)  # without the first frame
     assert (history.frames_lost, history.episodes, history.ending("lost")) == (15, ((8, 11), (14, 24)), ["b"])
+    assert history.longest == [*history.episodes]
     assert history.worst == 6, "of the frames in which nothing is lost, as the run says"
     events = reasons(table, history, "haar", 5, 24)
     assert key_frames(history, events, 5, 24) == sorted(events)
@@ -62,21 +61,6 @@ def test_key_frames_are_few_and_far_apart(tmp_path, monkeypatch, seed):
     ends = {"lost": {span.first for span in history.lost}, "back": {span.back for span in history.lost} - {None}}
     for kind, frames in ends.items():
         assert frames == {frame for frame, why in events.items() if kind in {each[0] for each in why}}
-
-
-def test_the_frames_to_look_at_are_those_that_the_run_names(tmp_path):
-    table = read_trajectory(write_run(tmp_path, Path("clip.mp4")))
-    clock = Clock(table, 25.0)
-    history = history_of(table, clock)
-    assert to_look_at(table, history, clock) == [
-        (8, "0:00.32, frames 8 to 11: a lost"),
-        (14, "0:00.56, frames 14 to 24: b lost"),
-        (6, f"0:00.24, frame 6: the lowest confidence, {number(mean_confidence(table.at(6).confidence))}"),
-    ]
-    watch = RunMonitor.of(load_recipe("factorized"), Start(5, {}, "x"))
-    for frame in table.frames.tolist():
-        watch.take(table.at(frame))
-    assert watch.least[1] == history.worst and watch.look == ((14, 24), (8, 11))
 
 
 def test_means_of_a_file_tie_where_those_of_the_run_do():
