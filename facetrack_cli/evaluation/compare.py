@@ -25,7 +25,7 @@ from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.evaluation.accuracy import share_up_to
 from facetrack_cli.evaluation.rows import PERCENT, Measure, Rows, at, column, match
-from facetrack_cli.evaluation.summary import MEASURES, NO_FIGURE, Sheet, clip_name, evaluate, rounded, scalars
+from facetrack_cli.evaluation.summary import MEASURES, NO_FIGURE, Sheet, clip_name, evaluate, scalars
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.progress import Progress
@@ -394,12 +394,12 @@ class Comparison:
             "begins": None if entry.start is None else f"{entry.start.origin}, frame {entry.start.frame}",
             "warnings": list(dict.fromkeys(entry.warnings)),
             "failures": entry.failures,
-            "frames_per_s": rounded(entry.frames_per_s, 2),
-            "mean": {n: rounded(m, 6) for n in MEASURES if (m := entry.mean(n)) is not None},
-            "std": {n: rounded(s, 6) for n in MEASURES if (s := entry.spread(n)) is not None},
+            "frames_per_s": None if entry.frames_per_s is None else round(entry.frames_per_s, 2),
+            "mean": {n: round(m, 6) for n in MEASURES if (m := entry.mean(n)) is not None},
+            "std": {n: round(s, 6) for n in MEASURES if (s := entry.spread(n)) is not None},
             "runs": [
-                {"seed": score.seed, "failed": score.failed, "frames_per_s": rounded(score.frames_per_s, 2)}
-                | {name: rounded(value, 6) for name, value in score.figures.items()}
+                {"seed": score.seed, "failed": score.failed, "frames_per_s": round(score.frames_per_s, 2)}
+                | {name: round(value, 6) for name, value in score.figures.items()}
                 for score in entry.scores
             ],
             "recipe": to_dict(entry.recipe) if entry.recipe is not None else None,

@@ -116,11 +116,6 @@ def clip_name(clip: Path) -> str:
     return f"{place.parent.name}/{place.name}" if place.is_dir() and place.parent.name else place.name
 
 
-def rounded(value: float | None, digits: int) -> float | None:
-    """None for what JSON has no number for."""
-    return None if value is None or not math.isfinite(value) else round(value, digits)
-
-
 @dataclass(frozen=True)
 class PartMeasures:
     """One part, or with an empty `part` and the target "all", all of them together; what was not measured is None.

@@ -340,14 +340,6 @@ def test_what_there_is_nothing_to_do_with_is_told_in_a_line(
     assert [p.name for p in tmp_path.iterdir()] == ["clip.csv"]
 
 
-def test_clips_of_one_name_are_refused_before_they_share_a_golden(facetrack: Runner, tmp_path: Path) -> None:
-    for name in ("clip.mp4", "clip.mkv", "clip.init.yaml"):
-        (tmp_path / name).write_text("")
-    code, _, err = facetrack("regress", tmp_path, "--config", "factorized", "--update")
-    assert code == ExitCode.INPUT and "two clips are called clip; rename one" in err
-    assert not (tmp_path / "goldens").exists()
-
-
 def test_a_golden_is_recorded_again_as_far_as_before(clips: Path) -> None:
     [task] = tasks(clips, {"factorized": "factorized"}, update=True)
     assert task.golden is not None and task.golden.stop == 26

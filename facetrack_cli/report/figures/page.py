@@ -171,9 +171,11 @@ class _Page:
         if not panels:
             raise InputError(f"{self.table.path}: has no number that could be drawn in any row")
         legend, most = self._legend(), max(3, min(11, int(1.1 * width)))
-        columns, rows = style.columns_for(list(legend), width)
+        columns = max(
+            1, int((width - 0.2) / (0.068 * max(map(len, legend), default=1) + 0.56))
+        )  # as wide as the longest
         about = textwrap.wrap("   ·   ".join(self._summary()), int(width * 15))
-        above = 0.5 + 0.18 * (len(about) + rows)
+        above = 0.5 + 0.18 * (len(about) - (-len(legend) // columns))
         figure = style.new_figure(width, above + 0.5 + sum(panel.height + 0.27 for panel in panels))
         figure.suptitle(style.clean(title, int(width * 8)), x=0.012, ha="left", weight="bold", size=12)
         heights = {"height_ratios": [panel.height for panel in panels]}

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import io
 import logging
-import math
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path
@@ -186,12 +185,6 @@ def shade(axes: Axes, frame: Whole, mask: Mask, status: str, alpha: float, least
     """The frames of a mask, behind everything, in the colour of a status; spans are at least `least` frames wide."""
     for start, end in frame_spans(frame, mask, least):
         axes.axvspan(start, end, color=STATUS[status], alpha=alpha, linewidth=0, zorder=0.5)
-
-
-def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
-    """(columns, rows) of a legend of these labels over `width` inches; all columns are as wide as the longest."""
-    columns = max(1, int((width - 0.2) / (0.068 * max(map(len, labels), default=1) + 0.56)))
-    return columns, math.ceil(len(labels) / columns)
 
 
 def broken(frame: Whole, *values: Array) -> list[Array]:
