@@ -104,10 +104,8 @@ class Sheet:
             console.print()
             for note in self.notes:
                 console.print(Text(visible(note)))
-        encoding = sys.stdout.encoding or "utf-8"
-        # a ? in place of an arrow keeps columns straight
-        lines = "".join(f"{line.rstrip()}\n" for line in text.get().splitlines())
-        click.echo(lines.encode(encoding, "replace").decode(encoding), nl=False)
+        for line in text.get().splitlines():
+            click.echo(line.rstrip())
 
 
 def clip_name(clip: Path) -> str:
