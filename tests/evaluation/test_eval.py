@@ -64,11 +64,9 @@ def measured(capsys, *arguments):
 
 def pair(part="box", **columns):
     """A pair of series from `ours_*` and `true_*` columns."""
-    frame = columns.pop("frame")
-    mine = {key.removeprefix("ours_"): value for key, value in columns.items() if key.startswith("ours_")}
-    true = {key.removeprefix("true_"): value for key, value in columns.items() if key.startswith("true_")}
-    target = columns.get("target", "head")
-    return Pair(one_part(target, part, frame, **mine), one_part(target, part, frame, **true))
+    frame, target = columns.pop("frame"), columns.pop("target", "head")
+    both = ({k.removeprefix(who): v for k, v in columns.items() if k.startswith(who)} for who in ("ours_", "true_"))
+    return Pair(*(one_part(target, part, frame, **own) for own in both))
 
 
 # --- one value ---------------------------------------------------------------------------------------------------
@@ -258,7 +256,11 @@ def test_the_truth_beside_the_clip(folder, capsys):
     assert "does not name its clip" in run("ours.csv", code=2, capsys=capsys).err
 
 
-def test_no_confidence_no_plot(folder, capsys):
+def test_what_is_not_there_is_not_measured(folder, capsys):
+    Path("ours.csv").write_text(HEAD + "".join(OURS.splitlines(keepends=True)[:2]))
+    out = run("ours.csv", "--truth", "truth.csv", "--partial", capsys=capsys).out
+    assert "all rows were given to the tracker, so lost, confidence and coverage are not measured" in out
+    assert "has no status" not in out
     for name in ("ours.csv", "truth.csv"):
         Path(name).write_text("frame,target,part,x,y\n0,face,left,1,1\n0,face,right,9,1\n1,face,left,1,1\n")
     said = run("ours.csv", "--truth", "truth.csv", "--plot", "a.png", code=3, capsys=capsys)
@@ -266,13 +268,6 @@ def test_no_confidence_no_plot(folder, capsys):
     out = run("ours.csv", "--truth", "truth.csv", capsys=capsys).out
     assert not any(f"{title}: " in out for title in TABLES[1:4])
     assert "the trajectory has no confidence, so confidence is not measured" in out
-
-
-def test_a_track_of_the_given_row_alone(folder, capsys):
-    Path("ours.csv").write_text(HEAD + "".join(OURS.splitlines(keepends=True)[:2]))
-    out = run("ours.csv", "--truth", "truth.csv", "--partial", capsys=capsys).out
-    assert "all rows were given to the tracker, so lost, confidence and coverage are not measured" in out
-    assert "has no status" not in out
 
 
 def test_results_of_another_tracker_are_measured_as_ours(folder, capsys):
