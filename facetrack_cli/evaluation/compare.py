@@ -301,7 +301,6 @@ class Comparison:
     seeds: int
     entries: tuple[Entry, ...]
     rank_by: str | None = None
-    workers: int = 1
     complete: bool = True
 
     @property
@@ -328,10 +327,7 @@ class Comparison:
         if not entry.scores:
             return (place.text, entry.label, "not run", *(NO_FIGURE,) * (len(self.measures) + 2))
         figures = [figure(MEASURES[name], entry.values(name), spread=not entry.deterministic) for name in self.measures]
-        speed = [NO_FIGURE, NO_FIGURE]
-        if rate is not None:
-            times = fastest / rate
-            speed = [f"{rate:,.{0 if rate >= 10 else 1}f}", f"×{times:,.{0 if times >= 10 else 2}f}"]
+        speed = (NO_FIGURE,) * 2 if rate is None else (f"{rate:,.0f}", f"×{fastest / rate:,.2f}")
         return (place.text, entry.label, *figures, f"{entry.failures} of {len(entry.scores)}", *speed)
 
     def notes(self) -> list[str]:
@@ -341,16 +337,7 @@ class Comparison:
         lines = [f"{over}; ranked by {self.measures[0]}, {MEASURES[self.measures[0]].better} is better."]
         if any(place.first != place.last for place in self.places):
             more = "" if several else "; one seed tells nothing of a difference, give --seeds"
-            overlap = "not distinguishable, the means ± 2 standard errors overlap"
-            lines.append(f"A rank such as 1\N{EN DASH}2: {overlap}{more}.")
-        failed = "a part's median error over its last 25 visible frames exceeds a quarter of the target's size"
-        if kind_of(self.entries) == "boxes":
-            failed = "the median IoU over the last tenth of the frames is below 0.1"
-        shared = f" by {self.workers} processes, which slow each other down" if self.workers > 1 else ""
-        lines += [
-            f"Failed: runs at whose end {failed}.",
-            f"Frames/s: the tracker alone{shared}; only ratios between rows mean anything.",
-        ]
+            lines.append(f"Recipes that share ranks: the means ± 2 standard errors overlap{more}.")
         if once := [entry.label for entry in self.entries if entry.deterministic and entry.scores]:
             lines.append(f"Deterministic, run once: {', '.join(once)}.")
         if not self.complete:

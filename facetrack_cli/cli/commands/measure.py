@@ -249,7 +249,7 @@ def compare_command(
             if not any(entry.scores for entry in entries):
                 shown.say(f"facetrack: {stop.reason} before a run was complete; nothing was written")
                 return stop.code or ExitCode.FAULT
-            comparison = Comparison(clip, file, seeds, tuple(entries), rank_by, jobs, stop.code is None)
+            comparison = Comparison(clip, file, seeds, tuple(entries), rank_by, stop.code is None)
             try:
                 names = _write(comparison, folder, shown, plots=not no_plots, overwrite=overwrite)
             finally:  # what took long is not lost for a full disk
