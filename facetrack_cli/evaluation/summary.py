@@ -47,7 +47,6 @@ from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 WIDTH: Final = 100  # columns of a table that is not printed on a terminal
 MAX_WIDTH: Final = 10_000  # more columns than any table needs
-MIN_NAME: Final = 20  # columns of a name before it is folded
 NO_FIGURE: Final = "\N{EN DASH}"
 
 
@@ -69,36 +68,22 @@ class Sheet:
         text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
         return f"{self.title}\n\n{text}\n" + "".join(f"- {note}\n" for note in self.notes)
 
-    def table(self) -> Table:
-        """The table for rich, without title and notes. Names are folded where room lacks, and figures are never cut."""
-        table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
-        # a recipe and its overrides are folded between them
-        rows = [[re.sub("(?<=[:,])(?=.*=)", " ", cell) for cell in row] for row in self.rows]
-        tall = max(head.count("\n") for head in self.heads)
-        for i, (head, *below) in enumerate(zip(self.heads, *rows, strict=True)):
-            left = i in self.left
-            longest = max(len(line) for cell in (head, *below) for line in cell.split("\n"))
-            table.add_column(
-                Text("\n" * (tall - head.count("\n")) + head),
-                justify="left" if left else "right",
-                no_wrap=not left,
-                overflow="fold",
-                min_width=min(longest, MIN_NAME) if left else longest,
-            )
-        for row in rows:
-            table.add_row(*(Text(visible(cell)) for cell in row))
-        return table
-
     def show(self) -> None:
-        """Print the table as wide as the terminal, or WIDTH columns; wider only for what must not be cut."""
+        """Print the table as wide as the terminal, or WIDTH columns; wider where its figures need that."""
+        table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
+        tall = max(head.count("\n") for head in self.heads)
+        for i, head in enumerate(self.heads):
+            lower = Text("\n" * (tall - head.count("\n")) + head)
+            table.add_column(lower, justify="left" if i in self.left else "right", no_wrap=True)
+        for row in self.rows:  # a recipe has a line for each of its overrides
+            table.add_row(*(Text(re.sub("(?<=[:,])(?=.*=)", "\n  ", visible(cell))) for cell in row))
         console = Console(width=None if sys.stdout.isatty() else WIDTH, emoji=False, highlight=False, markup=False)
-        table, width = self.table(), console.width
-        needed = console.measure(table, options=console.options.update(width=MAX_WIDTH)).minimum
+        width = console.width
         # rich would end the program with its own code where the reader of a pipe has left, so click prints
         with console.capture() as text:
             console.print(Text(flat(self.title), style="bold"), soft_wrap=True)
             console.print()
-            console.width = max(width, needed)
+            console.width = max(width, console.measure(table, options=console.options.update(width=MAX_WIDTH)).maximum)
             console.print(table)
             console.width = width
             console.print()

@@ -268,7 +268,7 @@ def make_report(
         still = read_still(run, entry.still)
         return Image(still, (_PERSON_PX, _PERSON_PX)) if still else None
 
-    reported = any(reported_values.values.keys() - {EVIDENCE.name} for reported_values in table.diagnostics.values())
+    reported = any(each.values.keys() - {EVIDENCE.name} for each in table.diagnostics.values())
     document: str = template.render(
         title=title,
         header=header,
