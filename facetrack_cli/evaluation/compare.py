@@ -22,7 +22,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.numbers import csv_text, document
-from facetrack_cli.core.types import Array, Start, Whole
+from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.accuracy import share_up_to
 from facetrack_cli.evaluation.rows import PERCENT, Measure, Rows, at, column, match
 from facetrack_cli.evaluation.summary import MEASURES, NO_FIGURE, Sheet, clip_name, evaluate, scalars
@@ -64,13 +64,12 @@ class Score:
 
 @dataclass
 class Entry:
-    """One recipe: its scores, one a seed, or the `error` that kept it from running; `start` is that of its runs."""
+    """One recipe: its scores, one a seed, or the `error` that kept it from running."""
 
     label: str
     scores: list[Score] = field(default_factory=list)
     error: FacetrackError | None = None
     recipe: Recipe | None = None
-    start: Start | None = None
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -233,7 +232,7 @@ def run_recipes(
     plans = []
     for label, recipe in recipes.items():
         try:
-            start = entries[label].start = request.find(recipe, truth, stop)
+            start = request.find(recipe, truth, stop)
             own = range(seeds if recipe.random else 1)  # what draws no random numbers has one run to show
             plans.append(SeedPlan(label, request.clip, recipe, start, tuple(own), request.stop, request.fps))
         except FacetrackError as e:
@@ -378,7 +377,6 @@ class Comparison:
             "rank": None if place.first is None else [place.first, place.last],
             "error": None if entry.error is None else str(entry.error),
             "deterministic": entry.deterministic,
-            "begins": None if entry.start is None else f"{entry.start.origin}, frame {entry.start.frame}",
             "warnings": list(dict.fromkeys(entry.warnings)),
             "failures": entry.failures,
             "frames_per_s": None if entry.frames_per_s is None else round(entry.frames_per_s, 2),

@@ -101,8 +101,6 @@ def command(header: Header, last: int) -> str:
 MIN_SIZE: Final = (640, 480)  # images are enlarged to fit this, so that the overlay can be read ...
 MAX_SIZE: Final = (960, 720)  # ... and reduced to fit this
 _VIEW = 3.5  # an image shows this many times the target's size; larger clips are cut out around it
-_TRAIL_S = 1.0
-_TRAIL = 25  # frames of it that are drawn
 View: TypeAlias = tuple[int, int, int, int]  # left, top, width, height in the clip's pixels
 
 
@@ -159,21 +157,14 @@ class _Maker:
         self._unit = max(sides, default=0.0) or max(self._clip.size)
 
     def image(self, frame: Frame) -> Image:
-        """The image of a frame of the clip."""
+        """The image of a frame of the clip, with the overlay of `facetrack run` but for the trail."""
         (left, top, width, height), out = view, _ = self._layout(frame.index)
         part = np.ascontiguousarray(frame.bgr[top : top + height, left : left + width])
         whole = cv2.resize(part, out, interpolation=cv2.INTER_AREA if out[0] < width else cv2.INTER_CUBIC)
-        drawn = self.draw(Frame(frame.index, 0.0, np.asarray(whole, np.uint8), aspect=frame.aspect), view)
+        seconds = self._clock.at(frame.index)
+        scaled = Frame(frame.index, seconds, np.asarray(whole, np.uint8), aspect=frame.aspect)
+        drawn = Overlay(out, title=self._title, trail_s=0).draw(self._result(scaled, view, out[0] / width))
         return Image(_jpeg(drawn), out, view=view)
-
-    def draw(self, frame: Frame, view: View) -> Pixels:
-        """A scaled frame with the overlay of `facetrack run`; the trail is of the frames that are drawn before."""
-        overlay, clock = Overlay(frame.size, title=self._title, trail_s=_TRAIL_S), self._clock
-        past = clock.frames[(clock.times >= clock.at(frame.index) - _TRAIL_S) & (clock.frames < frame.index)]
-        for index in [*past[:: max(1, math.ceil(len(past) / _TRAIL))].tolist(), frame.index]:
-            now = Frame(index, clock.at(index), frame.bgr, aspect=frame.aspect)
-            drawn = overlay.draw(self._result(now, view, frame.size[0] / view[2]))
-        return drawn
 
     def _result(self, frame: Frame, view: View, zoom: float) -> FrameResult:
         """The rows of one frame, in the pixels of a view enlarged by `zoom`."""
@@ -196,7 +187,7 @@ class _Maker:
             return (0, 0, width, height), _fit((width, height))
         x, y, half_w, half_h = rows.x, rows.y, np.nan_to_num(rows.w) / 2, np.nan_to_num(rows.h) / 2
         across, down = (x + half_w).max() - (x - half_w).min(), (y + half_h).max() - (y - half_h).min()
-        wide = max(_VIEW * self._unit, 1.5 * np.ptp(x), 2 * np.ptp(y), 1.2 * across, 1.8 * down)
+        wide = max(_VIEW * self._unit, 1.4 * across, 1.9 * down)
         w, h = min(width, math.ceil(wide)), min(height, math.ceil(0.75 * wide))
         left = round(min(max((x.min() + x.max() - w) / 2, 0), width - w))
         top = round(min(max((y.min() + y.max() - h) / 2, 0), height - h))

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX
 from facetrack_cli.recipe.load import fitted
@@ -214,11 +215,7 @@ def lasting(seconds: float) -> str:
     """A length of time."""
     if not math.isfinite(seconds):
         return "–"
-    if seconds < 60:
-        return f"{seconds:.2f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+    return f"{seconds:.2f} s" if seconds < 60 else at_clock(seconds)
 
 
 def percent(share: float | None) -> str:

@@ -385,7 +385,7 @@ def test_the_first_import_says_nothing_and_no_pyplot(tmp_path):
 # --- what a tracker reports -------------------------------------------------------------------------------------------
 
 
-NEW = ["particles", "posterior", "entropy", "scale", "noise", "error"]
+NEW = ["particles", "identity", "entropy", "scale", "noise", "error"]
 
 
 def reported(people=3, frames=60, target="face", found=True, **columns):
@@ -442,19 +442,19 @@ def test_a_panel_of_each_thing_that_is_reported_and_no_other():
     assert [name for name in panels(page.page_figure(table(some))) if name in NEW] == ["particles", "scale"]
     bare = replace(table(reported()), diagnostics={}, identity=np.full(60, ""))
     bare = replace(bare, particles=np.full(60, 90.0), ess=np.full(60, 9.0))
-    assert not {*NEW, "identity"} & set(panels(page.page_figure(bare)))
+    assert not {*NEW} & set(panels(page.page_figure(bare)))
 
 
 def test_posterior_has_a_line_each_and_their_names():
     figure = page.page_figure(table(reported()))
-    axes = panels(figure)["posterior"]
+    axes = panels(figure)["identity"]
     lines = [line for line in drawn(axes) if len(line) > 2]
     assert len(lines) == 3 and labels(axes)[0] == "person 1"
     assert any(np.allclose(line[:, 1], np.minimum(1 / 3 + np.arange(60) / 20, 0.97)) for line in lines)
     guides = [line for line in axes.lines if len(line.get_xdata()) == 2]
     assert [(*line.get_xdata(), *line.get_ydata()) for line in guides] == [(0, 1, 0.9, 0.9), (12, 12, 0, 1)]
     many = page.page_figure(table(reported(60)))
-    axes = panels(many)["posterior"]
+    axes = panels(many)["identity"]
     assert len([line for line in drawn(axes) if len(line) > 2]) == 60
     assert labels(axes)[0] == "person 1" and len(labels(axes)) == 5
 
@@ -462,7 +462,7 @@ def test_posterior_has_a_line_each_and_their_names():
 def test_a_csv_has_the_probability_of_the_likeliest():
     one = reported(2, identity=np.where(np.arange(60) < 5, "ben", "anna"), found=None)
     found = panels(page.page_figure(table(one)))
-    assert [name for name in found if name in [*NEW, "identity"]] == ["particles", "identity"]
+    assert [name for name in found if name in NEW] == ["particles", "identity"]
     assert labels(found["identity"]) == ["anna", "ben"]
 
 

@@ -368,17 +368,13 @@ class _Page:
         """A panel for each thing that the tracker reports: identities, and diagnostics but those drawn elsewhere."""
         named = [target for target in self.table.targets if is_known(self.table.beliefs(target)[2])]
         for target in named[:MAX_IDENTITY_PANELS]:
-            title = "posterior" if POSTERIOR.name in self._labels(target) else "identity"
-            yield Panel(title, style.clean(target, 24), 1.3, partial(self._identity, target=target))
+            yield Panel("identity", style.clean(target, 24), 1.3, partial(self._identity, target=target))
         reported = self.table.diagnostics.values()
         for kind in {kind.name: kind for each in reported for kind in each.declared}.values():
             # evidence says little but as a sum
             if kind not in (POSTERIOR, AFFINE, EVIDENCE) and any(is_known(each.get(kind.name)) for each in reported):
                 title = kind.name + (f" ({kind.unit})" if kind.unit else "")
                 yield Panel(title, kind.meaning, 0.7, partial(self._diagnostic, kind=kind))
-
-    def _labels(self, target: str) -> Mapping[str, Any]:
-        return self.table.diagnostics[target].labels if target in self.table.diagnostics else {}
 
     def _diagnostic(self, axes: Axes, kind: Diagnostic) -> None:
         for target, each in self.table.diagnostics.items():
