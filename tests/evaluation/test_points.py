@@ -162,7 +162,7 @@ def test_what_is_measured_as_a_box():
 
 def test_lost_against_the_truth():
     # a unit of 12: near is less than 2 off
-    part = rows([0, 0, 0, 9, 9, 9, 9, 0, 9, 0], "vvvhhhvvvv", ours=statuses("tltttllltl"))
+    part = rows([1.99, 0, 0, 9, 9, 9, 9, 0, 2, 0], "vvvhhhvvvv", ours=statuses("tltttllltl"))
     found = measure_lost([part])
     assert (found.rows, found.covered, found.called) == (10, 3, 5)
     # lost are rows 1, 5, 6, 7, 9; hidden 3, 4, 5; gone 3, 4, 5, 6, 8
