@@ -18,7 +18,7 @@ from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.rows import NOT_SEEN, Pair, at
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.style import Axes, Figure
-from facetrack_cli.trajectory.diagnostics import AFFINE, EVIDENCE, POSTERIOR, SURE, Diagnostic
+from facetrack_cli.trajectory.diagnostics import AFFINE, EVIDENCE, POSTERIOR, SURE
 from facetrack_cli.trajectory.face_events import KINDS
 from facetrack_cli.trajectory.measures import DEGREES, HAND_MEASURES, MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value
@@ -76,7 +76,7 @@ def measures_figure(table: Trajectory, names: Sequence[str]) -> Figure:
     with style.style():
         page = _Page(table, ())
         panels = [page.measure(name, there[name].unit, 1.0, names) for name in wanted]
-        return page.figure(panels, _title(table), style.WIDTH)
+        return page.figure(panels, _title(table), style.WIDTH, parts=False)
 
 
 def size(s: Trajectory) -> Array:
@@ -162,18 +162,19 @@ class _Page:
         self.paired = [(line, line.pair) for line in self.lines if line.pair is not None]
         self.many = len(self.lines) > MAX_LINES
         self.colours = {line.ours.target: line.group for line in self.lines}
+        self.reported = {target: each for target, each in table.diagnostics.items() if target in self.colours}
         self.least = float(self.frames[-1] - self.frames[0] + 1) / style.BINS  # frames to a pixel
         stated = np.concatenate([table.status, *(pair.truth.status for _, pair in self.paired)])
         self.gone = [status for status in ("hidden", "lost", "absent") if status in stated]
         self.corrected = np.unique(np.concatenate([line.ours.frame[line.ours.corrected] for line in self.lines]))
 
-    def figure(self, panels: Sequence[Panel], title: str, width: float) -> Figure:
+    def figure(self, panels: Sequence[Panel], title: str, width: float, *, parts: bool = True) -> Figure:
+        """The panels below a legend, of targets alone where they show no `parts`."""
         if not panels:
             raise InputError(f"{self.table.path}: has no number that could be drawn in any row")
-        legend, most = self._legend(), max(3, min(11, int(1.1 * width)))
-        columns = max(
-            1, int((width - 0.2) / (0.068 * max(map(len, legend), default=1) + 0.56))
-        )  # as wide as the longest
+        legend, most = self._legend(parts), max(3, min(11, int(1.1 * width)))
+        longest = 0.068 * max(map(len, legend), default=1) + 0.56  # inches; all columns are as wide
+        columns = max(1, int((width - 0.2) / longest))
         about = textwrap.wrap("   ·   ".join(self._summary()), int(width * 15))
         above = 0.5 + 0.18 * (len(about) - (-len(legend) // columns))
         figure = style.new_figure(width, above + 0.5 + sum(panel.height + 0.27 for panel in panels))
@@ -195,19 +196,19 @@ class _Page:
         column[0].get_legend().get_title().set_color(style.FAINT)
         return figure
 
-    def _legend(self) -> dict[str, Any]:
+    def _legend(self, parts: bool) -> dict[str, Any]:
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
         legend: dict[str, Any] = {}
-        if not self.many:
+        if parts and not self.many:
             legend |= {line.name: Line2D([], [], **line.look) for line in self.lines}
             legend |= {"ground truth": Line2D([], [], **style.TRUTH)} if self.paired else {}
-        for target, colour in self.colours.items() if self.many else ():
-            count = len(self.table.of_target(target))
+        for target, colour in self.colours.items() if self.many or not parts else ():
+            count = len(self.table.of_target(target)) if parts else 1
             name = f"{target}: {count} parts, their median, middle 80 % and range" if count > 1 else target
             legend[style.clean(name, 70)] = Line2D([], [], color=colour, linewidth=2)
-        legend |= {status: Patch(color=style.STATUS[status], linewidth=0) for status in self.gone}
+        legend |= {status: Patch(color=style.STATUS[status], linewidth=0) for status in self.gone if parts}
         return legend | ({"corrected by hand": Line2D([], [], **style.CORRECTED)} if len(self.corrected) else {})
 
     def _summary(self) -> list[str]:
@@ -369,16 +370,16 @@ class _Page:
         named = [target for target in self.table.targets if is_known(self.table.beliefs(target)[2])]
         for target in named[:MAX_IDENTITY_PANELS]:
             yield Panel("identity", style.clean(target, 24), 1.3, partial(self._identity, target=target))
-        reported = self.table.diagnostics.values()
-        for kind in {kind.name: kind for each in reported for kind in each.declared}.values():
+        for name, kind in {kind.name: kind for each in self.reported.values() for kind in each.declared}.items():
             # evidence says little but as a sum
-            if kind not in (POSTERIOR, AFFINE, EVIDENCE) and any(is_known(each.get(kind.name)) for each in reported):
-                title = kind.name + (f" ({kind.unit})" if kind.unit else "")
-                yield Panel(title, kind.meaning, 0.7, partial(self._diagnostic, kind=kind))
+            elsewhere = name in (POSTERIOR.name, AFFINE.name, EVIDENCE.name)
+            if not elsewhere and any(is_known(each.get(name)) for each in self.reported.values()):
+                title = name + (f" ({kind.unit})" if kind.unit else "")
+                yield Panel(title, kind.meaning, 0.7, partial(self._diagnostic, name=name))
 
-    def _diagnostic(self, axes: Axes, kind: Diagnostic) -> None:
-        for target, each in self.table.diagnostics.items():
-            for column in np.atleast_2d(each.get(kind.name).T):
+    def _diagnostic(self, axes: Axes, name: str) -> None:
+        for target, each in self.reported.items():
+            for column in np.atleast_2d(each.get(name).T):
                 style.line(axes, each.frame, column, color=self.colours[target], linewidth=1.2)
         style.limit(axes, ticks=3)
 
