@@ -315,8 +315,8 @@ class _Page:
                 bars += [(line.pair.truth, status, (row + 0.1, 0.3)) for status in NOT_SEEN]
             for part, status, place in bars:
                 mask = np.isin(part.status, (status, "init") if status == "tracked" else status)
-                across = [(a, b - a) for a, b in style.frame_spans(part.frame, mask, self.least)]
-                axes.broken_barh(across, place, facecolors=style.STATUS[status], linewidth=0, antialiased=False)
+                if across := [(a, b - a) for a, b in style.frame_spans(part.frame, mask, self.least)]:
+                    axes.broken_barh(across, place, facecolors=style.STATUS[status], linewidth=0, antialiased=False)
             starts = line.ours.frame[line.ours.status == "init"]
             if starts.size and not self.many:
                 middle = np.full(len(starts), top + tall / 2)
@@ -331,9 +331,8 @@ class _Page:
         """The effective sample size on a log scale, before the number of particles."""
         from matplotlib.ticker import LogLocator
 
-        for line in self.lines:
-            grey: dict[str, Any] = {"color": style.PALE, "linewidth": 2.2, "zorder": 1.5}
-            style.line(axes, line.ours.frame, _particles(line.ours), **grey)
+        for part in {_particles(line.ours).tobytes(): line.ours for line in self.lines}.values():
+            style.line(axes, part.frame, part.particles, color=style.PALE, linewidth=2.2, zorder=1.5)
         axes.set_yscale("log")
         self._strokes(axes, _ess)
         low, high = axes.get_ylim()
