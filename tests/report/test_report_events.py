@@ -1,6 +1,7 @@
 """What a report says of a run: lost spans, stretches, which frames it shows; the recipe that ran, and its command."""
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -40,6 +41,8 @@ def test_the_history_of_each_part(tmp_path):
     assert key_frames(history, events, 5, 24) == sorted(events)
     kinds = {frame: [kind for kind, *_ in why] for frame, why in events.items()}
     assert kinds == {5: ["start"], 6: ["worst"], 8: ["lost"], 12: ["back"], 14: ["lost"], 24: ["end"]}
+    by_hand = joined([replace(part, by_hand=part.frame == 12) for part in table.parts], header=table.header)
+    assert 12 not in reasons(by_hand, history_of(by_hand, clock), "haar", 5, 24), "it does not come back by itself"
 
 
 @pytest.mark.parametrize("seed", range(2))
