@@ -13,6 +13,7 @@ tracker runs once and its interval is its value; of a single seed of any other n
 
 import contextlib
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -279,8 +280,9 @@ def default_truth(clip: Path) -> Path:
     for path in (beside / name for name in TRUTH_NAMES):
         if path.is_file():
             # a comparison's folder has images, too
-            folders = [one for one in beside.iterdir() if one.is_dir() and not (one / "compare.json").exists()]
-            clips = [any(map(is_image, one.iterdir())) for one in folders] if images else map(is_clip, beside.iterdir())
+            folders = [one for one in beside.iterdir() if one.is_dir() and os.access(one, os.R_OK)]
+            other = [any(map(is_image, one.iterdir())) and not (one / "compare.json").exists() for one in folders]
+            clips = other if images else map(is_clip, beside.iterdir())
             if (count := sum(clips)) > 1:
                 raise InputError(f"{clip}: {path} is beside {count} clips; if it is of this one, name it with --truth")
             return path
