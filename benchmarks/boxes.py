@@ -31,6 +31,7 @@ from facetrack_cli.core.types import Array, Mask, Start, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.evaluation.accuracy import measure_boxes
 from facetrack_cli.evaluation.compare import default_truth
+from facetrack_cli.evaluation.reliability import ELLIPSE_90, calibration_error, mahalanobis_squared, reliability_bins
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import truth_start
 from facetrack_cli.runs.seeds import variant
@@ -38,8 +39,6 @@ from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory
 from facetrack_cli.video.source import open_source
-
-_CHI2_90 = 4.605  # of two degrees of freedom
 
 
 class Rows(NamedTuple):
@@ -80,15 +79,13 @@ def run(clip: Path, config: str, seed: int) -> Rows:
         for result in track(build_tracker(load_recipe(name, overrides), start), iter(source), seed):
             collected.add(result.rows)
     ours = collected.trajectory()
-    rows = {frame: i for i, frame in enumerate(truth.frame.tolist())}
-    kept = [i for i, frame in enumerate(ours.frame.tolist()) if frame in rows][1:]
-    ours, true = ours.take(np.array(kept)), truth.take(np.array([rows[ours.frame[i]] for i in kept]))
+    _, mine, theirs = np.intersect1d(ours.frame, truth.frame, return_indices=True)
+    ours, true = ours.take(mine[1:]), truth.take(theirs[1:])
     visible = true.status != "hidden"
     found = measure_boxes(ours.boxes, true.boxes, visible=visible)
     every = measure_boxes(ours.boxes, true.boxes, visible=np.ones(len(visible), np.bool_))
     off = np.stack([ours.x - true.x, ours.y - true.y], axis=1)
-    xx, yy, xy = ours.std_x**2 + 1e-9, ours.std_y**2 + 1e-9, np.nan_to_num(ours.cov_xy)
-    squared = (yy * off[:, 0] ** 2 - 2 * xy * off[:, 0] * off[:, 1] + xx * off[:, 1] ** 2) / (xx * yy - xy**2)
+    std = np.stack([ours.std_x, ours.std_y], axis=1)
     return Rows(
         auc=float(found.success_auc or 0.0),
         overlap=every.overlap,
@@ -96,7 +93,7 @@ def run(clip: Path, config: str, seed: int) -> Rows:
         visible=visible,
         lost=ours.status == "lost",
         confidence=ours.confidence,
-        inside=squared < _CHI2_90,
+        inside=mahalanobis_squared(off, std, np.nan_to_num(ours.cov_xy)) <= ELLIPSE_90,
     )
 
 
@@ -145,11 +142,7 @@ def trust(runs: Sequence[Rows]) -> Iterator[str]:
     if not np.isfinite(confidence).all():
         yield from ("–", "–")
         return
-    which = np.minimum((confidence * 10).astype(int), 9)
-    gaps = [
-        abs(confidence[which == k].mean() - near[which == k].mean()) * (which == k).mean() for k in set(which.tolist())
-    ]
-    yield f"{sum(gaps):.3f}"
+    yield f"{calibration_error(reliability_bins(confidence, near, visible)):.3f}"
     yield f"{inside[visible].mean():.3f}"
 
 

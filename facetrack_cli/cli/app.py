@@ -1,7 +1,6 @@
 """The command line: a group that loads a command only when it is called, so that `facetrack --help` is instant."""
 
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -147,8 +146,3 @@ def cli(ctx: click.Context, debug: bool, log_format: str) -> None:
         os.environ[LOG_FORMAT] = "json"
     else:
         os.environ.pop(LOG_FORMAT, None)
-
-
-def colour() -> bool:
-    """Whether standard output shows colours."""
-    return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"

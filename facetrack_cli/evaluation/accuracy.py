@@ -16,21 +16,19 @@ Where the toolkits differ from that: got10k 0.1.3 counts a row without ground tr
 (its GOT-10k experiment, and the LaSOT experiment of later sources, leave such rows out), and its AO is nan as soon as
 one prediction is nan.
 
-Of points: errors, Euclidean distances in pixels, and the recovery of parts after occlusions. A *normalised* error is
-divided by a length of the ground truth (rows.py). Failure rate and AUC are those of the facial landmark literature
-(300-W, COFW, WFLW), with a row for an image.
+Of points: errors, Euclidean distances in pixels. A *normalised* error is divided by a length of the ground truth
+(rows.py). Failure rate and AUC are those of the literature on facial landmarks (300-W, COFW, WFLW), a row an image.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.evaluation.rows import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Rows, Value, column, mean, median
+from facetrack_cli.evaluation.rows import COUNT, PERCENT, PX, UNIT, Measure, Rows, Value, column, mean, median
 
 SUCCESS_THRESHOLDS: Array = np.linspace(0.0, 1.0, 21)  # overlap; OTB
 PRECISION_THRESHOLDS: Array = np.arange(51.0)  # pixels
@@ -171,7 +169,6 @@ def _length(offsets: Array) -> Array:
 
 
 FAILURE = 0.1  # normalised error above which a row has failed, as in COFW and WFLW; 300-W takes 0.08
-HELD = 5  # a part is back once it is near for so many rows in a row
 LAST = 25  # visible rows at the end whose median error tells whether a part is lost for good
 LOST = 1 / 4  # of the normalising length: a part whose last rows are further off is lost for good
 
@@ -203,35 +200,6 @@ class PointMeasures:
     hidden_mean_px: Annotated[Value, Measure("mean\npx", PX, "less", rare=True)]
     hidden_median_px: Annotated[Value, Measure("median\npx", PX, "less", rare=True)]
     lost_for_good: Annotated[int | None, Measure("lost for\ngood", COUNT, "less")]
-
-
-@dataclass(frozen=True)
-class Occlusion:
-    """A stretch of rows of one target in which parts of it are hidden or absent; `first` and `last` are its frames.
-
-    `frames_to_return`: from the first frame after it to the first of 5 rows in a row in which every part that was
-    covered is near; None if there is none before the next occlusion or the end. `decided` is False where fewer than 5
-    rows follow of which it is known whether those parts are near, and where a correction of them came before.
-    """
-
-    target: str
-    parts: tuple[str, ...]
-    first: int
-    last: int
-    frames_to_return: int | None
-    decided: bool
-
-
-@dataclass(frozen=True)
-class RecoveryMeasures:
-    """How many occlusions there are, can be decided, and end with a return; `recovered` is the share of the decided."""
-
-    occlusions: Annotated[int, Measure("", COUNT)]
-    decided: Annotated[int, Measure("", COUNT)]
-    returned: Annotated[int, Measure("", COUNT)]
-    recovered: Annotated[Value, Measure("", PERCENT, "more")]
-    frames_median: Annotated[Value, Measure("", HALVES, "less")]
-    frames_worst: Annotated[Value, Measure("", COUNT, "less")]
 
 
 def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeasures:
@@ -272,44 +240,3 @@ def lost_for_good(part: Rows) -> bool | None:
     """Whether a part ends lost; None where no visible row has a true position and a length."""
     seen = np.flatnonzero(part.visible & part.placed & np.isfinite(part.unit))[-LAST:]
     return bool(np.median(part.error[seen] / part.unit[seen]) > LOST) if len(seen) else None
-
-
-def occlusions(parts: Sequence[Rows]) -> tuple[Occlusion, ...]:
-    """The occlusions of every target, in the order of targets and frames."""
-    targets = dict.fromkeys(part.target for part in parts)
-    return tuple(span for name in targets for span in _of_target([part for part in parts if part.target == name]))
-
-
-def _of_target(parts: Sequence[Rows]) -> Iterator[Occlusion]:
-    frames = np.unique(column(parts, "frame"))
-    # a part without a row in a frame is not known to be covered there, nor to be near
-    covered, near, judged, by_hand = np.zeros((4, len(frames), len(parts)), dtype=np.bool_)
-    for k, part in enumerate(parts):
-        at = np.searchsorted(frames, part.frame)
-        covered[at, k], near[at, k], judged[at, k], by_hand[at, k] = part.covered, part.near, part.judged, part.by_hand
-    stretches = spans(np.any(covered, axis=1))
-    nexts = [*[first for first, _ in stretches], len(frames)][1:]
-    for (first, end), until in zip(stretches, nexts, strict=True):
-        hit = np.flatnonzero(covered[first:end].any(axis=0))
-        back = next((end + a for a, b in spans(np.all(near[end:until, hit], axis=1)) if b - a >= HELD), None)
-        helped = by_hand[first : until if back is None else back + 1, hit].any()
-        after = None if back is None else int(frames[back] - frames[end])
-        decided = int(judged[end:until, hit].all(axis=1).sum()) >= HELD and not bool(helped)
-        names = tuple(parts[k].part for k in hit.tolist())
-        yield Occlusion(parts[0].target, names, int(frames[first]), int(frames[end - 1]), after, decided)
-
-
-def measure_recovery(spans: Sequence[Occlusion]) -> RecoveryMeasures | None:
-    """Over occlusions; None if there is none."""
-    if not spans:
-        return None
-    decided = [span for span in spans if span.decided]
-    frames = [span.frames_to_return for span in decided if span.frames_to_return is not None]
-    return RecoveryMeasures(
-        occlusions=len(spans),
-        decided=len(decided),
-        returned=len(frames),
-        recovered=len(frames) / len(decided) if decided else None,
-        frames_median=median(np.array(frames)),
-        frames_worst=float(max(frames)) if frames else None,
-    )

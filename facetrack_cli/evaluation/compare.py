@@ -23,26 +23,16 @@ import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.numbers import csv_text, document
-from facetrack_cli.core.types import Array, Start, Whole
-from facetrack_cli.evaluation import summary
+from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.accuracy import share_up_to
 from facetrack_cli.evaluation.rows import PERCENT, Measure, Rows, at, column, match
-from facetrack_cli.evaluation.summary import (
-    MEASURES,
-    NO_FIGURE,
-    Evaluation,
-    Sheet,
-    clip_name,
-    evaluate,
-    rounded,
-    scalars,
-)
+from facetrack_cli.evaluation.summary import MEASURES, NO_FIGURE, Sheet, clip_name, evaluate, scalars
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.progress import Progress
-from facetrack_cli.runs.seeds import SeedPlan, SeedRun, outline, run_plans
+from facetrack_cli.runs.seeds import SeedPlan, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.trajectory.reader import MAX_FRAME
+from facetrack_cli.trajectory.reader import MAX_FRAME, frame_size_of
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 from facetrack_cli.video.source import check_file, is_clip, is_image
 
@@ -55,16 +45,6 @@ USUAL: Final = {  # the measures in the table
     "points": ("points.mean_normalised", "points.mean_px", "points.median_px"),
 }
 TRUTH_NAMES: Final = ("groundtruth.csv", "groundtruth_rect.txt", "groundtruth.txt")
-
-
-@dataclass(frozen=True)
-class Scoring:
-    """How runs are measured."""
-
-    select: str | None = None  # the one target of the ground truth
-    partial: bool = False  # whether that may be shorter than the run
-    stop: int | None = None  # the frame before which the runs end
-    size: tuple[int, int] | None = None  # (width, height) of the frames, to which GOT-10k clips boxes
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,13 +65,12 @@ class Score:
 
 @dataclass
 class Entry:
-    """One recipe: its scores, one a seed, or the `error` that kept it from running; `start` is that of its runs."""
+    """One recipe: its scores, one a seed, or the `error` that kept it from running."""
 
     label: str
     scores: list[Score] = field(default_factory=list)
     error: FacetrackError | None = None
     recipe: Recipe | None = None
-    start: Start | None = None
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -150,10 +129,6 @@ def kind_of(entries: Sequence[Entry]) -> str:
     return "points" if first is None or first.success is None else "boxes"
 
 
-def less_is_better(measure: str) -> bool:
-    return MEASURES[measure].better == "less"
-
-
 def check_measure(measure: str) -> None:
     """UsageError for a measure that cannot rank recipes; it lists those that can."""
     able = [name for name, declared in MEASURES.items() if declared.better is not None]
@@ -164,7 +139,7 @@ def check_measure(measure: str) -> None:
 
 def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
     """All entries in the order of their mean of `measure`; entries without a value come last, in the given order."""
-    sign = -1.0 if less_is_better(measure) else 1.0
+    sign = 1.0 if MEASURES[measure].better == "more" else -1.0
     valued = [entry for entry in entries if entry.mean(measure) is not None]
     valued.sort(key=lambda entry: -sign * (entry.mean(measure) or 0.0))
     bounds = [sorted(sign * end for end in entry.interval(measure)) for entry in valued]
@@ -176,58 +151,45 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
     return [*places, *(Place(entry, None, None) for entry in entries if entry not in valued)]
 
 
-def score_run(run: SeedRun, truth: Trajectory, options: Scoring, note: Callable[[str], None] = lambda _: None) -> Score:
-    """Measure a run; `note` gets the notes of `match`. InputError if the truth does not fit the run."""
-    ours, truth_within = run.trajectory, within(truth, run.trajectory, options)
-    pairs = match(ours, truth_within, partial=options.partial, select=options.select, note=note)
-    evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.parts)
-    rows, boxes = evaluation.rows, evaluation.all.boxes
+def score_run(
+    run: SeedRun,
+    truth: Trajectory,
+    *,
+    select: str | None = None,
+    partial: bool = False,
+    stop: int | None = None,
+    note: Callable[[str], None] = lambda _: None,
+) -> Score:
+    """Measure a run that ends before the frame `stop`; the others are as of `match`.
+
+    Raises InputError if the truth does not fit the run.
+    """
+    first = int(run.trajectory.frames[0])
+    kept = [own for part in truth.parts if len(own := part.between(first, stop or MAX_FRAME))]
+    if not kept:
+        asked = f"from frame {first} on" if stop is None else f"from frame {first} to {stop - 1}"
+        raise InputError(f"{truth.path}: has no row {asked}; correct it, or give frames that it knows")
+    within = joined(kept, header=truth.header, path=truth.path)
+    pairs = match(run.trajectory, within, partial=partial, select=select, note=note)
+    evaluation = evaluate(pairs, size=frame_size_of(run.trajectory), reference=truth.parts)
+    rows, boxes, points = evaluation.rows, evaluation.all.boxes, evaluation.all.points
     frame, place = np.unique(column(rows, "frame"), return_inverse=True)
     error = column(rows, "error")
     finite = np.isfinite(error)
     count, total = (np.bincount(place[finite], weights, len(frame)) for weights in (None, error[finite]))
+    tails = [tail_overlap(part.boxes.overlap) for part in evaluation.parts if part.boxes is not None]
     return Score(
         seed=run.seed,
         figures=scalars(evaluation),
-        failed=has_failed(evaluation),
+        failed=bool(points and points.lost_for_good) or any(tail is not None and tail < TAIL_IOU for tail in tails),
         frames_per_s=run.frames_per_s,
         frame=frame,
         error=np.where(count > 0, total / np.maximum(count, 1), np.nan),
         hidden=np.unique(np.concatenate([part.frame[part.covered] for part in rows])),
         success=None if boxes is None else boxes.success,
         precision=None if boxes is None else boxes.precision,
-        cumulative=None if evaluation.all.points is None else cumulative(rows),
+        cumulative=None if points is None else cumulative(rows),
     )
-
-
-def kinds_of(plan: SeedPlan, truth: Trajectory, options: Scoring) -> set[str]:
-    """What the runs of a plan on frames of `options.size` will be measured as, `boxes` or `points`.
-
-    Raises, before anything runs, what recipe, start and the names in the ground truth are refused for.
-    """
-    frames = truth.frames[truth.frames > plan.start.frame]
-    assert options.size is not None
-    table = outline(plan, np.array([plan.start.frame, *frames]), options.size)
-    pairs = match(table, within(truth, table, options), partial=True, select=options.select)
-    return {"boxes" if pair.is_box else "points" for pair in pairs}
-
-
-def within(truth: Trajectory, trajectory: Trajectory, options: Scoring) -> Trajectory:
-    """The ground truth of the frames that were asked for: from the run's first one to before --stop."""
-    first, stop = int(trajectory.frames[0]), MAX_FRAME if options.stop is None else options.stop
-    kept = [rows for part in truth.parts if len(rows := part.between(first, stop))]
-    if not kept:
-        asked = f"from frame {first} on" if options.stop is None else f"from frame {first} to {stop - 1}"
-        raise InputError(f"{truth.path}: has no row {asked}; correct it, or give frames that it knows")
-    return joined(kept, header=truth.header, path=truth.path)
-
-
-def has_failed(evaluation: Evaluation) -> bool:
-    """Whether a run ends lost: a part lost for good, or a box off its target over the last tenth."""
-    if evaluation.all.points is not None and evaluation.all.points.lost_for_good:
-        return True
-    tails = [tail_overlap(part.boxes.overlap) for part in evaluation.parts if part.boxes is not None]
-    return any(tail is not None and tail < TAIL_IOU for tail in tails)
 
 
 def tail_overlap(overlap: Array) -> float | None:
@@ -246,8 +208,8 @@ def cumulative(rows: Sequence[Rows]) -> Array | None:
 def aligned(entries: Sequence[Entry]) -> tuple[Whole, dict[str, Array]]:
     """All frames (T,) that any run has an error for, and by label the errors (S, T), nan where there is none."""
     frame = np.unique(np.concatenate([score.frame for entry in entries for score in entry.scores]))
-    of_all = {entry.label: [at(frame, score.frame, score.error) for score in entry.scores] for entry in entries}
-    return frame, {label: np.array(errors) for label, errors in of_all.items() if errors}
+    ran = [entry for entry in entries if entry.scores]
+    return frame, {entry.label: np.array([at(frame, one.frame, one.error) for one in entry.scores]) for entry in ran}
 
 
 def run_recipes(
@@ -255,31 +217,25 @@ def run_recipes(
     request: ClipRequest,
     truth: Trajectory,
     seeds: int,
-    options: Scoring,
     *,
-    rank_by: str | None,
+    select: str | None,
+    partial: bool,
     workers: int,
     stop: Stop,
     shown: Progress,
 ) -> list[Entry]:
     """Every recipe, by label, with its scores, or with what kept it from running; none if it is stopped before.
 
-    Raises the error if all fail of one.
+    `select` and `partial` are as of `match`. Raises the error if all fail of one.
     """
+    how: dict[str, Any] = {"select": select, "partial": partial, "stop": request.stop}
     entries = {label: Entry(label, recipe=recipe) for label, recipe in recipes.items()}
-    family = (rank_by or "").partition(".")[0]
     plans = []
     for label, recipe in recipes.items():
         try:
             start = request.find(recipe, truth, stop)
             own = range(seeds if recipe.random else 1)  # what draws no random numbers has one run to show
-            plan = SeedPlan(label, request.clip, recipe, start, tuple(own), request.stop, request.fps)
-            kinds = kinds_of(plan, truth, options)
-            if family in ("boxes", "points") and family not in kinds:
-                measured = f"this ground truth measures {' and '.join(sorted(kinds))} of {label}"
-                raise UsageError(f"--rank-by {rank_by}: {measured}; rank by these")
-            plans.append(plan)
-            entries[label].start = start
+            plans.append(SeedPlan(label, request.clip, recipe, start, tuple(own), request.stop, request.fps))
         except FacetrackError as e:
             if stop():
                 return []
@@ -295,14 +251,14 @@ def run_recipes(
                     raise ended.error
                 for run in ended.runs:
                     entry.warnings += run.warnings
-                    entry.scores.append(score_run(run, truth, options, notes.append))
+                    entry.scores.append(score_run(run, truth, **how, note=notes.append))
             except FacetrackError as e:
                 entry.error = e
                 if alike and ended.error is None and not any(entry.scores for entry in entries.values()):
                     break  # what is wrong with the ground truth is wrong for every other run too
-    failed = {entry.label: entry.error for entry in entries.values() if entry.error is not None}
-    if failed and not any(entry.scores for entry in entries.values()) and stop.code is None:
-        raise next(iter(failed.values()))
+    errors = [entry.error for entry in entries.values() if entry.error is not None]
+    if errors and not any(entry.scores for entry in entries.values()) and stop.code is None:
+        raise errors[0]
     warnings = [line for entry in entries.values() for line in entry.warnings]
     for kind, lines in (("warning", warnings), ("note", notes)):
         for line in dict.fromkeys(lines):
@@ -315,88 +271,74 @@ def default_truth(clip: Path) -> Path:
 
     InputError if there is none, and for one beside several clips, which does not say whose it is.
     """
-    beside = clip.resolve().parent if clip.is_dir() else clip.parent
-    stem = clip.resolve().name if clip.is_dir() else clip.stem
-    folders = [clip, beside] if clip.is_dir() else [beside]
-    candidates = [beside / f"{stem}.truth.csv", *(folder / name for folder in folders for name in TRUTH_NAMES)]
-    for path in candidates:
+    images = clip.is_dir()
+    beside, stem = (clip.resolve().parent, clip.resolve().name) if images else (clip.parent, clip.stem)
+    inside = [clip / name for name in TRUTH_NAMES] if images else []
+    for path in (beside / f"{stem}.truth.csv", *inside):
         if path.is_file():
-            if path.name in TRUTH_NAMES and path.parent == beside and (count := _clips_in(beside, clip.is_dir())) > 1:
+            return path
+    for path in (beside / name for name in TRUTH_NAMES):
+        if path.is_file():
+            # a comparison's folder has images, too
+            folders = [one for one in beside.iterdir() if one.is_dir() and os.access(one, os.R_OK)]
+            other = [any(map(is_image, one.iterdir())) and not (one / "compare.json").exists() for one in folders]
+            clips = other if images else map(is_clip, beside.iterdir())
+            if (count := sum(clips)) > 1:
                 raise InputError(f"{clip}: {path} is beside {count} clips; if it is of this one, name it with --truth")
             return path
-    if not (clip.is_dir() or is_image(clip)):
+    if not (images or is_image(clip)):
         check_file(clip)
-    raise InputError(
-        f"{clip}: there is neither {candidates[0].name} nor groundtruth.csv beside it; name it with --truth"
-    )
-
-
-def _clips_in(folder: Path, of_images: bool) -> int:
-    """How many clips, or folders `of_images`, a folder holds; a comparison's has plots."""
-    if not of_images:
-        return sum(map(is_clip, folder.iterdir()))
-    folders = [sub for sub in folder.iterdir() if sub.is_dir() and not (sub / "compare.json").exists()]
-    return sum(any(map(is_image, sub.iterdir())) for sub in folders if os.access(sub, os.R_OK))
+    raise InputError(f"{clip}: there is neither {stem}.truth.csv nor groundtruth.csv beside it; name it with --truth")
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """All that a comparison found. `entries` in the order in which they were asked for."""
+    """All that a comparison found. `entries` in the order in which they were asked for, ranked by `rank_by`, or else by
+    the first of the USUAL measures.
+    """
 
     clip: Path
     truth: Path
     seeds: int
     entries: tuple[Entry, ...]
-    measure: str
-    workers: int = 1
+    rank_by: str | None = None
     complete: bool = True
-
-    @property
-    def places(self) -> list[Place]:
-        return rank(self.entries, self.measure)
 
     @property
     def measures(self) -> tuple[str, ...]:
         """The measures in the table; the measure that ranks comes first."""
-        return tuple(dict.fromkeys([self.measure, *USUAL[kind_of(self.entries)]]))
+        return tuple(dict.fromkeys([*filter(None, [self.rank_by]), *USUAL[kind_of(self.entries)]]))
+
+    @property
+    def places(self) -> list[Place]:
+        return rank(self.entries, self.measures[0])
 
     def sheet(self) -> Sheet:
         """A row for each recipe by rank; recipes that could not run come last, and notes say why."""
         frames = np.concatenate([score.frame for entry in self.entries for score in entry.scores])
-        span = f"frames {frames.min()} to {frames.max()}"
-        recipes = "1 recipe" if len(self.entries) == 1 else f"{len(self.entries)} recipes"
-        title = f"{clip_name(self.clip)}: {recipes} on {span}, ground truth {self.truth.name}"
+        recipes = f"{len(self.entries)} recipe{'s' * (len(self.entries) > 1)}"
+        on = f"frames {frames.min()} to {frames.max()}, ground truth {self.truth.name}"
         fastest = max((entry.frames_per_s or 0.0 for entry in self.entries), default=0.0)
         heads = ("rank", "recipe", *map(_head, self.measures), "failed", "frames\nper s", "time a\nframe")
         rows = tuple(self._row(place, fastest) for place in self.places)
-        return Sheet(title, heads, rows, tuple(self.notes()), left=(1,))
+        return Sheet(f"{clip_name(self.clip)}: {recipes} on {on}", heads, rows, tuple(self.notes()), left=(1,))
 
     def _row(self, place: Place, fastest: float) -> tuple[str, ...]:
         entry, rate = place.entry, place.entry.frames_per_s
         if not entry.scores:
             return (place.text, entry.label, "not run", *(NO_FIGURE,) * (len(self.measures) + 2))
         figures = [figure(MEASURES[name], entry.values(name), spread=not entry.deterministic) for name in self.measures]
-        speed = [NO_FIGURE, NO_FIGURE]
-        if rate is not None:
-            times = fastest / rate
-            speed = [f"{rate:,.{0 if rate >= 10 else 1}f}", f"×{times:,.{0 if times >= 10 else 2}f}"]
+        speed = (NO_FIGURE,) * 2 if rate is None else (f"{rate:,.0f}", f"×{fastest / rate:,.2f}")
         return (place.text, entry.label, *figures, f"{entry.failures} of {len(entry.scores)}", *speed)
 
     def notes(self) -> list[str]:
         """Notes below the table: how to read it, and why recipes did not run."""
         several = any(len(entry.scores) > 1 for entry in self.entries)
         over = f"Mean ± standard deviation over {self.seeds} seeds" if several else "One run each"
-        lines = [f"{over}; ranked by {self.measure}, {'less' if less_is_better(self.measure) else 'more'} is better."]
+        lines = [f"{over}; ranked by {self.measures[0]}, {MEASURES[self.measures[0]].better} is better."]
         if any(place.first != place.last for place in self.places):
             more = "" if several else "; one seed tells nothing of a difference, give --seeds"
-            overlap = "not distinguishable, the means ± 2 standard errors overlap"
-            lines.append(f"A rank such as 1\N{EN DASH}2: {overlap}{more}.")
-        failed = "a part's median error over its last 25 visible frames exceeds a quarter of the target's size"
-        if kind_of(self.entries) == "boxes":
-            failed = "the median IoU over the last tenth of the frames is below 0.1"
-        lines.append(f"Failed: runs at whose end {failed}.")
-        shared = f" by {self.workers} processes, which slow each other down" if self.workers > 1 else ""
-        lines.append(f"Frames/s: the tracker alone{shared}; only ratios between rows mean anything.")
+            lines.append(f"Recipes that share ranks: the means ± 2 standard errors overlap{more}.")
         if once := [entry.label for entry in self.entries if entry.deterministic and entry.scores]:
             lines.append(f"Deterministic, run once: {', '.join(once)}.")
         if not self.complete:
@@ -422,8 +364,8 @@ class Comparison:
             "clip": str(self.clip),
             "truth": str(self.truth),
             "seeds": self.seeds,
-            "ranked_by": self.measure,
-            "less_is_better": less_is_better(self.measure),
+            "ranked_by": self.measures[0],
+            "less_is_better": MEASURES[self.measures[0]].better == "less",
             "complete": self.complete,
             "notes": self.notes(),
             "recipes": [self._recipe(place) for place in self.places],
@@ -437,15 +379,14 @@ class Comparison:
             "rank": None if place.first is None else [place.first, place.last],
             "error": None if entry.error is None else str(entry.error),
             "deterministic": entry.deterministic,
-            "begins": None if entry.start is None else f"{entry.start.origin}, frame {entry.start.frame}",
             "warnings": list(dict.fromkeys(entry.warnings)),
             "failures": entry.failures,
-            "frames_per_s": rounded(entry.frames_per_s, 2),
-            "mean": {n: rounded(m, 6) for n in MEASURES if (m := entry.mean(n)) is not None},
-            "std": {n: rounded(s, 6) for n in MEASURES if (s := entry.spread(n)) is not None},
+            "frames_per_s": None if entry.frames_per_s is None else round(entry.frames_per_s, 2),
+            "mean": {n: round(m, 6) for n in MEASURES if (m := entry.mean(n)) is not None},
+            "std": {n: round(s, 6) for n in MEASURES if (s := entry.spread(n)) is not None},
             "runs": [
-                {"seed": score.seed, "failed": score.failed, "frames_per_s": rounded(score.frames_per_s, 2)}
-                | {name: rounded(value, 6) for name, value in score.figures.items()}
+                {"seed": score.seed, "failed": score.failed, "frames_per_s": round(score.frames_per_s, 2)}
+                | {name: round(value, 6) for name, value in score.figures.items()}
                 for score in entry.scores
             ],
             "recipe": to_dict(entry.recipe) if entry.recipe is not None else None,
@@ -453,7 +394,7 @@ class Comparison:
 
 
 def _head(measure: str) -> str:
-    way = "\N{DOWNWARDS ARROW}" if less_is_better(measure) else "\N{UPWARDS ARROW}"
+    way = "\N{DOWNWARDS ARROW}" if MEASURES[measure].better == "less" else "\N{UPWARDS ARROW}"
     return f"{MEASURES[measure].title.strip() or measure} {way}"
 
 

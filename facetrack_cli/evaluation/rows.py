@@ -53,7 +53,6 @@ def measures_of(kind: type) -> dict[str, Measure]:
 
 
 COUNT: Final = "{:,.0f}".format
-HALVES: Final = "{:g}".format  # the median of whole frames
 PX: Final = "{:.2f}".format
 UNIT: Final = "{:.3f}".format
 
@@ -308,7 +307,7 @@ def match(
     ground truth cannot have, frames that one lacks, truth outside of the frame; UsageError if `select` names none.
     """
     named = _pair_names(choose(trajectory, select), truth, select, note)
-    _check_status(trajectory, truth, named)
+    _check_status(truth, named)
     _check_frames(trajectory, truth, named, partial)
     _check_places(trajectory, truth, named)
     pairs = []
@@ -355,17 +354,12 @@ def _names(parts: Sequence[Trajectory]) -> str:
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
 
 
-def _check_status(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair]) -> None:
+def _check_status(truth: Trajectory, named: Sequence[Pair]) -> None:
     for _, part in named:
         for row in np.flatnonzero(~np.isin(part.status, ("", *OF_TRUTH, *OF_TRACK)))[:1]:
             place = f"{truth.path}: frame {part.frame[row]}, {part.name}"
             what = f"status {str(part.status[row])!r} is none of {', '.join(OF_TRUTH)}"
             raise InputError(f"{place}: {what}; correct it")
-    ours, theirs = (np.unique(column(parts, "status")) for parts in zip(*named, strict=True))
-    # absent rows of ours are those of corrections, unless nothing was tracked
-    if np.isin(theirs, OF_TRACK).any() and np.isin(ours, OF_TRUTH).any() and not np.isin(ours, OF_TRACK).any():
-        both = f"is a trajectory, and {trajectory.path} is ground truth, as their status says"
-        raise InputError(f"{truth.path}: {both}: name them the other way round")
 
 
 def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair], partial: bool) -> None:

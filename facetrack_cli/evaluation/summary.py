@@ -11,7 +11,7 @@ import math
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, get_args, get_type_hints
 
@@ -31,7 +31,6 @@ from facetrack_cli.evaluation import reliability
 from facetrack_cli.evaluation.accuracy import BoxMeasures, measure_boxes
 from facetrack_cli.evaluation.identities import PeopleMeasures
 from facetrack_cli.evaluation.rows import (
-    HALVES,
     NEAR_IOU,
     Measure,
     Pair,
@@ -44,12 +43,10 @@ from facetrack_cli.evaluation.rows import (
     rows_of,
     unit_of,
 )
-from facetrack_cli.recipe.load import OVERRIDES
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 WIDTH: Final = 100  # columns of a table that is not printed on a terminal
 MAX_WIDTH: Final = 10_000  # more columns than any table needs
-MIN_NAME: Final = 20  # columns of a name before it is broken
 NO_FIGURE: Final = "\N{EN DASH}"
 
 
@@ -71,59 +68,29 @@ class Sheet:
         text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
         return f"{self.title}\n\n{text}\n" + "".join(f"- {note}\n" for note in self.notes)
 
-    def table(self, *, ruled: bool = True) -> Table:
-        """The table for rich, without title and notes. Long names are broken, and figures are never cut."""
-        look = {"box": SIMPLE_HEAD, "padding": (0, 1), "header_style": "bold"}
-        if not ruled:
-            look = {"box": None, "padding": (0, 2, 0, 0), "header_style": "dim"}
-        table = Table(pad_edge=False, show_edge=False, **look)  # type: ignore[arg-type]
-        rows = [[_broken(cell) if i in self.left else cell for i, cell in enumerate(row)] for row in self.rows]
-        tall = max(head.count("\n") for head in self.heads)
-        for i, (head, *below) in enumerate(zip(self.heads, *rows, strict=True)):
-            left = i in self.left
-            longest = max(len(line) for cell in (head, *below) for line in cell.split("\n"))
-            table.add_column(
-                Text("\n" * (tall - head.count("\n")) + head),
-                justify="left" if left else "right",
-                no_wrap=not left,
-                overflow="fold",
-                min_width=min(longest, MIN_NAME) if left else longest,
-            )
-        for row in rows:
-            table.add_row(*(Text(visible(cell)) for cell in row))
-        return table
-
     def show(self) -> None:
-        """Print the table as wide as the terminal, or WIDTH columns; wider only for what must not be cut."""
+        """Print the table as wide as the terminal, or WIDTH columns; wider where its figures need that."""
+        table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
+        tall = max(head.count("\n") for head in self.heads)
+        for i, head in enumerate(self.heads):
+            lower = Text("\n" * (tall - head.count("\n")) + head)
+            table.add_column(lower, justify="left" if i in self.left else "right", no_wrap=True)
+        for row in self.rows:  # a recipe has a line for each of its overrides
+            table.add_row(*(Text(re.sub("(?<=[:,])(?=.*=)", "\n  ", visible(cell))) for cell in row))
         console = Console(width=None if sys.stdout.isatty() else WIDTH, emoji=False, highlight=False, markup=False)
-        table, width = self.table(), console.width
-        needed = console.measure(table, options=console.options.update(width=MAX_WIDTH)).minimum
+        width = console.width
         # rich would end the program with its own code where the reader of a pipe has left, so click prints
         with console.capture() as text:
             console.print(Text(flat(self.title), style="bold"), soft_wrap=True)
             console.print()
-            console.width = max(width, needed)
+            console.width = max(width, console.measure(table, options=console.options.update(width=MAX_WIDTH)).maximum)
             console.print(table)
             console.width = width
             console.print()
             for note in self.notes:
                 console.print(Text(visible(note)))
-        encoding = sys.stdout.encoding or "utf-8"
-        # a ? in place of an arrow keeps columns straight
-        click.echo(trimmed(text.get()).encode(encoding, "replace").decode(encoding), nl=False)
-
-
-def trimmed(text: str) -> str:
-    """Lines without blanks at their ends."""
-    return "".join(f"{line.rstrip()}\n" for line in text.splitlines())
-
-
-def _broken(label: str) -> str:
-    """A long label of a recipe and its overrides, with a line for each of them."""
-    name, colon, rest = label.partition(":")
-    if len(label) <= MIN_NAME or "=" not in rest:
-        return label
-    return "\n".join([f"{name}{colon}", *(f"  {override}" for override in re.split(OVERRIDES, rest))])
+        for line in text.get().splitlines():
+            click.echo(line.rstrip())
 
 
 def clip_name(clip: Path) -> str:
@@ -132,34 +99,17 @@ def clip_name(clip: Path) -> str:
     return f"{place.parent.name}/{place.name}" if place.is_dir() and place.parent.name else place.name
 
 
-def rounded(value: float | None, digits: int) -> float | None:
-    """None for what JSON has no number for."""
-    return None if value is None or not math.isfinite(value) else round(value, digits)
-
-
-@dataclass(frozen=True)
-class Options:
-    """`normalise`: see `check_normalise`; `failure`: the normalised error above which a row has failed; `size`: (width,
-    height) of the frames where it is known, to which GOT-10k clips boxes.
-    """
-
-    normalise: str = "size"
-    failure: float = errors.FAILURE
-    size: tuple[int, int] | None = None
-
-
 @dataclass(frozen=True)
 class PartMeasures:
     """One part, or with an empty `part` and the target "all", all of them together; what was not measured is None.
 
-    All together alone have `occlusions` and `people`.
+    All together alone have `people`.
     """
 
     target: str
     part: str
     points: errors.PointMeasures | None
     boxes: BoxMeasures | None
-    occlusions: errors.RecoveryMeasures | None
     lost: reliability.LostMeasures | None
     confidence: reliability.ConfidenceMeasures | None
     coverage: reliability.CoverageMeasures | None
@@ -193,12 +143,12 @@ MEASURES: Final[Mapping[str, Measure]] = {
 class Evaluation:
     """What was measured on the `rows` that both have; `units`: the length that normalises each target's errors."""
 
-    options: Options
+    normalise: str
+    failure: float
     rows: tuple[Rows, ...]
     units: Mapping[str, str]
     parts: tuple[PartMeasures, ...]
     all: PartMeasures
-    occlusions: tuple[errors.Occlusion, ...]
     notes: tuple[str, ...]
 
     @property
@@ -214,30 +164,45 @@ class Evaluation:
 def evaluate(
     pairs: Sequence[Pair],
     notes: Sequence[str] = (),
-    options: Options | None = None,
     *,
+    normalise: str = "size",
+    failure: float = errors.FAILURE,
+    size: tuple[int, int] | None = None,
     reference: Sequence[Trajectory] = (),
     people: PeopleMeasures | None = None,
 ) -> Evaluation:
     """Measure the pairs of `match`. Lengths are taken from their ground truth, and from the parts in `reference`.
-    Raises InputError without any row, UsageError for a length that the ground truth does not have.
+
+    `normalise`: see `check_normalise`; `failure`: the normalised error above which a row has failed; `size`: (width,
+    height) of the frames where it is known, to which GOT-10k clips boxes. Raises InputError without any row, UsageError
+    for a length that the ground truth does not have.
     """
-    options = options or Options()
     # the rows that the ground truth itself calls lost, as a trajectory does that serves as ground truth, are unknown
     pairs = [Pair(*(table.take(pair.truth.status != "lost") for table in pair)) for pair in pairs]
     if not any(len(pair.ours) for pair in pairs):
         raise InputError("there is no row that both the trajectory and the ground truth have; nothing can be measured")
-    units = units_of(pairs, options.normalise, reference)
+    units = units_of(pairs, normalise, reference)
     rows = tuple(rows_of(pair, units[pair.ours.target].at(pair.ours.frame)) for pair in pairs)
-    occlusions = errors.occlusions(rows)
-    whole = _measured("all", "", pairs, rows, options)
-    whole = replace(whole, occlusions=errors.measure_recovery(occlusions), people=people)
-    parts = tuple(
-        _measured(part.target, part.part, [pair], [part], options) for pair, part in zip(pairs, rows, strict=True)
-    )
+
+    def measured(target: str, part: str, some: slice, people: PeopleMeasures | None = None) -> PartMeasures:
+        own = rows[some]
+        points = [part for pair, part in zip(pairs[some], own, strict=True) if not pair.is_box]
+        return PartMeasures(
+            target,
+            part,
+            points=errors.measure_points(points, failure) if points else None,
+            boxes=_boxes(pairs[some], own, size) if len(points) < len(own) else None,
+            lost=reliability.measure_lost(own),
+            confidence=reliability.measure_confidence(own),
+            coverage=reliability.measure_coverage(own),
+            jitter=reliability.measure_jitter(own),
+            people=people,
+        )
+
     texts = {target: unit.text for target, unit in units.items()}
-    evaluation = Evaluation(options, rows, texts, parts, whole, occlusions, ())
-    return replace(evaluation, notes=(*notes, *_why_undefined(evaluation)))
+    parts = tuple(measured(part.target, part.part, slice(i, i + 1)) for i, part in enumerate(rows))
+    whole = measured("all", "", slice(None), people)
+    return Evaluation(normalise, failure, rows, texts, parts, whole, (*notes, *_why_undefined(rows, whole, texts)))
 
 
 def units_of(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory]) -> dict[str, Unit]:
@@ -260,21 +225,6 @@ def units_of(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajecto
     return units
 
 
-def _measured(target: str, part: str, pairs: Sequence[Pair], rows: Sequence[Rows], options: Options) -> PartMeasures:
-    points = [part for pair, part in zip(pairs, rows, strict=True) if not pair.is_box]
-    return PartMeasures(
-        target,
-        part,
-        points=errors.measure_points(points, options.failure) if points else None,
-        boxes=_boxes(pairs, rows, options.size) if len(points) < len(rows) else None,
-        occlusions=None,
-        lost=reliability.measure_lost(rows),
-        confidence=reliability.measure_confidence(rows),
-        coverage=reliability.measure_coverage(rows),
-        jitter=reliability.measure_jitter(rows),
-    )
-
-
 def _boxes(pairs: Sequence[Pair], parts: Sequence[Rows], size: tuple[int, int] | None) -> BoxMeasures:
     """The rows of all pairs of boxes as if they were one target's; rows that a correction gave do not count."""
     pairs, rows = zip(*(both for both in zip(pairs, parts, strict=True) if both[0].is_box), strict=True)
@@ -295,17 +245,16 @@ def scalars(evaluation: Evaluation) -> dict[str, float]:
     return {name: float(value) for name, value in evaluation.all.figures.items() if value is not None}
 
 
-def _why_undefined(evaluation: Evaluation) -> list[str]:
-    figures, why = evaluation.all.figures, list[str]()
-    if figures["points.mean_px"] is not None and figures["points.auc"] is None:
-        texts = "; ".join(dict.fromkeys(evaluation.units.values()))
-        why.append(f"errors are not normalised and nothing is near ({texts}): give --normalise PIXELS")
-    if column(evaluation.rows, "init").all():
-        return [*why, "all rows were given to the tracker, so lost, confidence and coverage are not measured"]
+def _why_undefined(rows: Sequence[Rows], whole: PartMeasures, units: Mapping[str, str]) -> Iterator[str]:
+    if whole.points is not None and whole.points.mean_px is not None and whole.points.auc is None:
+        texts = "; ".join(dict.fromkeys(units.values()))
+        yield f"errors are not normalised and nothing is near ({texts}): give --normalise PIXELS"
+    if column(rows, "init").all():
+        yield "all rows were given to the tracker, so lost, confidence and coverage are not measured"
+        return
     for group, name in (("lost", "status"), ("confidence", "confidence"), ("coverage", "std")):
-        if getattr(evaluation.all, group) is None:
-            why.append(f"the trajectory has no {name}, so {group} is not measured")
-    return why
+        if getattr(whole, group) is None:
+            yield f"the trajectory has no {name}, so {group} is not measured"
 
 
 CURVES: Final = ("success", "precision", "normalised_precision")
@@ -314,18 +263,17 @@ MAX_PARTS: Final = 12  # in tables of status, confidence, spread and jitter
 
 def to_json(evaluation: Evaluation, ours: Trajectory, truth: Trajectory) -> str:
     """Figures stand below the groups of their names, as `all.points.mean_px`; an undefined figure is null."""
-    options, frames = evaluation.options, evaluation.frames
+    frames = evaluation.frames
     fields = {
         "trajectory": str(ours.path),
         **({"trajectory_read_as": ours.header["read_as"]} if "read_as" in ours.header else {}),
         "truth": {"path": str(truth.path)} | {key: truth.header[key] for key in ("read_as", "shift")},
-        "options": {"normalise": options.normalise, "failure": options.failure},
+        "options": {"normalise": evaluation.normalise, "failure": evaluation.failure},
         "frames": {"count": len(frames), "first": int(frames[0]), "last": int(frames[-1])},
         "rows": evaluation.counts,
         "units": dict(evaluation.units),
         "all": _groups(evaluation.all),
         "parts": [{"target": part.target, "part": part.part, **_groups(part)} for part in evaluation.parts],
-        "occlusions": [asdict(occlusion) for occlusion in evaluation.occlusions],
         "notes": list(evaluation.notes),
     }
     return document("facetrack-evaluation", fields, indent=1)
@@ -370,29 +318,18 @@ _TABLES: Final = {
 }
 
 
-def to_text(evaluation: Evaluation, ours: Trajectory, truth: Trajectory, *, colour: bool = False) -> str:
-    """All tables; with `colour`, with the escapes of a terminal."""
-    console = Console(
-        width=MAX_WIDTH, force_terminal=colour, color_system="standard" if colour else None, markup=False, emoji=False
-    )
-    with console.capture() as captured:
-        read_as = f" (read as {ours.header['read_as']})" if "read_as" in ours.header else ""
-        shift = f", shifted by {truth.header['shift']:+d} frames" if truth.header["shift"] else ""
-        title = f"{ours.path}{read_as} against {truth.path} (read as {truth.header['read_as']}{shift})"
-        console.print(Text(flat(title), "bold"))
-        for line in facts(evaluation):
-            console.print(Text(flat(line)))
-        for sheet in sheets(evaluation):
-            name, _, what = sheet.title.partition(": ")
-            console.print(Text.assemble("\n", (name.upper(), "bold"), ("  " + what, "dim")))
-            console.print(sheet.table(ruled=False))
-            for note in sheet.notes:
-                console.print(note)
-        if evaluation.notes:
-            console.print(Text("\nNOTES", "bold"))
-            for note in evaluation.notes:
-                console.print(Text(flat(note)))
-    return trimmed(captured.get())
+def show(evaluation: Evaluation, ours: Trajectory, truth: Trajectory) -> None:
+    """Print what was compared, all tables, and the notes."""
+    read_as = f" (read as {ours.header['read_as']})" if "read_as" in ours.header else ""
+    shift = f", shifted by {truth.header['shift']:+d} frames" if truth.header["shift"] else ""
+    click.echo(flat(f"{ours.path}{read_as} against {truth.path} (read as {truth.header['read_as']}{shift})"))
+    for line in facts(evaluation):
+        click.echo(flat(line))
+    click.echo()
+    for sheet in sheets(evaluation):
+        sheet.show()
+    for note in evaluation.notes:
+        click.echo(flat(f"note: {note}"))
 
 
 def facts(evaluation: Evaluation) -> Iterator[str]:
@@ -404,12 +341,8 @@ def facts(evaluation: Evaluation) -> Iterator[str]:
     for target, text in evaluation.units.items():
         yield f"length{f' of {target}' if len(evaluation.units) > 1 else ''}: {text}"
     if evaluation.all.points:
-        failed = f"it has failed above {100 * evaluation.options.failure:g} % of it"
+        failed = f"it has failed above {100 * evaluation.failure:g} % of it"
         yield f"a point is near if its error is less than 1/6 of the length; {failed}"
-    if (over := evaluation.all.occlusions) is not None:
-        after = "" if over.frames_median is None else f", the median after {HALVES(over.frames_median)} frames"
-        back = f"{over.returned} of {over.decided} come back" if over.decided else "none can be decided"
-        yield f"occlusions: {over.occlusions}, of which {back}{after}: all parts near for {errors.HELD} rows in a row"
     if evaluation.all.boxes:
         yield f"a box is near if its IoU with the ground truth is more than {NEAR_IOU:g}"
     if evaluation.all.confidence:

@@ -34,7 +34,7 @@ from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import BOX, Frame
 from facetrack_cli.core.types import Image as Pixels
 from facetrack_cli.evaluation.rows import Pair
-from facetrack_cli.evaluation.summary import Options, evaluate, facts, sheets
+from facetrack_cli.evaluation.summary import evaluate, facts, sheets
 from facetrack_cli.recipe.load import calibrated, load_recipe
 from facetrack_cli.recipe.model import completed, to_dict
 from facetrack_cli.report import story
@@ -52,7 +52,7 @@ from facetrack_cli.run_folder.manifest import (
 from facetrack_cli.run_folder.status import ClipStatus, badness, name_of, survey
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.start.init_file import as_yaml
-from facetrack_cli.trajectory.diagnostics import EVIDENCE
+from facetrack_cli.trajectory.diagnostics import EVIDENCE, SURE
 from facetrack_cli.trajectory.people import PersonRecord, TrackRecord, read_people, read_still
 from facetrack_cli.trajectory.reader import Header, read_header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
@@ -101,8 +101,6 @@ def command(header: Header, last: int) -> str:
 MIN_SIZE: Final = (640, 480)  # images are enlarged to fit this, so that the overlay can be read ...
 MAX_SIZE: Final = (960, 720)  # ... and reduced to fit this
 _VIEW = 3.5  # an image shows this many times the target's size; larger clips are cut out around it
-_TRAIL_S = 1.0
-_TRAIL = 25  # frames of it that are drawn
 View: TypeAlias = tuple[int, int, int, int]  # left, top, width, height in the clip's pixels
 
 
@@ -159,21 +157,14 @@ class _Maker:
         self._unit = max(sides, default=0.0) or max(self._clip.size)
 
     def image(self, frame: Frame) -> Image:
-        """The image of a frame of the clip."""
+        """The image of a frame of the clip, with the overlay of `facetrack run` but for the trail."""
         (left, top, width, height), out = view, _ = self._layout(frame.index)
         part = np.ascontiguousarray(frame.bgr[top : top + height, left : left + width])
         whole = cv2.resize(part, out, interpolation=cv2.INTER_AREA if out[0] < width else cv2.INTER_CUBIC)
-        drawn = self.draw(Frame(frame.index, 0.0, np.asarray(whole, np.uint8), aspect=frame.aspect), view)
+        seconds = self._clock.at(frame.index)
+        scaled = Frame(frame.index, seconds, np.asarray(whole, np.uint8), aspect=frame.aspect)
+        drawn = Overlay(out, title=self._title, trail_s=0).draw(self._result(scaled, view, out[0] / width))
         return Image(_jpeg(drawn), out, view=view)
-
-    def draw(self, frame: Frame, view: View) -> Pixels:
-        """A scaled frame with the overlay of `facetrack run`; the trail is of the frames that are drawn before."""
-        overlay, clock = Overlay(frame.size, title=self._title, trail_s=_TRAIL_S), self._clock
-        past = clock.frames[(clock.times >= clock.at(frame.index) - _TRAIL_S) & (clock.frames < frame.index)]
-        for index in [*past[:: max(1, math.ceil(len(past) / _TRAIL))].tolist(), frame.index]:
-            now = Frame(index, clock.at(index), frame.bgr, aspect=frame.aspect)
-            drawn = overlay.draw(self._result(now, view, frame.size[0] / view[2]))
-        return drawn
 
     def _result(self, frame: Frame, view: View, zoom: float) -> FrameResult:
         """The rows of one frame, in the pixels of a view enlarged by `zoom`."""
@@ -196,7 +187,7 @@ class _Maker:
             return (0, 0, width, height), _fit((width, height))
         x, y, half_w, half_h = rows.x, rows.y, np.nan_to_num(rows.w) / 2, np.nan_to_num(rows.h) / 2
         across, down = (x + half_w).max() - (x - half_w).min(), (y + half_h).max() - (y - half_h).min()
-        wide = max(_VIEW * self._unit, 1.5 * np.ptp(x), 2 * np.ptp(y), 1.2 * across, 1.8 * down)
+        wide = max(_VIEW * self._unit, 1.4 * across, 1.9 * down)
         w, h = min(width, math.ceil(wide)), min(height, math.ceil(0.75 * wide))
         left = round(min(max((x.min() + x.max() - w) / 2, 0), width - w))
         top = round(min(max((y.min() + y.max() - h) / 2, 0), height - h))
@@ -205,8 +196,8 @@ class _Maker:
 
 def _fit(size: tuple[int, int]) -> tuple[int, int]:
     """The size of an image: enlarged to `MIN_SIZE`, or reduced to `MAX_SIZE`, keeping its shape."""
-    grow = min(MIN_SIZE[0] / size[0], MIN_SIZE[1] / size[1])
-    zoom = grow if grow > 1 else min(1.0, MAX_SIZE[0] / size[0], MAX_SIZE[1] / size[1])
+    least, most = (min(limit[0] / size[0], limit[1] / size[1]) for limit in (MIN_SIZE, MAX_SIZE))
+    zoom = min(max(least, 1.0), most)
     return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
 
 
@@ -216,8 +207,6 @@ def _jpeg(image: Pixels, quality: int = 85) -> bytes:
 
 BATCH_PAGE: Final = "batch.html"
 MAX_SPANS: Final = 100  # rows of a table
-MAX_NOTES: Final = 5  # lines on clips of a batch without a picture
-_MAX_SVG_BYTES: Final = 1_000_000  # a larger drawing becomes a PNG
 _PERSON_PX, _STILL_PX = 120, 320  # the width of a picture of a person, and of a frame of a clip of a batch
 _BINS: Final = 1000  # of the bar that shows when a part was lost
 # what HTML forbids, and lone surrogates, which names of files may hold and UTF-8 may not
@@ -263,37 +252,34 @@ def make_report(
     reasons = story.reasons(followed, history, header.init.origin, first, last)
     keys = key_frames(history, reasons, first, last)
     images, notes = key_images(table, header, keys, clip, report)
-    mean, looks = story.confidence_of(table), story.to_look_at(followed, history, clock)
-    longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
+    mean, looks = story.confidence_of(table), [*(episode.first for episode in history.longest), history.worst]
     again = command(header, last)
-    network = f" Its points were placed {manifest.network}." if manifest is not None and manifest.network else ""
 
     def picture(entry: PersonRecord | TrackRecord) -> Image | None:
         still = read_still(run, entry.still)
         return Image(still, (_PERSON_PX, _PERSON_PX)) if still else None
 
-    reported = any(reported_values.values.keys() - {EVIDENCE.name} for reported_values in table.diagnostics.values())
+    reported = any(each.values.keys() - {EVIDENCE.name} for each in table.diagnostics.values())
     document: str = template.render(
         title=title,
         header=header,
         clock=clock,
         history=history,
-        summary=story.sentences(table, header, clock, history) + network,
+        network=manifest and manifest.network,
         cast=people,
         seen=lambda person: [Stretch(begin, stop - 1) for begin, stop in person.intervals],
         picture=picture,
         pictures={} if people is None else {person.name: picture(person) for person in people.people},
-        parts=[part for part in history.parts if part.spans or part.hidings or part.absences],
-        looks=looks,
-        leading=next((frame for frame in (*(at for at, _ in looks), *keys) if frame in images), None),
-        identities=list(story.identities(table, clock)),
+        parts=[part for part in history.parts if part.lost or part.hidden or part.absent],
+        leading=next((frame for frame in (*looks, *keys) if frame in images), None),
+        identities=list(story.identities(table)),
         mean=mean,
         calibrated=calibrated(header.recipe),
         warnings=[*story.doubts(header, mean), *header.warnings, *notes],
         bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
         events=sorted(sorted(table.events, key=lambda event: -event.probability)[:MAX_SPANS]),
         several=len(table.targets) > 1,
-        spans=sorted(longest, key=lambda s: (s.first, s.name)),
+        spans=sorted(sorted(history.lost, key=lambda span: -span.seconds)[:MAX_SPANS]),
         keys=keys,
         images=images,
         some_left_out=not reasons.keys() <= {*keys},
@@ -333,8 +319,6 @@ def make_batch_report(batch: Path, to: Path, report: Report = silent) -> ReportP
     if not rows:
         raise InputError(f"{batch}: has no runs yet; wait for the first, or look at facetrack status {batch}")
     title = f"{batch.resolve().name}, {len(rows)} clips"
-    if len(notes) > MAX_NOTES:
-        notes[MAX_NOTES:] = [f"and {len(notes) - MAX_NOTES} more clips without a picture"]
     return ReportPage(encoded(template.render(title=title, rows=rows, counts=progress.counts)), tuple(notes))
 
 
@@ -372,7 +356,7 @@ def page_template(name: str) -> Any:
     style = (folder / "report.css").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
-    environment.globals |= {"bins": _BINS, "max_spans": MAX_SPANS}
+    environment.globals |= {"bins": _BINS, "max_spans": MAX_SPANS, "sure": SURE}
     return environment.get_template(name)
 
 
@@ -382,21 +366,16 @@ def _measured(
     """The pairs of the run and its ground truth, and the words and tables of the page."""
     notes: list[str] = []
     pairs = pair(table, truth, notes.append)
-    measures = evaluate(pairs, notes, Options(size=header.source.size), reference=truth.parts)
+    measures = evaluate(pairs, notes, size=header.source.size, reference=truth.parts)
     shift = f", {truth.header['shift']:+d} frames" if truth.header["shift"] else ""
     about = f"Read as {truth.header['read_as']}{shift}; {'; '.join(facts(measures))}."
     return pairs, {"path": str(truth.path), "about": about, "tables": list(sheets(measures)), "notes": measures.notes}
 
 
 def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Image:
-    """The plots, as a drawing that scales if it is small."""
     figure = page_figure(table, pairs, title=title)
     width, height = figure.get_size_inches()
-    size = (round(96 * width), round(96 * height))
-    drawing = render(figure, "svg")
-    if len(drawing) <= _MAX_SVG_BYTES:
-        return Image(drawing, size, "image/svg+xml")
-    return Image(render(figure, "png", dpi=150), size, "image/png")
+    return Image(render(figure, dpi=150), (round(96 * width), round(96 * height)), "image/png")
 
 
 def _bars(spans: Sequence[Span | Stretch], first: int, scale: float) -> list[tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""What happened in a run: when each part was lost and tracked again, the frames that show it, and all of it in words.
+"""What happened in a run: when each part was lost, hidden or absent, the frames that show it, and why.
 
 Frames are source frames.
 """
@@ -14,12 +14,11 @@ import numpy as np
 
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, Mask, Whole
-from facetrack_cli.recipe.load import calibrated, fitted
-from facetrack_cli.runs.verdict import LOW
-from facetrack_cli.trajectory.diagnostics import DOUBTFUL, SURE
+from facetrack_cli.core.types import BOX
+from facetrack_cli.recipe.load import fitted
+from facetrack_cli.trajectory.diagnostics import DOUBTFUL
 from facetrack_cli.trajectory.reader import Header, SeamHeader
-from facetrack_cli.trajectory.trajectory import Trajectory, mean_confidence
+from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.views import Clock
 
 MAX_KEY_FRAMES: Final = 12
@@ -39,40 +38,31 @@ class Stretch(NamedTuple):
 
 
 class Span(NamedTuple):
-    """A part lost or hidden in `first` to `last`; `back`: where it is tracked again, if so; `by_hand`: a correction
-    ended it. Confidences are that in `first`, the lowest, and that in the frame after `last`.
+    """A part lost, hidden or absent in frames `first` to `last`; `back`: where it is tracked again, if so; `by_hand`: a
+    correction ended it; `lowest`: the lowest confidence, nan where there is none.
     """
 
-    name: str
     first: int
     last: int
+    name: str
     back: int | None
     frames: int
     seconds: float
     by_hand: bool
-    confidence: float
     lowest: float
-    after: float
 
 
 @dataclass(frozen=True)
 class PartHistory:
-    """One part, and when it was lost (`spans`) and hidden. Confidences are nan where unknown, `worst` is the frame of
-    the lowest; `judged`: it has a status.
-    """
+    """One part: when it was lost, hidden and absent, its mean confidence after the start, its status at the end."""
 
     name: str
     rows: int
-    spans: tuple[Span, ...]
-    hidings: tuple[Span, ...]
-    absences: tuple[Stretch, ...]
-    frames_absent: int
     mean: float
-    lowest: float
-    worst: int
     last_status: str
-    judged: bool
-    vanishes: bool
+    lost: tuple[Span, ...]
+    hidden: tuple[Span, ...]
+    absent: tuple[Span, ...]
 
 
 @dataclass(frozen=True)
@@ -89,18 +79,22 @@ class RunHistory:
     seams: tuple[SeamHeader, ...] = ()
 
     @property
-    def spans(self) -> list[Span]:
+    def lost(self) -> list[Span]:
         """When parts were lost, in the order in which that begins."""
-        return sorted((s for part in self.parts for s in part.spans), key=lambda s: (s.first, s.name))
+        return sorted(span for part in self.parts for span in part.lost)
+
+    @property
+    def hidden(self) -> list[Span]:
+        return sorted(span for part in self.parts for span in part.hidden)
+
+    @property
+    def longest(self) -> list[Stretch]:
+        """The three longest episodes, in their order."""
+        return sorted(sorted(self.episodes, key=lambda episode: episode.first - episode.last)[:3])
 
     def ending(self, status: str) -> list[str]:
         """The parts with this status at the end."""
         return [part.name for part in self.parts if part.last_status == status]
-
-    @property
-    def hidings(self) -> list[Span]:
-        """When parts were hidden."""
-        return sorted(span for part in self.parts for span in part.hidings)
 
 
 def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = ()) -> RunHistory:
@@ -119,7 +113,7 @@ def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = 
     mean = np.round(np.divide(total, counted, out=np.full(len(total), np.inf), where=there), 12)
     return RunHistory(
         parts,
-        _stretches(clock.frames, any_lost),
+        tuple(Stretch(int(clock.frames[a]), int(clock.frames[b - 1])) for a, b in spans(any_lost)),
         int(any_lost.sum()),
         int(clock.frames[np.argmin(mean)]) if there.any() else None,
         tuple(np.unique(np.concatenate([rows.frame[rows.corrected] for rows in table.parts])).tolist()),
@@ -127,38 +121,19 @@ def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = 
     )
 
 
-def _stretches(frames: Whole, mask: Mask) -> tuple[Stretch, ...]:
-    return tuple(Stretch(int(frames[a]), int(frames[b - 1])) for a, b in spans(mask))
-
-
 def _part(rows: Trajectory, name: str, clock: Clock) -> PartHistory:
-    sure, frames, status = rows.confidence, rows.frame.tolist(), rows.status
+    frames = [*rows.frame.tolist(), int(rows.frame[-1]) + 1]
 
-    def unseen(kind: str) -> Iterator[Span]:
-        for a, b in spans(status == kind):
-            ends = b < len(frames)
-            stop = clock.at(frames[b]) if ends else clock.at(frames[b - 1] + 1)
-            back, by_hand = (frames[b] if ends and status[b] != "absent" else None), ends and bool(rows.corrected[b])
-            sures = sure[a], np.fmin.reduce(sure[a:b]), sure[b] if ends else math.nan
-            seconds = stop - clock.at(frames[a])
-            yield Span(name, frames[a], frames[b - 1], back, b - a, seconds, by_hand, *map(float, sures))
+    def unseen(status: str) -> Iterator[Span]:
+        for a, b in spans(rows.status == status):
+            ends = b < len(rows)
+            back = frames[b] if ends and rows.status[b] != "absent" else None
+            seconds, lowest = clock.at(frames[b]) - clock.at(frames[a]), float(np.fmin.reduce(rows.confidence[a:b]))
+            yield Span(frames[a], frames[b - 1], name, back, b - a, seconds, ends and bool(rows.corrected[b]), lowest)
 
-    is_sure = np.isfinite(sure)
-    tracked = sure[(status != "init") & is_sure]
-    return PartHistory(
-        name=name,
-        rows=len(rows),
-        spans=tuple(unseen("lost")),
-        hidings=tuple(unseen("hidden")),
-        absences=_stretches(rows.frame, status == "absent"),
-        frames_absent=int((status == "absent").sum()),
-        mean=float(tracked.mean()) if len(tracked) else math.nan,
-        lowest=float(np.fmin.reduce(sure)),
-        worst=frames[np.nanargmin(sure)] if is_sure.any() else frames[0],
-        last_status=str(status[-1]),
-        judged=bool((status != "init").any() or is_sure.any()),
-        vanishes=bool(rows.vanished.any()),
-    )
+    lost, hidden, absent = (tuple(unseen(status)) for status in ("lost", "hidden", "absent"))
+    mean = confidence_of(rows)
+    return PartHistory(name, len(rows), math.nan if mean is None else mean, str(rows.status[-1]), lost, hidden, absent)
 
 
 def key_frames(history: RunHistory, events: Iterable[int], first: int, last: int) -> list[int]:
@@ -167,13 +142,65 @@ def key_frames(history: RunHistory, events: Iterable[int], first: int, last: int
     """
     left, taken = np.array(sorted({*events, first})), {first, last}
     taken |= set() if history.worst is None else {history.worst}
-    taken |= {span.first for span in sorted(history.episodes, key=lambda e: e.first - e.last)[:1]}
+    taken |= {min(history.episodes, key=lambda e: e.first - e.last).first} if history.episodes else set()
     while len(taken) < MAX_KEY_FRAMES:
         away = np.abs(left[:, None] - np.array(sorted(taken))).min(axis=1)
         if not away.max():
             break
         taken.add(int(left[np.argmax(away)]))
     return sorted(taken)
+
+
+def reasons(
+    table: Trajectory, history: RunHistory, origin: str, first: int, last: int
+) -> dict[int, list[tuple[str, str, str]]]:
+    """By frame, (kind, heading, words) of each reason to show it; `origin` is that of the start, as `--box`."""
+    why: dict[int, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
+    why[first]["start"] = [f"placed by {_DETECTORS.get(origin) or Path(origin).name or origin}"]
+    for frame in history.corrections:
+        rows = table.at(frame)
+        for part, status in zip(rows.which.tolist(), rows.status.tolist(), strict=True):
+            if status in ("init", "absent"):
+                why[frame]["corrected"].append(history.parts[part].name + " absent" * (status == "absent"))
+    for seam in history.seams:
+        if not seam.agrees:
+            why[seam.frame]["seam"] = [f"they agree in {percent(seam.agreement)} of the frames that both have"]
+    for span in history.lost:
+        why[span.first]["lost"].append(span.name)
+        if span.back is not None and not span.by_hand:
+            why[span.back]["back"].append(f"{span.name} after {lasting(span.seconds)}")
+    for span in history.hidden:
+        why[span.first]["hidden"].append(f"{span.name} for {lasting(span.seconds)}")
+    if history.worst is not None:
+        why[history.worst]["worst"] = [number(float(np.nanmean(table.at(history.worst).confidence)))]
+    ends = [f"{status}: {names(gone, 5)}" for status in ("lost", "absent") if (gone := history.ending(status))]
+    why[last]["end"] = ["; ".join(ends) or "nothing is lost"]
+    return {
+        frame: [(kind, heading, names(own[kind], 5)) for kind, heading in _HEADINGS.items() if kind in own]
+        for frame, own in why.items()
+    }
+
+
+def identities(table: Trajectory) -> Iterator[tuple[str, str, float, int | None]]:
+    """Of each target with an identity the last one, its probability, and the frame since which it is sure."""
+    for target in table.targets:
+        rows = table.of_target(target)[0]
+        for last in np.flatnonzero(rows.identity != "")[-1:]:
+            name = str(rows.identity[last])
+            yield target, name, float(rows.identity_prob[last]), table.recognised(target, name)
+
+
+def confidence_of(table: Trajectory) -> float | None:
+    """The mean confidence of all rows after the start, also of rows called lost; None without confidences."""
+    sure = table.confidence[np.isfinite(table.confidence) & (table.status != "init")]
+    return float(sure.mean()) if sure.size else None
+
+
+def doubts(header: Header, mean: float | None) -> list[str]:
+    """A line if a confidence of this mean speaks against the track, be it calibrated with other settings."""
+    if mean is None or mean >= DOUBTFUL or not fitted(header.recipe):
+        return []
+    return ["The track is doubtful: by its confidence fewer than half of its rows are right"]
 
 
 # --- in words --------------------------------------------------------------------------------------------------------
@@ -188,11 +215,7 @@ def lasting(seconds: float) -> str:
     """A length of time."""
     if not math.isfinite(seconds):
         return "–"
-    if seconds < 60:
-        return f"{seconds:.2f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+    return f"{seconds:.2f} s" if seconds < 60 else at_clock(seconds)
 
 
 def percent(share: float | None) -> str:
@@ -212,138 +235,3 @@ def names(items: Sequence[str], most: int = 8) -> str:
     if len(items) > most:
         return f"{', '.join(items[: most - 1])} and {len(items) - most + 1} more"
     return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
-
-
-def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHistory) -> str:
-    """The run in words: what was tracked, for how long, how often it was lost."""
-    frames, parts = len(clock.frames), len(history.parts)
-    whose = table.target if len(table.targets) == 1 else count(len(table.targets), "target")
-    # of each target a box, or its only part
-    what = whose if parts == len(table.targets) else f"{count(parts, 'part')} of {whose}"
-    long = f"{count(frames, 'frame')}, {lasting(clock.duration)}"
-    facts = [f"The recipe {header.recipe_name} looked for {what} in {header.clip_name} over {long}."]
-    lost = [part.name for part in history.parts if part.spans]
-    if not any(part.judged for part in history.parts):
-        facts.append("The tracker does not report when it is lost.")
-    elif not lost:
-        facts.append("It was never called lost." if parts == 1 else "No part was ever called lost.")
-    else:
-        share = f"{count(history.frames_lost, 'frame')} ({percent(history.frames_lost / frames)})"
-        times = count(len(history.episodes), "stretch", "stretches")
-        facts.append(f"Called lost in {share}, in {times}: {names(lost)}.")
-        gone = history.ending("lost")
-        facts.append(f"In the last frame {_are(gone) if gone else 'none is'} called lost.")
-    if hidden := len({at for span in history.hidings for at in range(span.first, span.last + 1)}):
-        facts.append(f"Something was hidden, at a likely place, in {count(hidden, 'frame')}.")
-    if (mean := confidence_of(table)) is not None:
-        facts.append(_trust(calibrated(header.recipe), mean))
-    if history.seams:
-        differ = sum(not seam.agrees for seam in history.seams)
-        where = f"{differ or 'none'} of the {count(len(history.seams), 'place')} where they meet"
-        facts.append(f"It was tracked in chunks, which differ at {where}.")
-    if history.corrections:
-        facts.append(f"It was corrected by hand in {count(len(history.corrections), 'frame')}.")
-    if missing := [part for part in history.parts if part.frames_absent]:
-        said = "Absent" if any(part.vanishes for part in missing) else "Marked as absent"
-        rows = count(sum(part.frames_absent for part in missing), "row")
-        facts.append(f"{said}: {names([part.name for part in missing])}, in {rows}.")
-    return " ".join(facts)
-
-
-def to_look_at(table: Trajectory, history: RunHistory, clock: Clock) -> list[tuple[int, str]]:
-    """Frames to look at first, as the run names them, each with the words: the longest stretches in which a part is
-    called lost, and the frame of the lowest confidence where that is low.
-    """
-    looks = []
-    for first, last in sorted(sorted(history.episodes, key=lambda episode: episode.first - episode.last)[:3]):
-        lost = dict.fromkeys(span.name for span in history.spans if span.first <= last and span.last >= first)
-        frames = f"frames {first} to {last}" if last > first else f"frame {first}"
-        looks.append((first, f"{at_clock(clock.at(first))}, {frames}: {names([*lost], 3)} lost"))
-    if history.worst is not None:
-        rows = table.at(history.worst)
-        mean = mean_confidence(rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")])
-        if mean < LOW:
-            at = f"{at_clock(clock.at(history.worst))}, frame {history.worst}"
-            looks.append((history.worst, f"{at}: the lowest confidence, {number(mean)}"))
-    return looks
-
-
-def confidence_of(table: Trajectory) -> float | None:
-    """The mean confidence of all rows after the start, also of rows called lost; None without confidences."""
-    sure = table.confidence[np.isfinite(table.confidence) & (table.status != "init")]
-    return float(sure.mean()) if sure.size else None
-
-
-def _trust(calibrated: bool, mean: float) -> str:
-    """What the mean confidence says of the rows."""
-    if not calibrated:
-        return "Its confidence is not calibrated: it says how alike the image is, not how often the place is right."
-    right = "right, within a quarter of the target's size"
-    return f"Its confidence, calibrated on clips of known truth, expects {percent(mean)} of the rows to be {right}."
-
-
-def doubts(header: Header, mean: float | None) -> list[str]:
-    """A line if a confidence of this mean speaks against the track, be it calibrated with other settings."""
-    if mean is None or mean >= DOUBTFUL or not fitted(header.recipe):
-        return []
-    return ["The track is doubtful: by its confidence fewer than half of its rows are right"]
-
-
-def identities(table: Trajectory, clock: Clock) -> Iterator[str]:
-    """A sentence for each target with an identity: the last one, its probability, and since when it is sure."""
-    for target in table.targets:
-        rows = table.of_target(target)[0]
-        named = np.flatnonzero(rows.identity != "")
-        if not named.size:
-            continue
-        name, sure = str(rows.identity[named[-1]]), float(rows.identity_prob[named[-1]])
-        sentence = f"{f'{target} is named' if len(table.targets) > 1 else 'It is named'} {name} at the end"
-        if math.isfinite(sure):
-            sentence += f", with a probability of {percent(sure)}"
-        passed = table.recognised(target, name)
-        if passed is not None:
-            sentence += f"; that passed {SURE:g} in frame {passed:,}, at {at_clock(clock.at(passed))}"
-        elif math.isfinite(sure):
-            sentence += f"; that never passed {SURE:g}"
-        yield f"{sentence}."
-
-
-def reasons(
-    table: Trajectory, history: RunHistory, origin: str, first: int, last: int
-) -> dict[int, list[tuple[str, str, str]]]:
-    """By frame, (kind, heading, words) of each reason to show it; `origin` is that of the start, as `--box`."""
-    found: dict[int, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
-
-    def called(frame: int, status: str) -> list[str]:
-        rows = table.at(frame)
-        return [history.parts[part].name for part in rows.which[rows.status == status].tolist()]
-
-    found[first]["start"] = [f"placed by {_DETECTORS.get(origin) or Path(origin).name or origin}"]
-    for frame in history.corrections:
-        gone = f"{_are(absent, 5)} absent" if (absent := called(frame, "absent")) else ""
-        found[frame]["corrected"] = ["; ".join(filter(None, (names(called(frame, "init"), 5), gone)))]
-    for seam in history.seams:
-        if not seam.agrees:
-            found[seam.frame]["seam"] = [f"they agree in {percent(seam.agreement)} of the frames that both have"]
-    for span in history.spans:
-        found[span.first]["lost"].append(f"{span.name} (confidence {number(span.confidence)})")
-        if span.back is not None and not span.by_hand:
-            then = f"{span.name} after {lasting(span.seconds)} (confidence {number(span.after)})"
-            found[span.back]["back"].append(then)
-    for span in history.hidings:
-        then = f"{span.name} for {lasting(span.seconds)} (confidence {number(span.confidence)})"
-        found[span.first]["hidden"].append(then)
-    if history.worst is not None:
-        confidence = table.at(history.worst).confidence
-        over = f", the mean over {len(confidence):,} parts" if len(confidence) > 1 else ""
-        found[history.worst]["worst"] = [f"{number(float(np.nanmean(confidence)))}{over}"]
-    ends = [f"called {status}: {names(gone, 5)}" for status in ("lost", "absent") if (gone := called(last, status))]
-    found[last]["end"] = ["; ".join(ends) or "nothing is called lost"]
-    return {
-        frame: [(kind, heading, names(why[kind], 5)) for kind, heading in _HEADINGS.items() if kind in why]
-        for frame, why in found.items()
-    }
-
-
-def _are(items: Sequence[str], most: int = 8) -> str:
-    return f"{names(items, most)} {'is' if len(items) == 1 else 'are'}"

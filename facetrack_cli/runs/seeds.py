@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
-from facetrack_cli.core.types import Frame, Start, Whole, own_frame
+from facetrack_cli.core.types import Frame, Start, own_frame
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import OVERRIDES, load_recipe, with_gallery
 from facetrack_cli.recipe.model import Recipe
@@ -26,7 +26,7 @@ from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import cores, side_by_side
 from facetrack_cli.start.assembly import check_gallery, tracker_for
-from facetrack_cli.trajectory.trajectory import Collector, Trajectory, joined, one_part
+from facetrack_cli.trajectory.trajectory import Collector, Trajectory
 from facetrack_cli.video.source import open_source
 
 
@@ -130,17 +130,6 @@ def run_plans(
             if error is not None and not isinstance(error, FacetrackError):
                 raise error
             yield PlanResult(plan, tuple(run for value in values if isinstance(value, list) for run in value), error)
-
-
-def outline(plan: SeedPlan, frames: Whole, size: tuple[int, int]) -> Trajectory:
-    """What is known of a run before it: the names of its rows, in these frames, on frames of that (width, height).
-
-    Raises the errors of recipe and start that show before a frame is read.
-    """
-    tracker = tracker_for(plan.recipe, plan.start, size)
-    ones = np.ones(len(frames))  # every part of every tracker has a size
-    rows = [one_part(target.name, part, frames, w=ones, h=ones) for target in tracker for part in target.parts]
-    return joined(rows, path=plan.clip, header={"source": {"size": list(size)}})
 
 
 def _work(task: tuple[SeedPlan, tuple[int, ...]], stop: Stop, report: Callable[[int], None]) -> list[SeedRun]:

@@ -40,6 +40,9 @@ frame,target,part,x,y,status
 """
 
 
+TABLES = ("Points", "Lost", "Confidence", "Spread", "Jitter")
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A folder with ours.csv and truth.csv, which is the current one."""
@@ -61,11 +64,9 @@ def measured(capsys, *arguments):
 
 def pair(part="box", **columns):
     """A pair of series from `ours_*` and `true_*` columns."""
-    frame = columns.pop("frame")
-    mine = {key.removeprefix("ours_"): value for key, value in columns.items() if key.startswith("ours_")}
-    true = {key.removeprefix("true_"): value for key, value in columns.items() if key.startswith("true_")}
-    target = columns.get("target", "head")
-    return Pair(one_part(target, part, frame, **mine), one_part(target, part, frame, **true))
+    frame, target = columns.pop("frame"), columns.pop("target", "head")
+    both = ({k.removeprefix(who): v for k, v in columns.items() if k.startswith(who)} for who in ("ours_", "true_"))
+    return Pair(*(one_part(target, part, frame, **own) for own in both))
 
 
 # --- one value ---------------------------------------------------------------------------------------------------
@@ -89,10 +90,6 @@ def test_figures_of_points(folder, capsys):
     assert found["all"]["confidence"]["auroc_near"] == 1.0 and len(found["all"]["confidence"]["bins"]) == 10
     assert found["all"]["coverage"]["within_50"] == pytest.approx(2 / 3)
     assert found["all"]["coverage"]["rows"] == 3  # the given row is left out, and the hidden one
-    (occlusion,) = found["occlusions"]
-    place = {"target": "face", "parts": ["right"], "first": 2, "last": 2}
-    assert occlusion == {**place, "frames_to_return": None, "decided": False}
-    assert found["all"]["occlusions"]["recovered"] is None
     assert "boxes" not in found["all"] and "12.0 px" in found["units"]["face"]
     assert found["schema"] == "facetrack-evaluation" and found["version"] == 1
 
@@ -168,17 +165,16 @@ def test_the_tables(folder):
     lines = done.stdout.splitlines()
     assert lines[0].startswith("ours.csv against truth.csv (read as ")
     assert lines[1] == "3 frames, 0 to 2; rows, one a frame and part: 5 visible, 1 hidden"
-    assert "occlusions: 1, of which none can be decided: all parts near for 5 rows in a row" in lines
-    titles = [line.split("  ")[0] for line in lines if line[:4].isupper()]
-    assert titles == ["POINTS", "LOST", "CONFIDENCE", "SPREAD", "JITTER"]
-    points = lines[lines.index(next(line for line in lines if line.startswith("POINTS"))) :][:6]
+    titles = [line.split(":")[0] for line in lines if line.startswith(TABLES)]
+    assert titles == [*TABLES]
+    points = lines[lines.index(next(line for line in lines if line.startswith("Points"))) :][2:8]
     cells = [line.split() for line in points[3:]]
     assert cells == [
         ["left", "3", "0.33", "0.00", "0.47", "0.90", "2.8", "0.0", "0.722", "0", "–", "–", "0"],
         ["right", "2", "1.50", "1.50", "1.50", "2.85", "12.5", "50.0", "0.500", "1", "9.00", "9.00", "0"],
         ["all", "5", "0.80", "0.00", "1.17", "2.60", "6.7", "20.0", "0.633", "1", "9.00", "9.00", "0"],
     ]
-    assert len({len(line) for line in points[2:]}) == 1, "the columns are aligned"
+    assert len({len(line) for line in points[3:]}) == 1, "the columns are aligned"
     assert "\x1b" not in done.stdout and "nan" not in done.stdout and max(map(len, lines)) <= 130
     assert not [line for line in lines if line != line.rstrip()]
 
@@ -190,13 +186,13 @@ def test_a_row_for_a_shell_loop(folder, capsys):
     assert [(row["target"], row["part"]) for row in rows] == [("face", "left"), ("face", "right"), ("all", "")]
     assert {(row["trajectory"], row["truth"]) for row in rows} == {("ours.csv", "truth.csv")}
     assert float(rows[-1]["points.mean_px"]) == pytest.approx(0.8)
-    assert rows[-1]["boxes.ao"] == rows[-1]["occlusions.recovered"] == "" and rows[-1]["occlusions.occlusions"] == "1"
+    assert rows[-1]["boxes.ao"] == ""
 
 
 def test_files_are_written_beside_the_tables(folder, capsys):
     wanted = ["--json", "a.json", "--csv", "a.csv", "--plot", "a.png"]
     said = run("ours.csv", "--truth", "truth.csv", *wanted, capsys=capsys)
-    assert "POINTS" in said.out and said.err == "ours.csv -> a.json\nours.csv -> a.csv\nours.csv -> a.png\n"
+    assert "Points: " in said.out and said.err == "ours.csv -> a.json\nours.csv -> a.csv\nours.csv -> a.png\n"
     assert json.loads(Path("a.json").read_text())["all"]["points"]["rows"] == 5
     assert Path("a.csv").read_text().count("\n") == 4
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")
@@ -260,21 +256,18 @@ def test_the_truth_beside_the_clip(folder, capsys):
     assert "does not name its clip" in run("ours.csv", code=2, capsys=capsys).err
 
 
-def test_no_confidence_no_plot(folder, capsys):
+def test_what_is_not_there_is_not_measured(folder, capsys):
+    Path("ours.csv").write_text(HEAD + "".join(OURS.splitlines(keepends=True)[:2]))
+    out = run("ours.csv", "--truth", "truth.csv", "--partial", capsys=capsys).out
+    assert "all rows were given to the tracker, so lost, confidence and coverage are not measured" in out
+    assert "has no status" not in out
     for name in ("ours.csv", "truth.csv"):
         Path(name).write_text("frame,target,part,x,y\n0,face,left,1,1\n0,face,right,9,1\n1,face,left,1,1\n")
     said = run("ours.csv", "--truth", "truth.csv", "--plot", "a.png", code=3, capsys=capsys)
     assert "ours.csv: has no confidence" in said.err and not Path("a.png").exists()
     out = run("ours.csv", "--truth", "truth.csv", capsys=capsys).out
-    assert "CONFIDENCE" not in out and "LOST" not in out and "SPREAD" not in out
+    assert not any(f"{title}: " in out for title in TABLES[1:4])
     assert "the trajectory has no confidence, so confidence is not measured" in out
-
-
-def test_a_track_of_the_given_row_alone(folder, capsys):
-    Path("ours.csv").write_text(HEAD + "".join(OURS.splitlines(keepends=True)[:2]))
-    out = run("ours.csv", "--truth", "truth.csv", "--partial", capsys=capsys).out
-    assert "all rows were given to the tracker, so lost, confidence and coverage are not measured" in out
-    assert "has no status" not in out
 
 
 def test_results_of_another_tracker_are_measured_as_ours(folder, capsys):

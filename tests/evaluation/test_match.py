@@ -49,11 +49,6 @@ FAR = truth(range(50), x=T + 640, y=np.full(50, 20.0))
             truth(range(50), "head", status=np.where(T == 7, "Hidden", "visible")),
             "gt.txt: frame 7, head/box: status 'Hidden' is none of visible, hidden, absent; correct it",
         ),
-        (
-            table(TRUE, name="gt.txt"),
-            table(TRACK),
-            "run.csv: is a trajectory, and gt.txt is ground truth.*the other way round",
-        ),
         (TWO, truth(range(50)), "gt.txt: .*head/box, hand/box; choose .* --target NAME/PART"),
         (FACE, truth(range(9)), "gt.txt: .* has face/nose, face/chin; .* or give ground truth of its points"),
         (

@@ -1,4 +1,4 @@
-"""Measures of rows, counted by hand: errors, lengths, recovery; what `lost`, `confidence` and spread are worth."""
+"""Measures of rows, counted by hand: errors, lengths; what `lost`, `confidence` and spread are worth."""
 
 import itertools
 import math
@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.evaluation import reliability
-from facetrack_cli.evaluation.accuracy import auc, lost_for_good, measure_points, measure_recovery, occlusions
+from facetrack_cli.evaluation.accuracy import auc, lost_for_good, measure_points
 from facetrack_cli.evaluation.reliability import (
     ELLIPSE_50,
     ELLIPSE_90,
@@ -101,47 +101,6 @@ def test_lost_for_good_looks_at_the_last_visible_rows(errors, status, lost):
     assert measure_points([part, part]).lost_for_good == (None if lost is None else 2 * lost)
 
 
-# --- recovery ---
-
-
-def test_recovery_is_the_first_of_five_near_rows_of_all_that_was_covered():
-    status = "vv" + "hh" + "v" * 10
-    left = rows([0, 0, 9, 9, 9, 0, 0, 0, 0, 9, 0, 0, 0, 0], status, part="left")
-    right = rows([0, 0, 9, 9] + [1.99] * 10, status, part="right")
-    nose = rows([9] * 14, part="nose")  # in sight all the time: it does not matter
-    assert [one.frames_to_return for one in occlusions([nose, right])] == [0]
-    (one,) = occlusions([left, right, nose])
-    # 5-8 are only four in a row, and 10-13 too
-    assert one.frames_to_return is None and one.decided
-    assert (one.target, one.parts, one.first, one.last) == ("face", ("left", "right"), 2, 3)
-    left = rows([0, 0, 9, 9, 9, 2.0, 0, 0, 0, 0, 0, 9, 9, 9], status, part="left")  # 2.0 is not less than a sixth
-    (one,) = occlusions([left, right, nose])
-    assert one.frames_to_return == 2, "five are enough"
-
-
-def test_recovery_ends_at_the_next_occlusion_and_knows_when_it_cannot_tell():
-    found = occlusions([rows([0] * 20, "vhhvvvvhhvvvvvvahhvv", frame=np.arange(100, 120))])
-    assert [(one.first, one.last) for one in found] == [(101, 102), (107, 108), (115, 117)]
-    # four rows before the next, six before the next, two before the end
-    assert [one.decided for one in found] == [False, True, False]
-    assert [one.frames_to_return for one in found] == [None, 0, None]
-    over = measure_recovery(found)
-    assert (over.occlusions, over.decided, over.returned, over.recovered) == (3, 1, 1, 1.0)
-    assert (over.frames_median, over.frames_worst) == (0.0, 0.0)
-    assert occlusions([rows([0, 0])]) == () and measure_recovery(()) is None
-    assert measure_recovery(occlusions([rows([9] * 12, "vhh" + "v" * 9)])).recovered == 0.0
-    unknown = rows([0, 9, *[0] * 8], "vhvvvvvvvv", unit=math.nan)
-    for part in (rows([9] * 3, "vhh"), unknown):
-        (one,) = occlusions([part])
-        assert (one.frames_to_return, one.decided) == (None, False) and measure_recovery([one]).recovered is None
-
-
-def test_targets_recover_apart_and_frames_are_counted_not_rows():
-    anna = rows([0] * 9, "vh" + "v" * 7, target="anna", frame=np.arange(9) * 10)
-    ben = rows([0, 9, 9, 0, 0, 0, 0, 0, 0], "vh" + "v" * 7, target="ben", frame=np.arange(9) * 10)
-    assert [(one.target, one.frames_to_return) for one in occlusions([anna, ben])] == [("anna", 0), ("ben", 10)]
-
-
 # --- lengths ---
 
 
@@ -203,7 +162,7 @@ def test_what_is_measured_as_a_box():
 
 def test_lost_against_the_truth():
     # a unit of 12: near is less than 2 off
-    part = rows([0, 0, 0, 9, 9, 9, 9, 0, 9, 0], "vvvhhhvvvv", ours=statuses("tltttllltl"))
+    part = rows([1.99, 0, 0, 9, 9, 9, 9, 0, 2, 0], "vvvhhhvvvv", ours=statuses("tltttllltl"))
     found = measure_lost([part])
     assert (found.rows, found.covered, found.called) == (10, 3, 5)
     # lost are rows 1, 5, 6, 7, 9; hidden 3, 4, 5; gone 3, 4, 5, 6, 8

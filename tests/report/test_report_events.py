@@ -1,6 +1,7 @@
 """What a report says of a run: lost spans, stretches, which frames it shows; the recipe that ran, and its command."""
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,12 +10,10 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.models import shipped_recipes
-from facetrack_cli.core.types import Start
 from facetrack_cli.recipe.load import _shipped, calibrated, load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report.make import command, init_yaml, recipe_yaml
-from facetrack_cli.report.story import _trust, doubts, history_of, key_frames, number, reasons, to_look_at
-from facetrack_cli.runs.verdict import RunMonitor
+from facetrack_cli.report.story import doubts, history_of, key_frames, reasons
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, mean_confidence
 from facetrack_cli.trajectory.views import Clock
@@ -29,18 +28,21 @@ def test_the_history_of_each_part(tmp_path):
     clock = Clock(table, 25.0)
     history = history_of(table, clock)
     a, b = history.parts
-    assert [(s.first, s.last, s.back, s.frames) for s in a.spans] == [(8, 11, 12, 4)]
-    assert [(s.first, s.last, s.back, s.frames) for s in b.spans] == [(14, 24, None, 11)]
-    assert sum(span.seconds for span in a.spans) == pytest.approx(0.16)
-    assert sum(span.seconds for span in b.spans) == pytest.approx(0.44)  # until the last frame ends
+    assert [(s.first, s.last, s.back, s.frames) for s in a.lost] == [(8, 11, 12, 4)]
+    assert [(s.first, s.last, s.back, s.frames) for s in b.lost] == [(14, 24, None, 11)]
+    assert sum(span.seconds for span in a.lost) == pytest.approx(0.16)
+    assert sum(span.seconds for span in b.lost) == pytest.approx(0.44)  # until the last frame ends
     assert clock.duration == pytest.approx(0.8)
     assert a.mean == pytest.approx((15 * 0.75 + 4 * 0.05) / 19)  # without the first frame
     assert (history.frames_lost, history.episodes, history.ending("lost")) == (15, ((8, 11), (14, 24)), ["b"])
+    assert history.longest == [*history.episodes]
     assert history.worst == 6, "of the frames in which nothing is lost, as the run says"
     events = reasons(table, history, "haar", 5, 24)
     assert key_frames(history, events, 5, 24) == sorted(events)
     kinds = {frame: [kind for kind, *_ in why] for frame, why in events.items()}
     assert kinds == {5: ["start"], 6: ["worst"], 8: ["lost"], 12: ["back"], 14: ["lost"], 24: ["end"]}
+    by_hand = joined([replace(part, by_hand=part.frame == 12) for part in table.parts], header=table.header)
+    assert 12 not in reasons(by_hand, history_of(by_hand, clock), "haar", 5, 24), "it does not come back by itself"
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -59,24 +61,9 @@ def test_key_frames_are_few_and_far_apart(tmp_path, monkeypatch, seed):
     longest = max(history.episodes, key=lambda e: e[1] - e[0])
     assert longest[0] in at
     assert max(np.diff(at)) < 700
-    ends = {"lost": {span.first for span in history.spans}, "back": {span.back for span in history.spans} - {None}}
+    ends = {"lost": {span.first for span in history.lost}, "back": {span.back for span in history.lost} - {None}}
     for kind, frames in ends.items():
         assert frames == {frame for frame, why in events.items() if kind in {each[0] for each in why}}
-
-
-def test_the_frames_to_look_at_are_those_that_the_run_names(tmp_path):
-    table = read_trajectory(write_run(tmp_path, Path("clip.mp4")))
-    clock = Clock(table, 25.0)
-    history = history_of(table, clock)
-    assert to_look_at(table, history, clock) == [
-        (8, "0:00.32, frames 8 to 11: a lost"),
-        (14, "0:00.56, frames 14 to 24: b lost"),
-        (6, f"0:00.24, frame 6: the lowest confidence, {number(mean_confidence(table.at(6).confidence))}"),
-    ]
-    watch = RunMonitor.of(load_recipe("factorized"), Start(5, {}, "x"))
-    for frame in table.frames.tolist():
-        watch.take(table.at(frame))
-    assert watch.least[1] == history.worst and watch.look == ((14, 24), (8, 11))
 
 
 def test_means_of_a_file_tie_where_those_of_the_run_do():
@@ -145,9 +132,6 @@ def test_a_confidence_is_called_a_probability_only_where_it_is_one():
     assert calibrated(known) and not calibrated(unknown) and not calibrated({})
     assert calibrated({"targets": {"a": known, "b": None}})
     assert not calibrated({"targets": {"a": known, "b": unknown}})
-    said = _trust(True, 0.98)
-    assert "expects 98.0\u00a0% of the rows to be right" in said
-    assert "not how often the place is right" in _trust(False, 0.87)
     assert doubts(SimpleNamespace(recipe=known), 0.49) and not doubts(SimpleNamespace(recipe=known), 0.5)
     assert not doubts(SimpleNamespace(recipe=unknown), 0.1) and not doubts(SimpleNamespace(recipe=known), None)
 

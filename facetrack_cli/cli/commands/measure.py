@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.app import colour
 from facetrack_cli.cli.options import FILE_OR_DASH, Command, extent_options, flag, option, refuse, say, truth_options
 from facetrack_cli.core.errors import ExitCode, InputError, UsageError, flat
 
@@ -70,9 +68,9 @@ def eval_command(
     """Measure a trajectory against ground truth.
 
     TRAJECTORY is a trajectory.csv, .json or .jsonl, the folder of a run, or what another tracker wrote, in any of the
-    formats of ground truth. It prints the errors of points, or the overlaps of boxes; how long parts take to come back
-    after occlusions; and how far the status lost, the confidence and the spread can be trusted. With --json - or
-    --csv - the data take the place of the tables. The first frame, which the tracker is given, counts among the points;
+    formats of ground truth. It prints the errors of points, or the overlaps of boxes, and how far the
+    status lost, the confidence and the spread can be trusted. With --json - or --csv - the data take the place of the
+    tables. The first frame, which the tracker is given, counts among the points;
     the measures of trust leave it out.
 
     \b
@@ -89,7 +87,7 @@ def eval_command(
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.identities import identified
     from facetrack_cli.evaluation.rows import check_normalise
-    from facetrack_cli.evaluation.summary import Options, evaluate, to_csv, to_json, to_text
+    from facetrack_cli.evaluation.summary import evaluate, show, to_csv, to_json
     from facetrack_cli.run_folder.manifest import check_run, other_clip
     from facetrack_cli.trajectory.formats.boxes import read_results
     from facetrack_cli.trajectory.reader import clip_of, frame_size_of
@@ -123,8 +121,8 @@ def eval_command(
         notes += renamed
         reference.partial = True
     pairs = reference.pairs(ours, theirs, notes.append)
-    settings = Options(normalise, failure, frame_size_of(ours))
-    evaluation = evaluate(pairs, notes, settings, reference=theirs.parts, people=persons)
+    how: dict[str, Any] = {"normalise": normalise, "failure": failure, "size": frame_size_of(ours)}
+    evaluation = evaluate(pairs, notes, reference=theirs.parts, people=persons, **how)
 
     texts = {"--json": to_json, "--csv": to_csv}
     both = ours, theirs
@@ -138,11 +136,10 @@ def eval_command(
     for name, content in made.items():
         write_new(files[name], content, overwrite=overwrite)
         say(f"{trajectory} -> {files[name]}")
-    printed = next((texts[name] for name, to in outputs.items() if to == "-"), None)
-    text = printed(evaluation, *both) if printed else to_text(evaluation, *both, colour=colour())
-    if not (sys.stdout.encoding or "utf-8").lower().startswith("utf"):
-        text = text.replace("\N{EN DASH}", "-")
-    click.echo(text, nl=False)
+    if printed := next((texts[name] for name, to in outputs.items() if to == "-"), None):
+        click.echo(printed(evaluation, *both), nl=False)
+    else:
+        show(evaluation, *both)
 
 
 def _truth_beside(ours: Trajectory) -> Path:
@@ -246,17 +243,13 @@ def compare_command(
     try:
         with Stop().listening() as stop, progress(quiet) as shown:
             request = ClipRequest(clip, **vars(extent))
-            with request.open() as source:
-                scoring = compare.Scoring(reference.target, reference.partial, extent.stop, source.size)
-            entries = compare.run_recipes(
-                recipes, request, rows, seeds, scoring, rank_by=rank_by, workers=jobs, stop=stop, shown=shown
-            )
+            how: dict[str, Any] = {"select": reference.target, "partial": reference.partial, "workers": jobs}
+            entries = compare.run_recipes(recipes, request, rows, seeds, **how, stop=stop, shown=shown)
             shown.close()
             if not any(entry.scores for entry in entries):
                 shown.say(f"facetrack: {stop.reason} before a run was complete; nothing was written")
                 return stop.code or ExitCode.FAULT
-            measure = rank_by or compare.USUAL[compare.kind_of(entries)][0]
-            comparison = Comparison(clip, file, seeds, tuple(entries), measure, jobs, stop.code is None)
+            comparison = Comparison(clip, file, seeds, tuple(entries), rank_by, stop.code is None)
             try:
                 names = _write(comparison, folder, shown, plots=not no_plots, overwrite=overwrite)
             finally:  # what took long is not lost for a full disk

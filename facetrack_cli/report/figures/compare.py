@@ -13,7 +13,7 @@ from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, aligned
 from facetrack_cli.evaluation.reliability import ReliabilityBin, calibration_error
 from facetrack_cli.evaluation.summary import clip_name
 from facetrack_cli.report.figures import style
-from facetrack_cli.report.figures.style import Figure, columns_for, quantiles, render
+from facetrack_cli.report.figures.style import Figure, quantiles, render
 
 Curves = Mapping[str, tuple[Array, Array]]
 SQUARE_INCHES = (6.4, 4.6)  # inches, with the legend beside
@@ -65,13 +65,12 @@ def error_over_time_figure(
 ) -> Figure:
     """Median over seeds of `errors` (S, T) in pixels by label, in a band of 10 to 90 % of them; `hidden` is shaded."""
     names = [style.clean(label, 40) for label in errors]
-    columns, rows = columns_for(names, WIDE_INCHES[0])
     with style.style():
         from matplotlib.lines import Line2D
 
-        figure = style.new_figure(WIDE_INCHES[0], WIDE_INCHES[1] + 0.1 + 0.2 * rows)
+        figure = style.new_figure(WIDE_INCHES[0], WIDE_INCHES[1] + 0.1 - 0.2 * (-len(names) // 3))
         handles = [Line2D([], [], linewidth=1.5, **style.line_style(number)) for number in range(len(names))]
-        figure.legend(handles, names, loc="outside upper left", ncols=columns, handlelength=2.8, borderaxespad=0.3)
+        figure.legend(handles, names, loc="outside upper left", ncols=3, handlelength=2.8, borderaxespad=0.3)
         axes = figure.subplots()
         style.frame_axis(axes, frames)
         style.shade(axes, frames, hidden, "hidden", 0.2, float(frames[-1] - frames[0] + 1) / style.BINS)

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import io
 import logging
-import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -22,7 +20,6 @@ from facetrack_cli.core.errors import needed
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.core.numbers import spans, union
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -31,7 +28,6 @@ if TYPE_CHECKING:
 else:  # matplotlib is loaded with the first figure
     Axes = Figure = Any
 
-MAX_LINES: Final = 12  # parts with a line of their own in every panel
 DPI: Final = 120.0
 WIDTH: Final = 10.0  # inches
 BINS: Final = 1000  # about the pixels across a panel
@@ -41,6 +37,7 @@ BINS: Final = 1000  # about the pixels across a panel
 COLOURS: Final = ("#30A2DC", "#C49500", "#00795A", "#BE5CA6", "#2B3FC0", "#222222")
 INK: Final = "#222222"
 FAINT: Final = "#6B6B6B"
+PALE: Final = "#C8C8C8"
 # vermilion is never a line's colour
 STATUS: Final = {"tracked": "#D5E4EE", "lost": "#E0480A", "hidden": "#8A8A8A", "absent": "#4A4A4A"}
 # where colours run out: solid, dashed, dotted, dash-dotted
@@ -108,11 +105,8 @@ def _lay_out(figure: Figure) -> None:
     figure.set_layout_engine(None)  # else savefig draws twice, for the engine's sake
     for axes in figure.axes:
         axes.set_position(Bbox(axes.get_position(original=True).get_points().round(6)))
-    below = list(figure.subfigs)
-    while below:
-        part = below.pop()
+    for part in figure.subfigs:
         part.bbox_relative.set_points(part.bbox_relative.get_points().round(6))
-        below += part.subfigs
 
 
 def line_style(index: int) -> dict[str, Any]:
@@ -155,74 +149,18 @@ def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:
     axes.tick_params(bottom=True)
 
 
-def second_axis(axes: Axes, table: Trajectory, most: int) -> None:
-    """An axis of times above that of frames, where they are known and increase."""
+def time_axis(axes: Axes, table: Trajectory, most: int) -> None:
+    """Above the axis of frames, when these are shown, where that is known."""
     from matplotlib.ticker import MaxNLocator
 
     timed = np.isfinite(table.times)
-    frame, time_s = table.frames[timed].astype(np.float64), table.times[timed]
-    if len(frame) < 2 or (np.diff(time_s) <= 0).any():
-        return
-    step = (time_s[-1] - time_s[0]) / (frame[-1] - frame[0])
-    frame = np.array([frame[0] - 1, *frame, frame[-1] + 1])
-    time_s = np.array([time_s[0] - step, *time_s, time_s[-1] + step])
-    ways = partial(np.interp, xp=frame, fp=time_s), partial(np.interp, xp=time_s, fp=frame)
-    above = axes.secondary_xaxis("top", functions=ways)
-    above.xaxis.set_major_locator(MaxNLocator(most, steps=(1, 2, 3, 6, 10)))
-    above.xaxis.set_major_formatter(lambda value, _: at_clock(value))
-    above.tick_params(length=2, pad=2)
-    above.spines["top"].set_visible(False)
-
-
-@dataclass(frozen=True)
-class Panel:
-    """A plot of a page: its title, notes beside it, drawn as far as they fit, and its height in inches."""
-
-    title: str
-    notes: Sequence[str]
-    height: float
-    draw: Callable[[Axes], None]
-
-
-@dataclass(frozen=True)
-class Line:
-    """A part, its ground truth where there is one, and how it is drawn. `group` is the colour of its target."""
-
-    ours: Trajectory
-    pair: Pair | None
-    name: str
-    look: dict[str, Any]
-    group: str
-
-    @property
-    def colour(self) -> str:
-        return str(self.look["color"])
-
-
-def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
-    """A line for each part, thin if they are more than `MAX_LINES`. The parts of a single target differ by colour. Of
-    several targets each has the colour of the annotated video, and its parts differ by their dashes.
-    """
-    truth, targets = {pair.ours.names[0]: pair for pair in pairs}, table.targets
-    nth = {part.names[0]: number for target in targets for number, part in enumerate(table.of_target(target))}
-    lines = []
-    for number, part in enumerate(table.parts):
-        place = targets.index(part.target)
-        group = COLOURS[place % len(COLOURS)]
-        # the targets of a second round of colours would look like those of the first
-        dash = DASHES[(nth[part.names[0]] + place // len(COLOURS)) % len(DASHES)]
-        look = line_style(number) if len(targets) == 1 else {"color": group, "linestyle": dash}
-        look |= {"linewidth": 0.6, "alpha": 0.75} if len(table.parts) > MAX_LINES else {"linewidth": 1.2}
-        lines.append(Line(part, truth.get(part.names[0]), _name(part, table), look, group))
-    return lines
-
-
-def _name(part: Trajectory, table: Trajectory) -> str:
-    """As short as distinguishes the parts: of several targets with a part each, the target's name."""
-    sole, several = len(table.of_target(part.target)) == 1, len(table.targets) > 1
-    if sole and (several or (part.part == "box" and part.target)):
-        return clean(part.target.replace("_", " "), 40)
-    return clean((part.name if several else part.part).replace("_", " "), 40)
+    if timed.any():
+        above = axes.secondary_xaxis("top")
+        above.xaxis.set_major_locator(MaxNLocator(max(2, most - 1), integer=True, min_n_ticks=1, steps=_STEPS))
+        times = partial(np.interp, xp=table.frames[timed], fp=table.times[timed])
+        above.xaxis.set_major_formatter(lambda frame, _: at_clock(float(times(frame))))
+        above.tick_params(length=2, pad=2)
+        above.spines["top"].set_visible(False)
 
 
 def line(axes: Axes, frame: Whole, value: Array, dot: str = ".", **look: Any) -> None:
@@ -247,23 +185,6 @@ def shade(axes: Axes, frame: Whole, mask: Mask, status: str, alpha: float, least
     """The frames of a mask, behind everything, in the colour of a status; spans are at least `least` frames wide."""
     for start, end in frame_spans(frame, mask, least):
         axes.axvspan(start, end, color=STATUS[status], alpha=alpha, linewidth=0, zorder=0.5)
-
-
-def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
-    """(columns, rows) of a legend of these labels over `width` inches; all columns are as wide as the longest."""
-    columns = max(1, int((width - 0.2) / (0.068 * max(map(len, labels), default=1) + 0.56)))
-    return columns, math.ceil(len(labels) / columns)
-
-
-def stacked(series: Sequence[tuple[Whole, Array | Mask]]) -> tuple[Whole, Array]:
-    """All (T,) frames of K series and their values (K, T), nan where a series does not have the frame."""
-    frame = series[0][0]
-    if not all(f is frame or np.array_equal(f, frame) for f, _ in series):  # nearly always they are all the same
-        frame = np.unique(np.concatenate([f for f, _ in series]))
-    values = np.full((len(series), len(frame)), np.nan)
-    for row, (f, value) in zip(values, series, strict=True):
-        row[slice(None) if len(f) == len(frame) else np.searchsorted(frame, f)] = value
-    return frame, values
 
 
 def broken(frame: Whole, *values: Array) -> list[Array]:
