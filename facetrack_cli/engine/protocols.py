@@ -98,8 +98,8 @@ class Motion(Protocol):
     """How parts move from frame to frame: the transition density p(x_t | x_{t-1}) of N particles of K parts.
 
     Of a motion that predicts from the frame where the target went, before any particle is drawn, `begin` returns what
-    it learns of a frame, a value, the flow. It also has `learn` and `predict`, and its `propagate` takes the shift and
-    the noise of the prediction: see `PredictedWalk` in `trackers/appearance/affine.py`.
+    it learns of a frame, a value, the flow. It also has `learn` and `predict`, and a field `ahead`, the prediction
+    around which it moves in a frame: see `PredictedWalk` in `trackers/appearance/affine.py`.
     """
 
     diagnostics: ClassVar[tuple[Diagnostic, ...]] = ()

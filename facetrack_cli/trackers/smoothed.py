@@ -164,16 +164,14 @@ class _SmoothedTarget:
             # of the rows' state, which may be that of the best particle
             sides, state = {"w": [2, 4], "h": [3, 5]}, np.full_like(before.mean, np.nan)
             state[np.searchsorted(self.all.frames, reported.frame), 0, 2:] = reported.values[AFFINE.name][:, :4]
-        at_first = []
         for side, at in sides.items():
             old, new = (np.linalg.norm(each[..., at], axis=-1) for each in (state, mean))
             way, size = mean[..., at] / new[..., None], self.of[side] / old
             var = np.einsum("tki,tkij,tkj->tk", way, cov[..., at, :][..., at], way)
             columns |= {side: size * new, f"std_{side}": size * np.sqrt(np.maximum(var, 0.0))}
-            at_first.append(np.maximum(size - 1, 1))
         if affine:
-            (w, h), (a1, a2, a3, a4) = at_first, (mean[..., i] for i in range(2, 6))
-            columns["angle"] = shown_angle(np.degrees(np.arctan2(a3 * w - a2 * h, a1 * w + a4 * h)), self.aspect)
+            a1, a2, a3, a4 = (mean[..., i] for i in range(2, 6))
+            columns["angle"] = shown_angle(np.degrees(np.arctan2(a3 - a2, a1 + a4)), self.aspect)
 
     def _face(self, columns: dict[str, Array], points: Chain, head: Chain, boxes: Array, box_cov: Array) -> _Moments:
         """Points of a stabilized image, which the box leads to the frame, where head and box become `boxes`.
