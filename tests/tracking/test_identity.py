@@ -12,23 +12,21 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.stabilized import Similarity
-from facetrack_cli.trackers.people import descriptor, identity
+from facetrack_cli.trackers.people import descriptor
 from facetrack_cli.trackers.people.descriptor import (
-    VIEWS,
-    Describer,
-    FaceDescriptor,
-    View,
-    load_people,
-    save_people,
-)
-from facetrack_cli.trackers.people.identity import (
     SENSES,
     SURE,
     UNKNOWN,
+    VIEWS,
+    Describer,
+    FaceDescriptor,
     TrackSummary,
+    View,
     cast_of,
     clusters,
+    load_people,
     same_person,
+    save_people,
 )
 
 
@@ -67,7 +65,7 @@ def slow_odds(a, b):
     ends = [[np.median(getattr(one, key), axis=0) for key in ("skin", "hair", "worn")] for one in (a, b)]
     far = [np.linalg.norm((x - y) * [0.4, 1, 1]) for x, y in zip(ends[0][:2], ends[1][:2], strict=True)]
     far.append(0.5 * np.sum((ends[0][2] - ends[1][2]) ** 2 / (ends[0][2] + ends[1][2] + 1e-9)))
-    return total + np.clip(at + np.dot(by, np.exp(-np.array([far[0], *far]) / identity._NEAR)), -against, speaks_for)
+    return total + np.clip(at + np.dot(by, np.exp(-np.array([far[0], *far]) / descriptor._NEAR)), -against, speaks_for)
 
 
 def test_log_odds_are_those_of_the_slow_twin():
@@ -102,7 +100,7 @@ def test_a_face_that_cannot_be_told_again_is_nobody_unless_it_goes_on_in_its_pla
 
 def says(monkeypatch, *odds):
     """Let the senses say this of a pair of tracks."""
-    monkeypatch.setattr(identity, "_senses", lambda looks: np.array([[[0.0, one], [one, 0.0]] for one in odds]))
+    monkeypatch.setattr(descriptor, "_senses", lambda looks: np.array([[[0.0, one], [one, 0.0]] for one in odds]))
 
 
 @pytest.mark.parametrize(("odds", "person"), [(50.0, [0, 0]), (-50.0, [0, 1])])
@@ -142,7 +140,7 @@ def test_a_track_that_goes_on_in_its_place_is_the_same_sooner(monkeypatch):
 
 def test_what_is_in_doubt_says_whom_else_it_may_be(monkeypatch):
     odds = np.array([[0.0, -6, 1.0], [-6, 0, 0.6], [1.0, 0.6, 0]])
-    monkeypatch.setattr(identity, "_senses", lambda looks: odds[None])
+    monkeypatch.setattr(descriptor, "_senses", lambda looks: odds[None])
     cast = cast_of([track("a", 1, 0, 40), track("b", 2, 60, 90), track("c", 1, 120, 140)])
     assert cast.person.tolist() == [0, 1, 0]
     whole = np.exp([1.0, 0.6, 0.0])
