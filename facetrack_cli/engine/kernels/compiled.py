@@ -5,6 +5,7 @@ That is bilinear reading, where boxes lie, drawing indices by weights, and mean 
 """
 
 import contextlib
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -188,3 +189,13 @@ def boxes_extent(
     (x0, y0), (x1, y1) = np.fmin.reduce(x[:, :2] - half).tolist(), np.fmax.reduce(x[:, :2] + half).tolist()
     right, bottom = width - 1.0, height - 1.0
     return max(0.0, min(right, x0)), max(0.0, min(bottom, y0)), min(right, max(0.0, x1)), min(bottom, max(0.0, y1))
+
+
+def cropped(
+    read: Callable[[int, tuple[float, float, float, float]], tuple[NDArray[np.uint8], int, int]],
+    factor: int, x0: int, y0: int, x1: int, y1: int,
+) -> NDArray[np.uint8]:  # fmt: skip
+    """Pixels [x0, x1) x [y0, y1), and no more, of a frame reduced by `factor`, as its `grey` or its `reduced` reads."""
+    image, left, top = read(factor, (x0 * factor, y0 * factor, x1 * factor - 1, y1 * factor - 1))
+    dx, dy = left // factor, top // factor
+    return image[y0 - dy : y1 - dy, x0 - dx : x1 - dx]

@@ -64,7 +64,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre, remap
 from facetrack_cli.core.types import Array, Box, Frame, Image, Mask, Particles, Start, factor_for
-from facetrack_cli.engine.kernels.compiled import boxes_extent
+from facetrack_cli.engine.kernels.compiled import boxes_extent, cropped
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context, Estimate, Placed, Space, box_of, check_size, estimate, size_of_box
@@ -84,7 +84,6 @@ LEAST_SHARE = 0.4
 MIN_VARIANCE = 9.0
 # grey clips have chroma of 1 or 2 after lossy codecs, faces of 5 to 40 nearly everywhere
 MIN_CHROMA, MIN_COLOURED = 4.0, 0.05
-MIN_CONTRAST = 0.1  # where less, boxes at some distance score better than the face itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +91,7 @@ class SkinModel:
     """A Gaussian on (Cb, Cr): mean (2,), cov (2, 2); full-range BT.601 of 8 bits, as OpenCV has it.
 
     `table` (256, 256) is 255 p, rounded, at [Cb, Cr]; `share` of the pixels of the ellipse in the box passed Kovac's
-    rules; `fallback`: too few, so that all of the ellipse was the sample; `contrast`: mean p in the box less that in
-    the ring of equal area around it, -1..1.
+    rules; `fallback`: too few, so that all of the ellipse was the sample.
     """
 
     mean: Array
@@ -101,19 +99,12 @@ class SkinModel:
     table: NDArray[np.uint8]
     share: float
     fallback: bool
-    contrast: float
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know of how the colour was learned, one line at most."""
-        notes = []
-        if self.fallback:
-            little = f"Kovac's rules find skin in only {self.share:.0%} of the face"
-            notes.append(f"{little}, so its colour was learned from all that its box shows")
-        if self.contrast < MIN_CONTRAST:
-            same = "what surrounds the face has nearly the same colour"
-            notes.append(f"{same}, so skin colour will hardly tell them apart")
-        return ("; ".join(notes),) if notes else ()
+        """What the user should know of how the colour was learned."""
+        little = f"Kovac's rules find skin in only {self.share:.0%} of the face"
+        return (f"{little}, so its colour was learned from all that its box shows",) if self.fallback else ()
 
 
 def kovac(bgr: Image) -> Mask:
@@ -156,7 +147,7 @@ def learn_skin(frame: Frame, box: Box) -> SkinModel:
     d = np.stack(np.meshgrid(np.arange(256.0) - mean[0], np.arange(256.0) - mean[1], indexing="ij"), axis=-1)
     squared = np.einsum("...i,ij,...j", d, np.linalg.inv(cov), d)
     table = np.asarray(np.rint(255 * np.exp(-squared / 2)), np.uint8)
-    return SkinModel(mean, cov, table, share, fallback, _contrast(frame, box, table))
+    return SkinModel(mean, cov, table, share, fallback)
 
 
 def _inside(frame: Frame, box: Box) -> tuple[int, int, int, int]:
@@ -181,20 +172,6 @@ def _ellipse(box: Box, x0: int, y0: int, region: Image) -> Mask:
     v = (np.arange(y0, y0 + height) - y) / max(box[3] / 2, 0.5)
     covered = u**2 + v[:, None] ** 2 <= 1
     return np.asarray(covered if covered.any() else np.ones_like(covered), np.bool_)
-
-
-def _contrast(frame: Frame, box: Box, table: NDArray[np.uint8]) -> float:
-    """Mean p in the box less that around it, of pixels in the frame; 1 where there is nothing around it."""
-    margin_x, margin_y = ((math.sqrt(2) - 1) / 2 * side for side in box[2:])
-    x0, y0, x1, y1 = _inside(frame, box)
-    wide = (box[0] - margin_x, box[1] - margin_y, box[2] + 2 * margin_x, box[3] + 2 * margin_y)
-    left, top, right, bottom = _inside(frame, wide)
-    # of a box of less than a pixel, the pixel that it gets all the same
-    left, top, right, bottom = min(left, x0), min(top, y0), max(right, x1), max(bottom, y1)
-    p = skin_map(frame.bgr[top:bottom, left:right], table).astype(np.float64) / 255
-    face = p[y0 - top : y1 - top, x0 - left : x1 - left]
-    around = p.size - face.size
-    return float(face.mean() - (p.sum() - face.sum()) / around) if around else 1.0
 
 
 MIDDLE = 0.7  # of the box's sides: what is looked at to tell whether a place is skin
@@ -364,13 +341,12 @@ class SkinNcc(Likelihood):
         w, h = (skin.inner * side for side in self.size)
         reach = math.sqrt(2.0) * w, math.sqrt(2.0) * h
         within = boxes_extent(np.ascontiguousarray(x[:, 0, :3]), *reach, *frame.size)
-        image, left, top = frame.reduced(factor, within)
-        # the frame may return a larger part: no more of it than the boxes cover
-        height, width = image.shape[:2]
-        x0, y0 = min(int(within[0] - left) // factor, width - 1), min(int(within[1] - top) // factor, height - 1)
-        x1, y1 = int(within[2] - left) // factor + 2, int(within[3] - top) // factor + 2
-        integral = cv2.integral(skin_map(image[y0:y1, x0:x1], learned.table), sdepth=cv2.CV_64F)
-        corner = np.array([[left + x0 * factor], [top + y0 * factor]])
+        width, height = (max(side // factor, 1) for side in frame.size)
+        x0, y0 = min(int(within[0]) // factor, width - 1), min(int(within[1]) // factor, height - 1)
+        x1, y1 = min(int(within[2]) // factor + 2, width), min(int(within[3]) // factor + 2, height)
+        image = cropped(frame.reduced, factor, x0, y0, x1, y1)
+        integral = cv2.integral(skin_map(image, learned.table), sdepth=cv2.CV_64F)
+        corner = np.array([[x0 * factor], [y0 * factor]])
         at = (x[:, 0, :2].T - corner - 0.5 * (factor - 1)) / factor
         half = 0.5 * (x[:, 0, 2] / factor) * np.array([[w], [h]])
         # comparisons with nan are false; what is thinner than a pixel is no box
@@ -478,10 +454,8 @@ def _view(template: Template, frame: Frame, x: Array) -> _GreyView:
         corner = np.maximum(np.floor(start[:, seen].min(axis=1)), 0).astype(np.int64)
         far = np.minimum(np.ceil(end[:, seen].max(axis=1)) + 1, size).astype(np.int64)
     (x0, y0), (x1, y1) = corner.tolist(), far.tolist()
-    grey, left, top = frame.grey(factor, (x0 * factor, y0 * factor, x1 * factor - 1, y1 * factor - 1))
-    dx, dy = left // factor, top // factor
     boxes[:2] -= corner[:, None]
-    image = np.ascontiguousarray(grey[y0 - dy : y1 - dy, x0 - dx : x1 - dx])  # one signature, one compilation
+    image = np.ascontiguousarray(cropped(frame.grey, factor, x0, y0, x1, y1))  # one signature, one compilation
     return _GreyView(image, boxes, seen)
 
 
