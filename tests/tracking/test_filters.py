@@ -13,13 +13,13 @@ from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.motion import RandomWalk
 from facetrack_cli.engine.resampling import (
     MEMORY,
-    SCHEMES,
     Share,
     distinct,
     effective_sample_size,
     effective_share,
     logsumexp,
     normalise,
+    systematic,
     uniform,
 )
 from facetrack_cli.engine.spaces import estimate
@@ -121,7 +121,7 @@ def run(step, ys, covariance, n, seed, *, tied=False):
 APART = np.eye(K)
 TOGETHER = 0.3 * np.eye(K) + 4.0  # the parts begin strongly correlated
 NEAR = [  # step, particles, bound of the root mean squared distance from the Kalman filter's means
-    *((factorized("none", resampling=name), 2000, 0.1) for name in SCHEMES),
+    (factorized("none"), 2000, 0.1),
     (auxiliary(), 3000, 0.22),
     (auxiliary(look_ahead="mean"), 3000, 0.2),
     (factorized("none", look_ahead="none"), 3000, 0.035),
@@ -370,25 +370,21 @@ class Extreme(np.random.Generator):
 weights = hnp.arrays(float, st.integers(1, 40), elements=st.floats(-700, 50))
 
 
-@pytest.mark.parametrize("name", SCHEMES)
 @pytest.mark.parametrize("u", [0.0, np.nextafter(1.0, 0.0), None])
 @given(log_w=weights, m=st.integers(1, 60))
-def test_indices_ascend_and_are_of_particles_that_have_weight(name, u, log_w, m):
+def test_indices_ascend_and_are_of_particles_that_have_weight(u, log_w, m):
     log_w = normalise(np.where(np.arange(len(log_w)) % 3 == 1, -np.inf, log_w))
-    chosen = SCHEMES[name](np.random.default_rng(m) if u is None else Extreme(u), log_w, m)
+    chosen = systematic(np.random.default_rng(m) if u is None else Extreme(u), log_w, m)
     assert chosen.shape == (m,) and chosen.dtype == np.int64
     assert chosen.min() >= 0 and chosen.max() < len(log_w) and np.all(np.diff(chosen) >= 0)
     assert np.isfinite(log_w[chosen]).all()
-    if name == "systematic":
-        counts = np.bincount(chosen, minlength=len(log_w))
-        assert np.all(np.abs(counts - m * np.exp(log_w)) < 1 + 1e-9)
+    assert np.all(np.abs(np.bincount(chosen, minlength=len(log_w)) - m * np.exp(log_w)) < 1 + 1e-9)
 
 
-@pytest.mark.parametrize("name", SCHEMES)
-def test_expected_counts_are_the_weights(name):
+def test_expected_counts_are_the_weights():
     rng = np.random.default_rng(1)
     w = np.array([0.05, 0.3, 0.02, 0.43, 0.2])
-    counts = sum(np.bincount(SCHEMES[name](rng, np.log(w), 7), minlength=5) for _ in range(4000))
+    counts = sum(np.bincount(systematic(rng, np.log(w), 7), minlength=5) for _ in range(4000))
     np.testing.assert_allclose(counts / 4000, 7 * w, atol=0.08)
 
 
@@ -400,12 +396,10 @@ def test_logsumexp_along_an_axis():
         assert logsumexp(np.full(3, -np.inf)) == -np.inf
 
 
-@pytest.mark.parametrize("name", SCHEMES)
-def test_populations_side_by_side_are_each_resampled_by_their_own_weights(name):
+def test_populations_side_by_side_are_each_resampled_by_their_own_weights():
     log_w = np.full((6, 3), -np.inf)
     log_w[[1, 4, 0], [0, 1, 2]] = 0.0
-    chosen = SCHEMES[name](np.random.default_rng(0), log_w, 8)
-    np.testing.assert_array_equal(chosen, [[1, 4, 0]] * 8)
+    np.testing.assert_array_equal(systematic(np.random.default_rng(0), log_w, 8), [[1, 4, 0]] * 8)
 
 
 @pytest.mark.parametrize("bad", [[-np.inf] * 2, [np.nan, 1.0], [np.inf, 0.0]])

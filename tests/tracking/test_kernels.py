@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, Particles
-from facetrack_cli.engine import resampling
+from facetrack_cli.engine.kernels.compiled import invert_cdf
 from facetrack_cli.engine.spaces import estimate
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.points import point_kernels as windows
@@ -120,7 +120,8 @@ def naive_inverse(weights, points):
 )
 def test_inverse_agrees_with_exact_fractions(weights, points):
     points = np.sort(points)
-    seen = resampling._invert(np.array(weights)[:, None].repeat(2, axis=1), points[:, None].repeat(2, axis=1))
+    seen = np.empty((len(points), 2), np.int64)
+    invert_cdf(np.array(weights)[:, None].repeat(2, axis=1), points[:, None].repeat(2, axis=1), seen)
     assert seen[:, 0].tolist() == seen[:, 1].tolist() == naive_inverse(weights, points)
 
 
