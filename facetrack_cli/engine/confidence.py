@@ -42,12 +42,11 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Whole
 from facetrack_cli.engine.confidence_kernels import AS_IT_IS, HIDDEN, calibrate
-from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.recipe.model import LIKELY, ConfidenceSettings
 from facetrack_cli.trajectory.trajectory import SPREAD, Status, Trajectory
 
 if TYPE_CHECKING:
-    from facetrack_cli.engine.protocols import Likelihood
+    from facetrack_cli.engine.protocols import Belief, Likelihood
 
 FORMAT: Final = "facetrack-calibration"
 MAX_SPREAD_FACTOR: Final = 20.0
@@ -58,7 +57,6 @@ RISES: Final[Mapping[Feature, int]] = {
 }  # fmt: skip
 """Whether p rises with a feature or falls; 0: either."""
 PartKind: TypeAlias = Literal["points", "box"]
-_Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 
 
 class _StoredPart(BaseModel):
@@ -100,26 +98,10 @@ class Isotonic(_StoredPart):
 Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
 
 
-class CrossChecked(_StoredPart):
-    """On each clip the map of the others: the calibration error and Brier score, and those of raw confidence.
-
-    `within_..`: share of the right and visible rows in the ellipses that should hold 50 and 90 % of them.
-    """
-
-    rows: Annotated[int, Field(ge=0)]
-    right: _Share
-    ece: _Share
-    brier: _Share
-    ece_raw: _Share
-    brier_raw: _Share
-    within_50: _Share
-    within_90: _Share
-    within_90_raw: _Share
-
-
 class Calibration(_StoredPart):
     """A map for each kind of part, and what it was fitted to: a recipe's runs, `seeds` of each clip.
 
+    `checked`: how right it is on each clip by the map of the others, and how right raw confidence and spread are.
     `lost`: the share of the rows of lost boxes that are right; p of such a row, and of its points, is no greater.
     `spread`: by what the standard deviations are multiplied, so that of the rows that are right and visible 90 % are in
     the ellipse that should hold so many.
@@ -132,7 +114,7 @@ class Calibration(_StoredPart):
     maps: dict[PartKind, Map]
     lost: Annotated[float, Field(ge=0, lt=LIKELY)]
     spread: dict[PartKind, Annotated[float, Field(gt=0, le=MAX_SPREAD_FACTOR)]]
-    checked: dict[PartKind, CrossChecked]
+    checked: dict[PartKind, dict[str, int | float]]
     clips: list[str]
     seeds: int
 

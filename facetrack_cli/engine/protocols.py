@@ -25,6 +25,20 @@ class Linear(NamedTuple):
     cov: Array
 
 
+class Belief(NamedTuple):
+    """What a filter knows of K parts after a frame: `mean` (K, D) and `cov` (K, D, D) of D coordinates of the state.
+
+    `motion` is that from the frame before; `doubt` (K,) says which parts the frame may not show. Of a hand, `named`
+    (2,) are the probability that both hands have their own names, and that these are others than in the frame before.
+    """
+
+    mean: Array
+    cov: Array
+    motion: Linear
+    doubt: Mask
+    named: Array | None = None
+
+
 class Likelihood(Protocol):
     """An observation model, of N particles, K parts and D coordinates of a part; lengths are pixels of the frame.
 

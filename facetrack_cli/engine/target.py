@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
+from typing import Any, Final, NamedTuple, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.random import Generator
@@ -15,9 +15,8 @@ from facetrack_cli.engine import confidence
 from facetrack_cli.engine.confidence import Calibration, Judgement, load_calibration
 from facetrack_cli.engine.filters import Prediction, Step
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.engine.protocols import Likelihood, Motion, Names, Prior
+from facetrack_cli.engine.protocols import Belief, Likelihood, Linear, Motion, Names, Prior
 from facetrack_cli.engine.resampling import uniform
-from facetrack_cli.engine.smoothing import Belief, belief
 from facetrack_cli.engine.spaces import Context, Estimate, PointSpace, Space, evenly
 from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.recipe.model import ConfidenceSettings, ParticleFilterSettings, Recipe, above
@@ -33,6 +32,7 @@ from facetrack_cli.trajectory.diagnostics import (
 )
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, of_frame
 
+_ROUNDING: Final = 1e-9  # of a variance: what is less is rounding
 Exclusion: TypeAlias = Callable[[Array, Sequence[Footprint]], Array]
 """What other targets, at their footprints, add to log p(y | x) of x (N, K, D): (N, K)."""
 
@@ -349,6 +349,18 @@ class FrameModel:
     def _of_present(self, log_p: Array) -> Array:
         """log_p (..., K), in which parts that are not to be seen say nothing."""
         return log_p if self.state.absent is None else np.where(self.state.absent, 0.0, log_p)
+
+
+def belief(particles: Particles, motion: Linear, cov: Array, doubt: Mask) -> Belief:
+    """Of particles x (N, K, D), with the estimate's covariance `cov` (K, 2, 2) of their places."""
+    d = motion.matrix.shape[-1]
+    w, x = np.exp(particles.log_w), particles.x[..., :d]
+    mean = np.einsum("n,nkd->kd", w, x)
+    spread = np.einsum("n,nkd,nke->kde", w, x - mean, x - mean)
+    ours, theirs = (np.trace(matrix[:, :2, :2], axis1=1, axis2=2) for matrix in (spread, cov))
+    # the estimate's counts how few particles it stands on; without particles that differ there is nothing to count
+    more = np.divide(theirs, ours, out=np.ones(len(ours)), where=ours > _ROUNDING)
+    return Belief(mean, spread * more[:, None, None], motion, doubt)
 
 
 T = TypeVar("T", bound=ParticleTarget)

@@ -18,8 +18,7 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FULL, check_plain, discard, publish, temporary_path, writing
 from facetrack_cli.core.npz import Kind, Stored, write_arrays
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.engine.protocols import Linear
-from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.engine.protocols import Belief, Linear
 from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.checkpoint import FOLDER
 from facetrack_cli.run_folder.finished import read_files, run_files

@@ -437,7 +437,7 @@ class TargetResult(NamedTuple):
 
     `cloud` (N, K, 2) are the particles' centres in pixels; `insets` are small grey images of what the tracker knows,
     each with its name; `notes` are lines for the user, of the frame in which they arise. `beliefs` gives what the
-    smoother needs (`engine.smoothing.Belief`); None of what has none.
+    smoother needs (`engine.protocols.Belief`); None of what has none.
     """
 
     rows: Trajectory

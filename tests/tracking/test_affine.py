@@ -183,7 +183,6 @@ class Gaussian:
     y: np.ndarray
     sigma: np.ndarray
     ahead: Prediction
-    blind: bool = False
 
     def propagate(self, rng, x):
         assert (x == self.ahead.state).all(), "only the point estimate is propagated"
@@ -191,8 +190,6 @@ class Gaussian:
 
     def log_likelihood(self, x, parents):
         assert x.shape == parents.shape and (parents == self.ahead.state).all()
-        if self.blind:
-            return np.full(x.shape[:2], -np.inf)
         return -0.5 * np.sum(((x - self.y) / self.sigma) ** 2, axis=2)
 
     def log_prior(self, x):
@@ -224,14 +221,6 @@ def test_it_converges_to_the_exact_posterior(noise):
     np.testing.assert_allclose(np.sqrt(np.diag(estimate(runs[0][0], info.ess).cov[0])), spread[:2], rtol=0.04)
     assert np.exp(log_w).sum() == pytest.approx(1)
     assert info.ess == pytest.approx(1 / np.sum(np.exp(log_w) ** 2)) and len(x) == 64_000
-
-
-def test_the_centre_is_a_particle_where_that_is_asked_for():
-    model = Gaussian(STATE, SPREAD, ahead())
-    with_it, without = (stepped(model, 50, centre=centre)[0].x for centre in (True, False))
-    np.testing.assert_array_equal(with_it[0], STATE + SHIFT)
-    np.testing.assert_array_equal(with_it[1:], without[1:])
-    assert not (without == STATE + SHIFT).any()
 
 
 # --- in the loop over frames ---------------------------------------------------------------------------------------

@@ -85,15 +85,6 @@ def test_a_memory_is_a_matrix_for_each_frequency(seed, channels, places, rate):
         assert np.linalg.eigvalsh(matrix).min() > -1e-4
 
 
-@given(seed=seeds, channels=st.integers(1, 6), places=st.integers(1, 10))
-def test_respond_is_what_its_plain_twin_says(seed, channels, places):
-    rng = np.random.default_rng(seed)
-    filters, x = singles(rng, 2, channels, places), singles(rng, 2, channels, places)
-    out = np.full((2, places), np.nan, np.float32)
-    cells.respond(filters, x, out)
-    np.testing.assert_allclose(out[0] + 1j * out[1], naive.respond(filters, x), atol=1e-4)
-
-
 @given(
     seed=seeds,
     shape=st.tuples(st.integers(1, 7), st.integers(1, 7)),

@@ -208,12 +208,6 @@ def nothing_built(base):
     return type("Another", (base,), {"goes_with": ("points",), "__annotations__": {"type": Literal["x"]}})
 
 
-def test_a_class_that_is_run_again_takes_the_place_of_the_first(registry):
-    one, two = likelihood(), likelihood()
-    assert register(one) is one and register(two) is two
-    assert type(load_recipe("sir", ["likelihood={type: another}"]).likelihood) is two
-
-
 def test_what_is_no_section_is_refused(registry):
     for section, error, why in (
         *(

@@ -12,10 +12,7 @@ from hypothesis.extra import numpy as hnp
 from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.motion import RandomWalk
 from facetrack_cli.engine.resampling import (
-    MEMORY,
-    Share,
     distinct,
-    effective_sample_size,
     effective_share,
     logsumexp,
     normalise,
@@ -345,14 +342,6 @@ def test_the_spread_covers_the_error_however_few_particles_count(step, parts):
     assert np.mean(wrong) > 1.5 * exact  # what the particles themselves are off
 
 
-def test_the_spread_is_that_of_two_samples_where_one_has_nearly_all_the_weight():
-    x = np.array([[[0.0, 0.0]], [[2.0, 0.0]]])
-    for small in (1e-3, 1e-9):
-        log_w = np.log([1 - small, small])
-        found = estimate(Particles(x, log_w), effective_sample_size(log_w)[None])
-        assert found.cov[0, 0, 0] == pytest.approx(4.0, rel=5e-3)
-
-
 # --- resampling ----------------------------------------------------------------------------------------------------
 
 
@@ -379,13 +368,6 @@ def test_indices_ascend_and_are_of_particles_that_have_weight(u, log_w, m):
     assert chosen.min() >= 0 and chosen.max() < len(log_w) and np.all(np.diff(chosen) >= 0)
     assert np.isfinite(log_w[chosen]).all()
     assert np.all(np.abs(np.bincount(chosen, minlength=len(log_w)) - m * np.exp(log_w)) < 1 + 1e-9)
-
-
-def test_expected_counts_are_the_weights():
-    rng = np.random.default_rng(1)
-    w = np.array([0.05, 0.3, 0.02, 0.43, 0.2])
-    counts = sum(np.bincount(systematic(rng, np.log(w), 7), minlength=5) for _ in range(4000))
-    np.testing.assert_allclose(counts / 4000, 7 * w, atol=0.08)
 
 
 def test_logsumexp_along_an_axis():
@@ -434,10 +416,3 @@ def test_the_share_of_a_ring_goes_round():
 @pytest.mark.parametrize("terms", [np.zeros((5, 5)), np.full(9, 3.5), np.ones((1, 2)), np.array([1.0])])
 def test_what_says_nothing_counts_in_full(terms):
     assert effective_share(terms) == 1.0
-
-
-def test_the_mean_forgets():
-    slow, even = np.sin(np.arange(64) / 20), np.ones(64)
-    share = Share().after(slow).after(even)
-    assert share.frames == 2 and share.mean == pytest.approx((effective_share(slow) + 1) / 2)  # the plain mean
-    assert Share(0.2, 1000).after(even).mean == pytest.approx(0.2 + 0.8 / MEMORY)

@@ -180,17 +180,6 @@ def test_a_likelihood_of_zero_ends_no_track():
     assert visible(particles) == 0.0
 
 
-@pytest.mark.parametrize("n", [4, 5, 10, 101])
-@pytest.mark.parametrize("share", [0.3, 0.7])
-def test_any_number_of_particles_serves(n, share):
-    model = Modes(WALK, [(49, 41, 0.0), (58, 40, 0.1)], (2.0, 2.0, 0.03), (3.0, 1.0))
-    particles, info = guided(n, share)(np.random.default_rng(0), states(n), model)
-    assert particles.x.shape == (n, 1, 6)
-    assert np.isfinite(particles.x).all() and info.ess.shape == (1,)
-    assert logsumexp(particles.log_w) == pytest.approx(0.0, abs=1e-9)
-    assert np.all((particles.x[:, 0, VISIBLE] >= 0) & (particles.x[:, 0, VISIBLE] <= 1))
-
-
 def test_modes_after_a_prior_are_where_the_product_is_highest_and_those_found_anew_stay():
     rng = np.random.default_rng(0)
     mean, std, log_w = rng.normal(0, 3, (2, 3)), rng.uniform(0.5, 2, (2, 3)), np.array([1.5, 2.5])

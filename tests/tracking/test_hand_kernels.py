@@ -104,11 +104,3 @@ def test_light_is_alike_as_its_plain_twin_says(light):
     now = np.clip(np.rint(first * np.array(light)), 0, 255).astype(np.uint8)
     alike = np.abs(np.subtract(light, 1)).max() < 0.01 or light[0] == 3  # where too few pixels tell
     assert kernels.is_lit_alike(first, now, 2) == naive.is_lit_alike(first, now, 2) == alike
-
-
-def test_steps_and_proposals_have_densities_that_integrate_to_one():
-    grid = np.stack(np.meshgrid(np.linspace(-4, 4, 401), np.linspace(-4, 4, 401)), axis=-1).reshape(-1, 2)
-    area = (8 / 400) ** 2
-    assert naive.transition(STEPS, SHARES, grid).sum() * area == pytest.approx(1, abs=1e-3)
-    peaks, weights = np.array([[0.5, 0.2], [-1.0, 1.0]]), np.array([0.7, 0.3])
-    assert naive.mixture(grid, peaks, weights, 0.1).sum() * area == pytest.approx(1, abs=1e-3)

@@ -103,13 +103,6 @@ def says(monkeypatch, *odds):
     monkeypatch.setattr(descriptor, "_senses", lambda looks: np.array([[[0.0, one], [one, 0.0]] for one in odds]))
 
 
-@pytest.mark.parametrize(("odds", "person"), [(50.0, [0, 0]), (-50.0, [0, 1])])
-def test_the_log_odds_of_a_pair_are_bounded(odds, person, monkeypatch):
-    says(monkeypatch, odds)
-    found = cast_of([track("a", 1, 0, 40), track("b", 1, 60, 90, at=(300.0, 0.0))])
-    assert found.person.tolist() == person and found.p == pytest.approx(1 / (1 + np.exp(-8)))
-
-
 def test_one_sense_alone_does_not_part_a_face_from_itself_over_a_cut(monkeypatch):
     first, then = near = [track("a", 1, 0, 40), track("b", 1, 42, 90, at=(5.0, 0.0))]
     others = [then._replace(begins=box) for box in ((300.0, 0.0, 50.0, 50.0), (0.0, 0.0, 90.0, 90.0))]

@@ -206,25 +206,6 @@ def test_boxes_far_apart_are_counted_as_alone(monkeypatch):
     np.testing.assert_array_equal(likelihood.distances(learned, frame(scene()), x), together)
 
 
-def grey_scene(noise=0):
-    value = cv2.cvtColor(scene(), cv2.COLOR_BGR2GRAY)
-    value = np.clip((value.astype(float) - 90) * 3, 60, 250)[..., None].repeat(3, axis=2)
-    value += np.random.default_rng(1).integers(-noise, noise + 1, value.shape)
-    return value.round().astype(np.uint8)
-
-
-@pytest.mark.parametrize("value_bins", [0, 1])
-@pytest.mark.parametrize("noise", [0, 2])
-def test_a_grey_clip_is_refused(value_bins, noise):
-    with pytest.raises(InputError) as raised:
-        histogram(BOX, value_bins=value_bins).init(frame(grey_scene(noise), 7), states([BOX_AT])[0])
-    message = str(raised.value)
-    assert message.startswith("frame 7: 0.")
-    assert "% of the box's pixels have a hue, so a colour histogram cannot know it: use the recipe" in message
-    assert message.endswith("recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8")
-    assert "\n" not in message
-
-
 def test_a_grey_box_in_a_clip_with_colours_and_a_dark_box():
     picture = scene().copy()
     picture[40:130, 60:140] = 128
@@ -232,11 +213,6 @@ def test_a_grey_box_in_a_clip_with_colours_and_a_dark_box():
         learned_at_truth(picture)
     likelihood, learned = learned_at_truth(scene() // 5, least_value=0.05)
     assert likelihood.distances(learned, frame(scene() // 5), states([BOX_AT]))[0, 0] < 1e-3
-
-
-def test_a_box_outside_the_picture_cannot_be_learned():
-    with pytest.raises(InputError, match="frame 0: the box has no pixel of the image at 1/1 of its size"):
-        histogram(BOX).init(frame(scene()), states([(-100.0, 20.0)])[0])
 
 
 # --- frame and frame before

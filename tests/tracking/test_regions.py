@@ -182,14 +182,6 @@ def test_a_box_that_cannot_be_followed_is_told_alike_by_option_and_file(facetrac
     assert said.replace("--box:", f"{file}:").replace("face", "head") in refused(run(facetrack, "--init", file), 3)
 
 
-@pytest.mark.parametrize("box", ["-3,-3,6,6", "0,0,260,200", "240,-20,39,60"])
-def test_boxes_at_the_border_are_followed(facetrack, box):
-    options = ["--set", "likelihood.histogram.value_bins=8", "-o", "-", "--box", box, "--stop", "4"]
-    code, out, err = run(facetrack, *options)
-    assert (code, err) == (0, "")
-    assert len(out.splitlines()) == 5 and "nan" not in out and "inf" not in out
-
-
 def test_a_box_too_narrow_for_the_reduced_picture_names_the_setting(facetrack):
     options = ["--set", "likelihood.histogram.max_size=16", "--box", "10,10,6,180"]
     said = refused(run(facetrack, *options, config="histogram"), 3)
@@ -238,19 +230,6 @@ def test_a_recipe_of_points_on_a_clip_of_boxes_or_of_regions_on_one_of_points_sa
     code, _, err = run(facetrack, "--init", "two.yaml", config="factorized")
     assert code == 3 and "two.yaml: no point for nose, mouth_left" in err
     assert "or follow its box by a recipe of regions, as contour_histogram" in err
-
-
-def test_goldens_leave_out_clips_that_lack_what_a_recipe_follows(facetrack, clips):
-    folder = Path("sample")
-    folder.mkdir()
-    for name, begin in (("boxes", starts() + "hand: {box: [20, 130, 40, 40]}\n"), ("points", starts("", POINTS))):
-        (folder / name).symlink_to(clips / "head")
-        (folder / f"{name}.init.yaml").write_text(begin)
-    code, out, _ = facetrack("regress", folder, "--config", "sir", "--config", "contour", "--update", "--stop", 2, "-q")
-    of_boxes, of_points = sorted(line for line in out.splitlines() if "not recorded" in line)
-    assert code == 5 and out.count(": wrote ") == 2
-    assert "boxes sir: not recorded" in of_boxes and "nose" in of_boxes
-    assert "points contour: not recorded" in of_points and "has no box" in of_points
 
 
 # --- the same bytes, and no more memory ------------------------------------------------------------------------------

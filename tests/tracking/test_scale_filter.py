@@ -2,7 +2,6 @@
 
 import math
 
-import cv2
 import numpy as np
 import pytest
 
@@ -17,24 +16,8 @@ def texture(seed=0):
     return np.clip(smooth(seed, 120, 160), 0, 255).astype(np.uint8)
 
 
-def zoomed(picture, k):
-    """As large again, around the centre."""
-    to = np.array([[k, 0, (1 - k) * CENTRE[0]], [0, k, (1 - k) * CENTRE[1]]])
-    return cv2.warpAffine(picture, to, picture.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-
-
 def trainer(size=(32.0, 40.0), count=33, step=STEP):
     return ScaleTrainer(size, count, step)
-
-
-@pytest.mark.parametrize("size", [(32.0, 40.0), (20.0, 60.0), (60.0, 20.0), (16.0, 16.0)])
-@pytest.mark.parametrize("k", [0.92, 0.96, 1.0, 1.04, 1.1])
-def test_the_peak_is_at_the_scale(size, k):
-    one, picture = trainer(size), texture()
-    known = one.learn(None, one.read(grey(picture), CENTRE, 1.0), 1.0)
-    response = one.respond(known, one.read(grey(zoomed(picture, k)), CENTRE, 1.0))
-    assert response.shape == one.log_scales.shape == (33,)
-    assert one.log_scales[int(response.argmax())] == pytest.approx(math.log(k), abs=1.01 * math.log(STEP))
 
 
 @pytest.mark.parametrize("steps", [-2, 0, 1])
@@ -112,14 +95,3 @@ def test_colours_are_learned_by_their_rate(rate):
     after = model.learn(first, square(GREEN, RED), rate)
     for one, other, found in zip(first[:2], second[:2], after[:2], strict=True):
         np.testing.assert_allclose(found, (1 - 0.04 * rate) * one + 0.04 * rate * other, atol=1e-6)
-
-
-@pytest.mark.parametrize("box", [(0.02, 0.02), (0.2, 0.02), (0.9, 0.1), (1.5, 1.5), (0.05, 0.6)])
-@pytest.mark.parametrize("image", [square(RED, GREEN, 10.0), square((0, 0, 0), (0, 0, 0)), square(RED, GREEN)[:60]])
-def test_any_box_and_image_gives_finite_scores(box, image):
-    model = ColourModel(box)
-    known = model.learn(None, np.ascontiguousarray(image), 1.0)
-    for histogram in (known.target, known.around):
-        assert histogram.sum() == pytest.approx(1.0, abs=1e-4)
-    score = model.respond(known._replace(tells=1.0), np.ascontiguousarray(image), 64)
-    assert np.isfinite(score).all()

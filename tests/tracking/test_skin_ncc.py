@@ -13,7 +13,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Particles
 from facetrack_cli.trackers.skin import likelihoods as matching
 from facetrack_cli.trackers.skin import skin_kernels as kernel
-from facetrack_cli.trackers.skin.likelihoods import MIN_NCC, learn_skin
+from facetrack_cli.trackers.skin.likelihoods import MIN_NCC
 from facetrack_cli.trackers.skin.settings import SkinNccSettings
 from tests.support.images import frame, grey, smooth, states
 from tests.support.parts import pattern, skin_cue, skin_ncc
@@ -76,14 +76,6 @@ def test_rho_is_that_of_the_twin(max_size, inner):
     if inner == 1.0:
         assert found[0] < -0.3, "a face is skin among little skin"
     assert found[3] == 0.0, "beyond the image nothing is skin"
-
-
-def test_skin_is_learned_from_the_box():
-    known = learned(scene(), ncc=None)[1]
-    table = learn_skin(frame(scene()), (82.0, 60.0, *SIZE)).table
-    np.testing.assert_array_equal(known.table, table)
-    larger = skin_ncc(SIZE, ncc=None).init(frame(scene()), states((*TRUTH, 1.5))[0])
-    np.testing.assert_array_equal(larger.table, learn_skin(frame(scene()), (72.0, 48.0, 60.0, 72.0)).table)
 
 
 @pytest.mark.parametrize("cost", COSTS)
@@ -265,13 +257,3 @@ def test_a_start_at_another_scale_is_learned_from_whole_pixels():
     values = smooth(7, 60, 70).round()
     template = matching.learn_template(grey(values), (8.0, 7.0), states((31.3, 25.8, 2.0))[0], None)
     np.testing.assert_array_equal(template.first, values[20:34:2, 24:40:2])
-
-
-def test_what_is_left_over_beside_the_last_block_is_not_seen():
-    bgr = scene()[:169, :257].copy()
-    template = matching.learn_template(frame(bgr), SIZE, states((99.5, 83.5))[0], 12.0)
-    assert (template.factor, template.offset) == (4, (0.0, 0.0))
-    # column 256 belongs to no block of four
-    for x in (states((256 + SIZE[0] / 2 + off, 80.0)) for off in (-0.4, 1.6)):
-        for found in matching.correlate(template, frame(bgr), x):
-            assert found[0] == 0

@@ -134,10 +134,10 @@ def test_arrays_that_do_not_fit_are_refused(kind, tmp_path):
 
 
 @KINDS
-def test_damaged_bytes_are_refused_or_do_no_harm(kind, tmp_path):
+def test_damaged_bytes_are_refused(kind, tmp_path):
     path = tmp_path / "x.npz"
     stored(kind)[0].save(path)
-    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    whole = path.read_bytes()
     other, bare = io.BytesIO(), io.BytesIO()
     with zipfile.ZipFile(other, "w") as archive:
         archive.writestr("format.npy", "no array")
@@ -145,18 +145,6 @@ def test_damaged_bytes_are_refused_or_do_no_harm(kind, tmp_path):
     for content in (b"", b"text\n", whole[: len(whole) // 2], whole[:100], other.getvalue(), bare.getvalue()):
         path.write_bytes(content)
         refused(kind, path)
-    for turn in range(24):
-        damaged = bytearray(whole)
-        first = 0 if turn % 3 else len(whole) - 1500  # the directory of the archive is at its end
-        for at in rng.integers(first, len(whole), 3):
-            damaged[at] = rng.integers(256)
-        path = tmp_path / f"{turn}.npz"  # a regression is read once
-        path.write_bytes(bytes(damaged))
-        try:
-            LOADED[kind][0](path)
-        except InputError as error:
-            assert str(error).startswith(str(path)) and "\n" not in str(error)
-        path.unlink()
 
 
 @KINDS

@@ -95,11 +95,6 @@ def multiply(whole, v):
     return np.stack([m @ z[:, f] for f, m in enumerate(whole)], axis=1)
 
 
-def respond(filters, x):
-    """(F,): the sum over channels of conj(filters) x."""
-    return np.einsum("cf,cf->f", complexes(filters).conj(), complexes(x))
-
-
 def cubic(p, t):
     """Catmull and Rom's curve through p[1] and p[2] at t, 0..1."""
     a, b, c, d = p

@@ -99,7 +99,7 @@ class Seen(NamedTuple):
     candidate: Array | None
     view: ResponseView
     scale: float
-    scales: NDArray[np.complex64] | None
+    scales: NDArray[np.complex64]
 
 
 class CorrelationState(NamedTuple):
@@ -115,7 +115,7 @@ class CorrelationState(NamedTuple):
     features: Features
     filters: Trained
     first: Single
-    scales: TrainedScale | None
+    scales: TrainedScale
     colours: Colours | None
     heights: Usual
     frames: int = 1
@@ -152,9 +152,8 @@ class CorrelationFilter(Likelihood):
         return Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3))
 
     @cached_property
-    def _scale_trainer(self) -> ScaleTrainer | None:
-        one = self.settings.scales
-        return None if one is None else ScaleTrainer(self.size, one.count, one.step)
+    def _scale_trainer(self) -> ScaleTrainer:
+        return ScaleTrainer(self.size, self.settings.scales.count, self.settings.scales.step)
 
     @cached_property
     def _colour_model(self) -> ColourModel:
@@ -182,9 +181,7 @@ class CorrelationFilter(Likelihood):
         colours = None
         if features.colour and self.settings.colour > 0:
             colours = self._colour_model.learn(None, window, 1.0)
-        scales, trainer = None, self._scale_trainer
-        if trainer is not None:
-            scales = trainer.learn(None, trainer.read(frame, centre, scale), 1.0)
+        scales = self._scale_trainer.learn(None, self._scale_trainer.read(frame, centre, scale), 1.0)
         return CorrelationState(features, filters, filters.filters, scales, colours, heights, last=frame.index)
 
     def look(self, learned: CorrelationState, frame: Frame, expected: Array) -> CorrelationState:
@@ -202,9 +199,7 @@ class CorrelationFilter(Likelihood):
         )
         log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _MIN_RATIO))
         modes = [self._modes(view, scale, found, log_l)]
-        scales = None
-        if self._scale_trainer is not None:
-            scales = self._scale_trainer.read(frame, modes[0].mean[0, :2], scale)
+        scales = self._scale_trainer.read(frame, modes[0].mean[0, :2], scale)
         log_s, std = self._scale_at(learned, scales)
         modes[0].mean[:, 2] += log_s
         modes[0].std[:, 2] = std
@@ -280,11 +275,9 @@ class CorrelationFilter(Likelihood):
         std = np.column_stack([widths * sample / math.sqrt(sharpness), np.full(len(found), _SCALE_STD)])
         return ModeProposal(mean, std, log_l, np.full(len(found), redetected))
 
-    def _scale_at(self, learned: CorrelationState, scales: NDArray[np.complex64] | None) -> tuple[float, float]:
+    def _scale_at(self, learned: CorrelationState, scales: NDArray[np.complex64]) -> tuple[float, float]:
         """Mean and standard deviation of the change of log scale, by S^sharpness times a broad prior."""
         trainer, settings = self._scale_trainer, self.settings.scales
-        if trainer is None or settings is None or learned.scales is None or scales is None:
-            return 0.0, _SCALE_STD
         response = trainer.respond(learned.scales, scales)
         response = response - response.min()
         if float(response.max()) < 1e-9:  # flat, as far outside of the frame
@@ -367,28 +360,24 @@ class CorrelationFilter(Likelihood):
         centre, scale = state[0, :2], float(state[0, 2])
         x, window, across = self._at(learned, frame, centre, scale, seen)
         filters = self._trainer.learn(learned.filters, x, min(step * share * one.rate, 1.0))
-        scales, trainer, colours = learned.scales, self._scale_trainer, learned.colours
-        if trainer is not None and one.scales is not None and across is not None:
-            scales = trainer.learn(scales, across, min(step * share * one.scales.rate, 1.0))
-        if colours is not None:
-            colours = self._colour_model.learn(colours, window, step * share)
+        scales = self._scale_trainer.learn(learned.scales, across, min(step * share * one.scales.rate, 1.0))
+        colours = learned.colours and self._colour_model.learn(learned.colours, window, step * share)
         if frames <= FIRST:
             learned = learned._replace(first=filters.filters)
         return learned._replace(filters=filters, scales=scales, colours=colours)
 
     def _at(
         self, learned: CorrelationState, frame: Frame, centre: Array, scale: float, seen: Seen | None
-    ) -> tuple[Single, Image, NDArray[np.complex64] | None]:
+    ) -> tuple[Single, Image, NDArray[np.complex64]]:
         """Spectrum and window of the target, and its spectrum over scales: those `seen`, moved, if they are near."""
         trainer = self._scale_trainer
         if seen is not None:
             grown, cell = math.log(scale / seen.scale), self._side(seen.scale) / self.settings.cells
             off, mode = (centre - seen.view.centre) / cell, (centre - seen.guides.mean[0, :2]) / cell
             if abs(grown) < _SAME_SCALE and max(np.abs(off).max(), np.abs(mode).max()) < _SAME_PLACE:
-                across = None if trainer is None or seen.scales is None else trainer.moved(seen.scales, grown)
-                return moved(seen.view.spectrum, off, self.settings.cells), seen.view.image, across
-        x, window = learned.features.read(frame, centre, self._side(scale))
-        return x, window, None if trainer is None else trainer.read(frame, centre, scale)
+                spectrum = moved(seen.view.spectrum, off, self.settings.cells)
+                return spectrum, seen.view.image, trainer.moved(seen.scales, grown)
+        return *learned.features.read(frame, centre, self._side(scale)), trainer.read(frame, centre, scale)
 
     def distances(self, learned: CorrelationState, frame: Frame, x: Array) -> Array:
         """(N, 1) of zeros: whether the target is visible is part of the state."""
