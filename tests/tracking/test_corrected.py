@@ -401,13 +401,6 @@ def test_a_cloud_fills_the_box_that_is_given():
     assert np.ptp(hand.cloud[:, 0, 0]) <= 33 and np.ptp(hand.cloud[:, 0, 1]) > 50
 
 
-def test_a_box_of_another_shape_is_the_unit_from_there_on(head):
-    """What is learned again is followed as what it is, and not by the first frame's measures."""
-    left, top, w, h = head.box(5)
-    put = run("histogram", head, given(5, "head", box=(left, top, 2 * w, h)), stop=9)
-    assert [part(r, "box").w / part(r, "box").h for r in put[5:]] == pytest.approx([2 * w / h] * 4, rel=1e-6)
-
-
 @pytest.mark.parametrize(("learn", "scale"), [(None, 1.0), (True, 1.0), (False, 1.5)])
 def test_a_face_under_affine_maps_is_learned_anew_unless_it_is_said_otherwise(zoom, learn, scale):
     left, top, w, h = zoom.box(0)

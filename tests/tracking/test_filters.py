@@ -200,22 +200,6 @@ def test_the_evidence_counts_the_mean_of_the_prior_by_which_particles_are_reweig
     assert prior[1].evidence - none[1].evidence == pytest.approx(expected)
 
 
-def test_sub_particles_from_the_prior_find_a_part_that_jumped():
-    """A part far beyond the reach of its random walk: found when the prior proposes it, and not otherwise."""
-    y = np.zeros((K, D))
-    x = np.zeros((400, K, D))
-    x[:, 0] = 60.0
-
-    def after(step):
-        particles, rng = Particles(x, uniform(400)), np.random.default_rng(0)
-        for _ in range(4):
-            particles, _ = step(rng, particles, LinearGaussian(y, tied=True))
-        return np.einsum("n,nkd->kd", np.exp(particles.log_w), particles.x)
-
-    assert np.abs(after(factorized("prior", from_prior=0.1))).max() < 2
-    assert np.abs(after(factorized("prior"))).max() > 20
-
-
 def test_mixture_transition_is_weighted_rightly():
     """With an observation that says nothing, sub-particles keep the mixture's mean: the weights must all be equal."""
     model = LinearGaussian(np.zeros((K, D)))

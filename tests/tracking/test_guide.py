@@ -95,17 +95,6 @@ def test_b_equals_the_plain_twin(seed, count, d, components, decay):
     np.testing.assert_allclose(step, expected @ (patch - wanted), atol=1e-3 * (1 + np.abs(expected).max() * d))
 
 
-@pytest.mark.parametrize(("count", "most"), [(100, 32), (33, 32), (32, 32), (5, 32), (1, 2), (7, None)])
-def test_b_comes_from_so_many_particles_evenly(count, most):
-    x = WALK.propagate(np.random.default_rng(0), np.repeat(HERE[None], count, axis=0))
-    flow = changed(GUIDE, velocity=VelocitySettings(samples=most)).learn(frame(PICTURE), HERE, x)
-    used = count if most is None else min(count, most)
-    rows = PATCHES.read(frame(PICTURE), x, 1) - flow.patch
-    place = [int(np.abs(rows - row).sum(axis=1).argmin()) for row in flow.rows]
-    assert flow.gain.shape == (6, used) and len(set(place)) == used and place == sorted(place)
-    assert place[0] == 0 and np.diff([*place, count]).max() - np.diff([*place, count]).min() <= 1
-
-
 FLAT = np.full_like(PICTURE, 90)
 
 

@@ -88,20 +88,6 @@ def test_a_head_that_goes_is_lost_and_found_when_it_is_back(coloured):
     assert statuses[17] == "lost" and statuses[-1] == "tracked"
 
 
-def test_neither_drawing_nor_threads_nor_processes_change_a_byte(facetrack):
-    """Correlation looks at the previous frame again, after it was painted, or while it is."""
-    asked = ["run", "IN/head", "--config", ALL, "--seed", 7, "-q", "--set", "filter.particles=30"]
-    for name, more in (("video1", ["--threads", 1]), ("video2", ["--threads", 2]), ("plain", ["--no-video"])):
-        assert facetrack(*asked, *more, "-o", name)[0] == 0
-    code, _, err = facetrack(*asked, "IN/grey", "--no-video", "-j", 2, "-o", "many")
-    assert code == 5 and "grey: head, frame 0: 0.0% of the box" in err
-    [batch] = Path("many").glob("head*")
-    tables = {
-        (folder / "trajectory.csv").read_bytes() for folder in (Path("video1"), Path("video2"), Path("plain"), batch)
-    }
-    assert len(tables) == 1
-
-
 def test_lengths_are_in_units_of_the_mean_side_of_the_box():
     [target] = build_tracker(load_recipe("contour_histogram_correlation"), start((10.0, 20.0, 30.0, 67.5)))
     contour, histogram, correlation = target.likelihood.factors

@@ -172,21 +172,6 @@ def test_any_box_of_any_picture_gives_a_model_or_says_that_it_is_not_in_the_pict
 # --- which pixels are meant
 
 
-def one_column(column, height=15):
-    """Skin in a single column of an image of cloth."""
-    bgr = np.full((height, 40, 3), BLUE_WALL[::-1], np.uint8)
-    bgr[:, column] = USUAL[::-1]
-    return Frame(0, 0.0, bgr)
-
-
-def test_a_box_has_the_pixels_whose_centres_it_covers(monkeypatch):
-    monkeypatch.setattr(likelihoods, "LEAST_SHARE", 0)
-    for left, first, last in ((10.4, 10, 14), (9.6, 10, 14), (10.6, 11, 15)):
-        seen = [column for column in range(8, 18)
-                if not learn_skin(one_column(column), (left, 2.0, 5.0, 9.0)).fallback]  # fmt: skip
-        assert seen == list(range(first, last + 1))
-
-
 # --- where hands begin: regions of skin apart from the face
 
 HANDS_FACE = (130.0, 40.0, 50.0, 60.0)

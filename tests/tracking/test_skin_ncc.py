@@ -251,9 +251,3 @@ def test_template_adapts_only_while_it_knows_the_first_one():
     assert likelihood.learn(drifted, frame(scene()), there, none).template.now is ground.now
     fixed, known = learned(scene())
     assert fixed.learn(known, frame(light), here, none).template.now is known.template.now
-
-
-def test_a_start_at_another_scale_is_learned_from_whole_pixels():
-    values = smooth(7, 60, 70).round()
-    template = matching.learn_template(grey(values), (8.0, 7.0), states((31.3, 25.8, 2.0))[0], None)
-    np.testing.assert_array_equal(template.first, values[20:34:2, 24:40:2])
