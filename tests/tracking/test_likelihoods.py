@@ -202,10 +202,8 @@ def test_a_score_does_not_depend_on_other_particles_nor_on_what_a_frame_was_aske
 def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
     target, learned = built("product")
     x, now = around(target, GRID[::11]), frames()[1]
-    parents, factors = (
-        np.repeat(target.x0[None], len(x), axis=0),
-        list(zip(target.likelihood.factors, learned, strict=True)),
-    )
+    parents = np.repeat(target.x0[None], len(x), axis=0)
+    factors = [*zip(target.likelihood.factors, learned, strict=True)]
     each = [factor.score(part, now, x, parents) for factor, part in factors]
     np.testing.assert_allclose(scored(target, learned, now, x), sum(each))
     looks = [factor.distances(part, now, x) for factor, part in factors[:2]]  # the third says how it moved
