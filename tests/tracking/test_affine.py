@@ -1,7 +1,7 @@
 """A face under affine maps: patches, box, walk, the filter around a predicted place, and the mixture W, S, F."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import ClassVar
 
@@ -12,10 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import MAX_REMEMBERED, Frame, Particles
+from facetrack_cli.core.types import MAX_REMEMBERED, Frame
 from facetrack_cli.engine.filters import Prediction
-from facetrack_cli.engine.resampling import uniform
-from facetrack_cli.engine.spaces import estimate, evenly
+from facetrack_cli.engine.spaces import evenly
 from facetrack_cli.engine.target import ParticleTarget
 from facetrack_cli.trackers.appearance import affine as filters
 from facetrack_cli.trackers.appearance import appearance_kernels as kernel
@@ -153,7 +152,6 @@ def test_the_walk_equals_the_plain_twin(seed, state, noise, turn, shear, bounds)
 # --- the filter: eq. 17, and one step ------------------------------------------------------------------------------
 
 STATE, SHIFT = np.array([[10.0, 20.0, 1.0, 0.1, -0.1, 0.9]]), np.array([[3.0, -2.0, 0.05, 0.0, 0.0, 0.05]])
-SPREAD = np.array([2.0, 2.0, 0.05, 0.05, 0.05, 0.05])
 
 
 def ahead(noise=1.0, fell=None):
@@ -174,53 +172,6 @@ def test_the_number_of_particles(noise, fell, number):
     assert filters.number(adaptive(100, entropy=0.2, least=60), there) == max(number, 60)
     assert filters.number(adaptive(100, entropy=0.0), there) == round(100 * noise)
     assert filters.number(adaptive(100, adapt=False, entropy=0.2), there) == 100
-
-
-@dataclass
-class Gaussian:
-    """The state is seen at y with the standard deviations `sigma`; moves by SPREAD around the place ahead."""
-
-    y: np.ndarray
-    sigma: np.ndarray
-    ahead: Prediction
-
-    def propagate(self, rng, x):
-        assert (x == self.ahead.state).all(), "only the point estimate is propagated"
-        return x + self.ahead.shift + self.ahead.noise * SPREAD * rng.standard_normal(x.shape)
-
-    def log_likelihood(self, x, parents):
-        assert x.shape == parents.shape and (parents == self.ahead.state).all()
-        return -0.5 * np.sum(((x - self.y) / self.sigma) ** 2, axis=2)
-
-    def log_prior(self, x):
-        return np.zeros(len(x))
-
-
-def stepped(model, number, seed=0, **settings):
-    before = Particles(np.full((3, 1, 6), np.nan), uniform(3))  # what they were does not matter
-    return filters.adaptive(adaptive(number, **settings), np.random.default_rng(seed), before, model)
-
-
-@pytest.mark.parametrize("noise", [0.5, 2.0])
-def test_it_converges_to_the_exact_posterior(noise):
-    """Proposal N(theta + nu, (eta u)^2) times likelihood N(y): Kalman's gain, for each coordinate."""
-    sigma = np.array([1.5, 3.0, 0.03, 0.1, 0.05, 0.02])
-    y = STATE + SHIFT + np.array([[1.0, -2.0, 0.02, -0.05, 0.0, 0.02]])
-    model = Gaussian(y, sigma, ahead(noise))
-    variance = (noise * SPREAD) ** 2
-    k = variance / (variance + sigma**2)
-    mean, spread = STATE + SHIFT + k * (y - STATE - SHIFT), np.sqrt((1 - k) * variance)
-    off = []
-    for number in (250, 4000, 64_000):
-        runs = [stepped(model, number, seed, adapt=False) for seed in range(6)]
-        found = np.array([estimate(particles, info.ess).state for particles, info in runs])
-        off.append(float(np.sqrt(np.mean(((found - mean) / spread) ** 2))))
-    # a sixteenth of the variance each time, so a quarter of the error
-    assert off[0] > 2.5 * off[1] > 6 * off[2] and off[2] < 0.03, off
-    (x, log_w), info = runs[0]
-    np.testing.assert_allclose(np.sqrt(np.diag(estimate(runs[0][0], info.ess).cov[0])), spread[:2], rtol=0.04)
-    assert np.exp(log_w).sum() == pytest.approx(1)
-    assert info.ess == pytest.approx(1 / np.sum(np.exp(log_w) ** 2)) and len(x) == 64_000
 
 
 # --- in the loop over frames ---------------------------------------------------------------------------------------
@@ -399,9 +350,6 @@ def test_the_moments_at_the_start_give_back_what_they_were_made_of():
     m, first, second = learned.m[S].astype(float), *learned.moments
     np.testing.assert_allclose(first / m, learned.mu[F], rtol=1e-6)
     np.testing.assert_allclose(second / m - (first / m) ** 2, 0.5**2, rtol=1e-5)
-    # as printed, m_s sigma_s^2 + F^2, the variance would be off by F^2 (1 / m_s - 1)
-    printed = (m * 0.5**2 + learned.mu[F] ** 2) / m - learned.mu[F] ** 2
-    assert np.median(printed / 0.5**2) > 2
     # and after one look at the same face it has hardly moved
     after = MODEL.learn(learned, frame(smooth(1)), TRUTH)
     np.testing.assert_allclose(after.mu[S], learned.mu[F], atol=1e-5)
@@ -437,13 +385,11 @@ def test_nothing_to_see_at_the_start_is_one_clear_line(place, picture):
 def test_the_pictures_of_s_and_w_are_grey_levels_around_the_middle():
     learned = MODEL.init(frame(smooth(1)), TRUTH)
     mu = learned.mu.copy()
-    mu[S, :6], mu[W, :6] = (0, 1, -1, 2.49, 2.6, -40), (-2.5, -2.6, 40, 0.5, -0.5, 0)
+    mu[S, :6] = 0, 1, -1, 2.49, 2.6, -40
     shown = dict(MODEL.insets(replace(learned, mu=mu)))
     assert shown["stable"].shape == shown["recent"].shape == PATCHES.shape and shown["stable"].dtype == np.uint8
     assert shown["stable"].ravel()[:6].tolist() == [128, 179, 77, 254, 255, 0]
-    assert shown["recent"].ravel()[:6].tolist() == [0, 0, 255, 153, 102, 128]
     assert [name for name, _ in FIXED.insets(learned)] == ["first"]
-    assert [name for name, _ in changed(MODEL, mixing=components(0.5, 0, 0.5)).insets(learned)] == ["recent"]
 
 
 @pytest.mark.parametrize(("density", "outlier"), [("gaussian", None), ("gaussian", 0.3), ("laplace", 0.3)])

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +12,7 @@ from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.engine import confidence as judging
 from facetrack_cli.engine.confidence import Calibration, Isotonic, Logistic, boxes_of, load_calibration
-from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ConfidenceSettings
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.trajectory.trajectory import SPREAD, build
@@ -273,19 +272,6 @@ def test_a_calibration_changes_confidence_and_spread_alone(file, recipe, clip):
     np.testing.assert_allclose(found.std_y, raw.std_y * np.where(own, 1.0, np.where(of_box, 0.5, 2.0)))
     boxes = of_box & later
     np.testing.assert_allclose(found.confidence[boxes], fitting.probability(BOX, {"confidence": raw.confidence[boxes]}))
-
-
-def test_a_file_stands_beside_its_recipe_or_is_refused(file, tmp_path):
-    text = (Path(__file__).parents[2] / "configs" / "sir.yaml").read_text(encoding="utf-8")
-    (tmp_path / "mine.yaml").write_text(f"{text}confidence: {{calibration: both.json}}\n", encoding="utf-8")
-    assert check_recipe(str(tmp_path / "mine.yaml")) == []
-    found = track_video(FOLDER / "occlusion.mp4", tmp_path / "mine.yaml", stop=3)
-    assert found.header["recipe"]["confidence"]["calibration"] == "both.json"
-    file.unlink()
-    [problem] = check_recipe(str(tmp_path / "mine.yaml"))
-    assert 'there is no file "both.json"' in str(problem)
-    with pytest.raises(RecipeError, match=r'there is no file "both\.json"'):
-        track_video(FOLDER / "occlusion.mp4", tmp_path / "mine.yaml", stop=3)
 
 
 def test_what_gives_no_confidence_has_none_to_calibrate():

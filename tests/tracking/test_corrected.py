@@ -237,16 +237,6 @@ def test_no_correction_draws_the_numbers_of_another_correction_or_target():
 # --- places --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("learn", [None, True, False])
-def test_windows_stay_as_the_start_has_them(learn):
-    """Though the points, by which lengths are measured, are put further apart."""
-    left, top = FACE.point(0, "nose")
-    wide = {name: (left + 1.5 * (x - left), top + 1.5 * (y - top)) for name, (x, y) in FACE.points(0).items()}
-    put = run("sir", FACE, given(2, points=wide, learn=learn), overrides=FEW, stop=5)
-    sides = [[(part.w, part.h) for part in parts_of(result.targets[0])] for result in put]
-    assert all(one == sides[0] for one in sides) and len(sides[0]) == len(PARTS)
-
-
 def test_a_target_may_be_gone_and_come_back(head):
     away = run("histogram", head, given(4, "head", absent=("box",)), given(12, "head", box=head.box(12)), stop=14)
     assert [statuses(r)[0] for r in away[3:]] == ["tracked"] + ["absent"] * 8 + ["init", "tracked"]

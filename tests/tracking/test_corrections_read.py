@@ -18,12 +18,10 @@ from facetrack_cli.report import make
 from facetrack_cli.report.figures import page
 from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.make import Image, command, init_yaml, recipe_yaml
-from facetrack_cli.report.story import history_of, key_frames, reasons
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import one_part
-from facetrack_cli.trajectory.views import Clock, enclose
 from facetrack_cli.trajectory.writers import WRITERS, RunSummary
 from tests.evaluation.test_points import rows, statuses
 from tests.support import results
@@ -77,15 +75,6 @@ def table(tmp_path):
 # --- tables ------------------------------------------------------------------------------------------------------
 
 
-def test_a_box_around_parts_leaves_out_what_is_absent(table):
-    box = enclose(table.parts)
-    assert box.w[2] == 28.0 and box.w[5] == 8.0 and np.isnan(box.w[10])
-    assert box.status[5] == "tracked" and box.status[10] == "absent"
-    nose, lip = table.parts
-    assert enclose([replace(nose, status=np.full(13, "lost")), lip]).status[5] == "lost"
-    assert np.flatnonzero(box.by_hand).tolist() == [5, 8, 10]
-
-
 # --- measures ----------------------------------------------------------------------------------------------------
 
 
@@ -108,12 +97,6 @@ def test_a_place_given_by_hand_is_no_merit_but_in_the_first_frame():
     assert found.rows == 3 and found.mean_px == 4
     part = replace(part, confidence=np.array([1.0, 0.2, 1.0, 0.2]), std=np.ones((4, 2)))
     assert [measure([part]).rows for measure in (measure_lost, measure_confidence, measure_coverage)] == [2, 2, 2]
-
-
-def test_what_is_said_to_be_absent_is_not_what_the_tracker_says():
-    part = rows([0, 0, NAN, NAN, 0, 0], "vvhhvv", ours=corrected("ittaat"))
-    found = measure_lost([part])
-    assert (found.rows, found.covered, found.called) == (3, 1, 0), "neither called lost nor missed"
 
 
 @pytest.mark.parametrize("ours, decided", [("tttttltttttt", True), ("tttttlittttt", False), ("tttaattttttt", False)])
@@ -175,20 +158,6 @@ def test_the_plots_shade_what_is_absent_and_mark_what_was_corrected(table):
         t.get_text() for t in page.page_figure(plain).subfigs[0].legends[0].texts
     }
     assert plot_style.render(figure).startswith(b"\x89PNG")
-
-
-def test_a_report_says_what_was_corrected(table):
-    history = history_of(table, Clock(table, 25.0))
-    assert history.corrections == (5, 8, 10)
-    nose, lip = history.parts
-    assert (lip.absences, lip.frames_absent, nose.frames_absent) == (((5, 7), (10, 12)), 6, 3)
-    assert [(span.first, span.last, span.back, span.by_hand) for span in lip.spans] == [(3, 4, None, True)]
-    assert (history.ending("lost"), history.ending("absent")) == ([], ["nose", "lip"])
-    events = reasons(table, history, "x", 0, 12)
-    kinds = {frame: [kind for kind, *_ in events[frame]] for frame in key_frames(history, events, 0, 12)}
-    assert kinds == {
-        0: ["start"], 1: ["worst"], 3: ["lost"], 5: ["corrected"], 8: ["corrected"], 10: ["corrected"], 12: ["end"]
-    }  # fmt: skip
 
 
 START = """frame: 0

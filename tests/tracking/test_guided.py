@@ -172,14 +172,6 @@ def test_p_visible_is_that_of_the_chain(share):
     assert seen[6] > 0.9
 
 
-def test_a_likelihood_of_zero_ends_no_track():
-    particles, _ = guided(50, 0.7)(
-        np.random.default_rng(0), states(50), Modes(WALK, (50, 40, 0), (3, 3, 0.05), 0.0, flat=-1e6)
-    )
-    assert np.isfinite(particles.x).all() and np.isfinite(particles.log_w).all()
-    assert visible(particles) == 0.0
-
-
 def test_modes_after_a_prior_are_where_the_product_is_highest_and_those_found_anew_stay():
     rng = np.random.default_rng(0)
     mean, std, log_w = rng.normal(0, 3, (2, 3)), rng.uniform(0.5, 2, (2, 3)), np.array([1.5, 2.5])

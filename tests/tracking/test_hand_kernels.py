@@ -66,16 +66,6 @@ def test_a_belief_is_what_its_plain_twin_says(share):
         np.testing.assert_allclose(ours, theirs, atol=1e-6)
 
 
-def test_far_from_all_particles_a_belief_is_at_the_heaviest():
-    x = np.zeros((3, 2, 4))
-    x[:, :, 0] = np.array([0.0, 50.0, 100.0])[:, None]
-    nothing = np.zeros((9, 9), np.float32)
-    given = x, np.ones((3, 2), bool), np.array([0.45, 0.1, 0.45]), nothing, SCALE, nothing, 3.0
-    found, expected = gathered(*given), naive.gather(*given)
-    np.testing.assert_allclose(found[1], expected[1], atol=1e-9)
-    assert found[5].tolist() == [[6, 6, 0]] * 2
-
-
 def test_the_skin_of_a_hand_leans_as_a_line_does():
     line, x = np.zeros((40, 40), np.float32), np.zeros((1, 2, 4))
     line[range(10, 31), range(10, 31)] = 1.0

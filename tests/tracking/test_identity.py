@@ -150,12 +150,6 @@ def test_known_people_have_the_first_numbers_whoever_comes_first(embedded):
     assert len(cast_of([], [looks(1)]).person) == 0
 
 
-def test_two_known_people_are_never_one():
-    cast = cast_of([track("a", 1, 0, 40)], [looks(1, 7), looks(1, 8)])
-    [doubt] = cast.doubts
-    assert sorted([doubt.other, *cast.person]) == [0, 1] and doubt.track == 0
-
-
 def test_known_people_are_read_as_they_were_saved(tmp_path):
     """Also of a file that was saved before views had a worth."""
     people = {"Ann": looks(1), "Bob": looks(2, views=3)}

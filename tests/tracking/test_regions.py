@@ -14,7 +14,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe
 from facetrack_cli.start.assembly import build_tracker
 from tests.support.media import write_pictures
-from tests.support.moving_head import START, clip, path, scene, start, truth
+from tests.support.moving_head import START, clip, start, truth
 from tests.support.results import parts_of
 from tests.support.terminal import refusal
 
@@ -77,15 +77,6 @@ def test_correlation_alone_follows_what_moves_and_does_not_judge(coloured):
     assert iou(boxes(results), truth(25)).mean() > 0.5
     statuses = [(parts_of(r.targets[0])[0].status, parts_of(r.targets[0])[0].confidence) for r in results]
     assert statuses == [("init", None)] + [("tracked", None)] * 24
-
-
-def test_a_head_that_goes_is_lost_and_found_when_it_is_back(coloured):
-    gone = [Frame(n, n / 25, scene(-500.0, 0.0, 1.0)) for n in range(10, 18)]
-    back = [Frame(n, n / 25, scene(*path(9))) for n in range(18, 30)]
-    results = track_frames("contour_histogram", [*coloured[:10], *gone, *back])
-    statuses = [parts_of(r.targets[0])[0].status for r in results]
-    assert "lost" not in statuses[:10]
-    assert statuses[17] == "lost" and statuses[-1] == "tracked"
 
 
 def test_lengths_are_in_units_of_the_mean_side_of_the_box():

@@ -28,14 +28,6 @@ def test_a_moved_spectrum_peaks_where_the_scale_moved_to(steps):
     assert response.argmax() == 16 - steps, "as a window read at a larger scale, in which the target is smaller"
 
 
-def test_learning_moves_what_is_known_by_its_rate():
-    one = trainer(count=9)
-    first, second = (one.read(grey(texture(seed)), CENTRE, 1.0) for seed in (0, 1))
-    known, other = one.learn(None, first, 1.0), one.learn(None, second, 1.0)
-    for a, b, found in zip(known, other, one.learn(known, second, 0.2), strict=True):
-        np.testing.assert_allclose(found, 0.8 * a + 0.2 * b, rtol=1e-5, atol=1e-6)
-
-
 def test_the_response_is_dssts_equation_6():
     one = trainer(count=9)
     x, z = (one.read(grey(texture(seed)), CENTRE, 1.0) for seed in (0, 1))
@@ -86,12 +78,3 @@ def test_where_colours_are_alike_they_say_nothing(noise):
     model = ColourModel((0.2, 0.2))
     known = model.learn(None, square(GREEN, GREEN, noise), 1.0)
     assert model.respond(known, square(GREEN, GREEN, noise, 1), 64) is None
-
-
-@pytest.mark.parametrize("rate", [0.0, 0.5, 1.0])
-def test_colours_are_learned_by_their_rate(rate):
-    model = ColourModel((0.2, 0.2))
-    first, second = (model.learn(None, square(*of), 1.0) for of in ((RED, GREEN), (GREEN, RED)))
-    after = model.learn(first, square(GREEN, RED), rate)
-    for one, other, found in zip(first[:2], second[:2], after[:2], strict=True):
-        np.testing.assert_allclose(found, (1 - 0.04 * rate) * one + 0.04 * rate * other, atol=1e-6)

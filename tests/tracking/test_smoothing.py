@@ -228,16 +228,6 @@ def test_points_are_as_near_and_quieter_and_an_occlusion_is_bridged(points):
     assert after.std_x[lost].mean() > 3 * after.std_x[~lost].mean()  # the bridge's
 
 
-@pytest.mark.parametrize("name", ["factorized_robust", "face"])
-def test_smoothed_rows_have_the_calibrated_spread_of_filtered_ones(name):
-    results = results_of(name, stop=45)  # nothing is hidden yet
-    before = rows_of(results)
-    after = smoothed_rows(before, beliefs_of(results))
-    points = (np.array([part for _, part in before.names])[before.which] != "box") & (before.status == "tracked")
-    ratio = after.std_x[points] / before.std_x[points]
-    assert 0.8 < np.median(ratio) < 1.02
-
-
 def jitter(rows):
     off = np.stack([one.x[:-2] - 2 * one.x[1:-1] + one.x[2:] for one in rows.parts])
     return float(np.median(np.abs(off)))

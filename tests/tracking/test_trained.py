@@ -45,14 +45,6 @@ def dense(windows, weights, w, y):
     return np.linalg.solve(left, right).reshape(windows[0].shape)
 
 
-@pytest.mark.parametrize("cells", [4, 8, 14])
-@pytest.mark.parametrize("count", [1, 3])
-def test_spectrum_and_inverse_undo_each_other(cells, count):
-    x = channels(0, cells, count, taper=False)
-    assert spectrum(x).shape == (2, count, cells * (cells // 2 + 1))
-    np.testing.assert_allclose(inverse(spectrum(x), cells), x, atol=1e-5)
-
-
 @pytest.mark.parametrize("by", [(0, 0), (2, -3), (-1, 4)])
 def test_a_moved_spectrum_is_that_of_the_moved_channels(by):
     x = channels(0, 8, 3, taper=False)
