@@ -15,41 +15,18 @@ from facetrack_cli.trackers.skin import likelihoods as matching
 from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin.likelihoods import MIN_NCC
 from facetrack_cli.trackers.skin.settings import SkinNccSettings
-from tests.support.images import frame, grey, smooth, states
+from tests.support.images import frame, grey, states
 from tests.support.parts import pattern, skin_cue, skin_ncc
 from tests.support.samples import TrackClip
+from tests.tracking.test_skin import BLUE_WALL, FACE, USUAL, portrait
 from tests.twins import skin as naive
 
-SIZE = (40.0, 48.0)
-TRUTH = (101.5, 83.5)
+SIZE, TRUTH = FACE[2:], (79.5, 74.5)
 
 
 @cache
-def scene(height=170, width=260):
-    """A face of SIZE at TRUTH, on a ground of no skin colour, with hair above and a neck below."""
-    ground = smooth(1, height, width, 6)[..., None] * np.array([0.9, 0.8, 0.55])
-    h, w = SIZE[1], SIZE[0]
-    shades = np.random.default_rng(4).normal(0, 1, (height, width))
-    shades = 6 * cv2.GaussianBlur(shades, (0, 0), 3) / 0.1
-
-    def ellipse(place, half, colour, soft=0.0):
-        mask = np.zeros((height, width), np.float32)
-        at = (round(place[0] * 16), round(place[1] * 16))
-        cv2.ellipse(mask, at, (round(half[0] * 16), round(half[1] * 16)), 0, 0, 360, 1.0, -1, cv2.LINE_AA, 4)
-        mask = cv2.GaussianBlur(mask, (0, 0), 0.8 + soft)[..., None]
-        ground[:] = ground * (1 - mask) + mask * (np.array(colour) + 0.4 * shades[..., None])
-
-    skin = np.array([120.0, 150.0, 205.0])
-    cx, cy = TRUTH
-    ellipse((cx, cy - 0.1 * h), (0.62 * w, 0.66 * h), (30, 35, 45))
-    ellipse((cx, cy + 0.6 * h), (0.2 * w, 0.25 * h), 0.8 * skin)
-    ellipse((cx, cy), (0.5 * w, 0.55 * h), skin)
-    for side in (-1, 1):
-        ellipse((cx + side * 0.22 * w, cy - 0.12 * h), (0.1 * w, 0.05 * h), (50, 45, 50))
-        ellipse((cx + side * 0.22 * w, cy - 0.26 * h), (0.13 * w, 0.03 * h), (40, 50, 70))
-    ellipse((cx, cy + 0.1 * h), (0.06 * w, 0.08 * h), 0.8 * skin)
-    ellipse((cx, cy + 0.3 * h), (0.17 * w, 0.05 * h), (80, 70, 150))
-    return np.clip(ground, 0, 255).round().astype(np.uint8)
+def scene():
+    return portrait(USUAL, BLUE_WALL, height=170, width=260).bgr
 
 
 def learned(bgr, centre=TRUTH, size=SIZE, **options):
@@ -60,7 +37,7 @@ def learned(bgr, centre=TRUTH, size=SIZE, **options):
 COSTS = ["printed", "shifted", "product"]
 
 
-@pytest.mark.parametrize(("max_size", "inner"), [(None, 1.0), (24, 0.7)])
+@pytest.mark.parametrize(("max_size", "inner"), [(None, 1.0), (36, 0.7)])
 def test_rho_is_that_of_the_twin(max_size, inner):
     likelihood, known = learned(scene(), skin=skin_cue(inner=inner, max_size=max_size), ncc=None)
     rows = [(*TRUTH, 1.0), (90.2, 77.7, 1.3), (5.0, 160.0, 0.8), (-300.0, 20.0, 1.0)]
@@ -114,7 +91,7 @@ def test_beyond_the_picture_there_is_neither_skin_nor_pattern():
 
 def test_a_start_outside_of_the_picture_is_refused():
     for cues in ({}, {"skin": None}, {"ncc": None}):
-        for place in ((-30, 50), (50, 1000), (np.nan, 50)):
+        for place in ((-40, 50), (50, 1000), (np.nan, 50)):
             with pytest.raises(InputError, match=r"not in the image|outside the image"):
                 learned(scene(), place, **cues)
         assert learned(scene(), (-10, 5), **cues)[1].k is not None
