@@ -41,7 +41,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Whole
-from facetrack_cli.engine.confidence_kernels import AS_IT_IS, HIDDEN, calibrate
+from facetrack_cli.engine.kernels.compiled import AS_IT_IS, HIDDEN, calibrate
 from facetrack_cli.recipe.model import LIKELY, ConfidenceSettings
 from facetrack_cli.trajectory.trajectory import SPREAD, Status, Trajectory
 

@@ -8,8 +8,7 @@ import pytest
 
 from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.resampling import logsumexp, normalise, uniform
-from facetrack_cli.trackers.box.hidden_box import VISIBLE
-from facetrack_cli.trackers.box.modes import ModeProposal
+from facetrack_cli.trackers.box.hidden_box import VISIBLE, ModeProposal
 from tests.support.parts import guided, visible_walk
 
 SIGMA, HIDDEN = 3.0, 1.5

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from facetrack_cli.trackers.box.features import inverse, moved, spectrum
-from facetrack_cli.trackers.box.trained import UPSAMPLED, Trainer, peaks
+from facetrack_cli.trackers.box.features import UPSAMPLED, Trainer, inverse, moved, peaks, spectrum
 from tests.twins import cells as naive
 
 G, C = 8, 2

@@ -2,10 +2,9 @@
 
 Ours, of published pieces, in files beside this one:
 
-    modes.py     how high responses are of the target, and of all else
-    trained.py   the filter and how it is learned (2015, SRDCF; 2017, ECO)
     features.py  gradients, grey and colours of a window, reduced (ECO of Danelljan et al.); scale (2014, DSST);
-                 colours of target and surroundings (Bertinetto et al. 2016, Staple)
+                 colours of target and surroundings (Bertinetto et al. 2016, Staple); the filter and how it is learned
+                 (2015, SRDCF; 2017, ECO)
 
 With R the response to a window and Rm its highest value, the log-likelihood ratio of a target visible at x = (place,
 log scale) against one that is hidden is
@@ -46,26 +45,20 @@ from facetrack_cli.engine.resampling import logsumexp
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.box.box_kernels import read_cubic
 from facetrack_cli.trackers.box.features import (
+    UPSAMPLED,
     ColourModel,
     Colours,
     Features,
     ScaleTrainer,
     Single,
+    Trained,
     TrainedScale,
+    Trainer,
     moved,
+    peaks,
 )
-from facetrack_cli.trackers.box.hidden_box import VISIBLE
-from facetrack_cli.trackers.box.modes import (
-    Heights,
-    ModeProposal,
-    Peaks,
-    ResponseView,
-    Usual,
-    evidence,
-    log_student,
-)
+from facetrack_cli.trackers.box.hidden_box import VISIBLE, ModeProposal
 from facetrack_cli.trackers.box.settings import CorrelationFilterSettings
-from facetrack_cli.trackers.box.trained import UPSAMPLED, Trained, Trainer, peaks
 
 FIRST = 10  # frames from which the filter for re-detection is learned
 _USUAL = (0.75, 0.15)  # mean and standard deviation of peaks, in terms of that of the first window itself
@@ -86,6 +79,99 @@ _MAX_LATTICE = 64  # windows of the lattice along a side of the frame, of a targ
 _MAX_COMPARED = 64  # windows at most that the first frame is compared with
 _SOON = 25  # frames within which what returns has its last size
 _SPEED = 0.5  # mean sides of the box a frame, by which re-detection widens
+
+
+MIN_OTHER_STD = 0.02  # standard deviation of what is not the target, in terms of the mean of its peaks
+_MEMORY = 50.0  # frames over which it is learned how high peaks are
+_SIGMA = (0.1, 0.2)  # the least and the largest standard deviation of peaks, in terms of their mean
+_FREEDOM = 3.0  # degrees of freedom of both densities
+
+
+class Heights(NamedTuple):
+    """Running mean and standard deviation of peaks, and how many frames they are learned from."""
+
+    mean: float
+    std: float
+    frames: float
+
+    def z(self, height: float) -> float:
+        """How many standard deviations a height is below the mean; 0 above it."""
+        return max(self.mean - height, 0.0) / self.spread
+
+    @property
+    def spread(self) -> float:
+        """The standard deviation, within bounds."""
+        least, most = (share * self.mean for share in _SIGMA)
+        return max(min(max(self.std, least), most), 1e-9)
+
+    def learn(self, height: float, share: float) -> Heights:
+        frames = min(self.frames + share, _MEMORY)
+        rate = share / frames
+        off = min(max(height - self.mean, -2 * self.std), 2 * self.std)  # a mean that few bad frames do not move
+        return Heights(self.mean + rate * off, math.sqrt((1 - rate) * (self.std**2 + rate * off**2)), frames)
+
+
+class Peaks(NamedTuple):
+    """How high responses are: of both filters at the target, and of both together where it is sought elsewhere."""
+
+    now: float
+    first: float
+    elsewhere: float | None = None
+
+
+class ResponseView(NamedTuple):
+    """A window around `centre` (2,): R, the response of the filter of `now`, and that of the first frames.
+
+    `spectrum` (2, C, F) and `image` are the window itself.
+    """
+
+    centre: Array
+    spectrum: Single
+    image: Image
+    response: Single
+    now: Single
+    first: Single
+
+    def heights(self, peak: Array) -> Peaks:
+        """Those within a cell of a peak (column, row, height)."""
+        column, row = round(float(peak[0])), round(float(peak[1]))
+        rows, columns = (slice(max(k - UPSAMPLED, 0), k + UPSAMPLED + 1) for k in (row, column))
+        return Peaks(float(self.now[rows, columns].max()), float(self.first[rows, columns].max()))
+
+
+class Usual(NamedTuple):
+    """How high peaks usually are: of the target, by both filters; in other windows of the first frame, and since."""
+
+    now: Heights
+    first: Heights
+    others: Heights
+    elsewhere: Heights
+
+    @property
+    def ratio(self) -> float:
+        """How high peaks of the filter of now usually are, over peaks of the first frames' filter."""
+        return self.now.mean / max(self.first.mean, 1e-9)
+
+    def learn(self, peaks: Peaks, visible: float) -> Usual:
+        """After a frame in which the target is visible with this probability."""
+        elsewhere = self.elsewhere
+        if peaks.elsewhere is not None:
+            elsewhere = elsewhere.learn(peaks.elsewhere, 1 - visible)
+        now, first = self.now.learn(peaks.now, visible), self.first.learn(peaks.first, visible)
+        return Usual(now, first, self.others, elsewhere)
+
+
+def evidence(seen: Heights, other: Heights, height: float, bound: float) -> float:
+    """log p(height | the target) - log p(height | something else), of peaks of either, within a bound."""
+    spread = max(other.std, MIN_OTHER_STD * seen.mean, 1e-9)
+    ratio = log_student(seen.z(height)) - math.log(seen.spread)
+    ratio -= log_student(max(height - other.mean, 0.0) / spread) - math.log(spread)
+    return min(max(ratio, -bound), bound)
+
+
+def log_student(z: float) -> float:
+    """The logarithm of Student's density at z over that at 0."""
+    return -0.5 * (_FREEDOM + 1) * math.log1p(z * z / _FREEDOM)
 
 
 class Seen(NamedTuple):

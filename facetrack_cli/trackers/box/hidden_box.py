@@ -1,24 +1,26 @@
-"""A box that may be hidden: its state, its walk, and what others than its own filter may do to it (ours).
+"""A box that may be hidden: its state, its walk, its filter, and what others than that may do to it (ours).
 
-A face's points carry their head, which is such a box.
+A face's points carry their head, which is such a box. The filter draws particles around the modes of a likelihood.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
-from facetrack_cli.core.types import Array, Box, Frame, Info, Particles
+from facetrack_cli.core.types import Array, Box, Frame, Info, Mask, Particles
 from facetrack_cli.engine import confidence
+from facetrack_cli.engine.filters import MIN_LOG, Stepped
 from facetrack_cli.engine.protocols import Linear, Motion
-from facetrack_cli.engine.resampling import effective_sample_size
+from facetrack_cli.engine.resampling import effective_sample_size, logsumexp, normalise, summed, systematic
 from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate
-from facetrack_cli.engine.target import ParticleState, ParticleTarget
+from facetrack_cli.engine.target import FrameModel, ParticleState, ParticleTarget
 from facetrack_cli.trackers.box.box_kernels import arrive
-from facetrack_cli.trackers.box.modes import TransitionDensity
-from facetrack_cli.trackers.box.settings import VisibleWalkSettings
+from facetrack_cli.trackers.box.settings import GuidedSettings, VisibleWalkSettings
 
 VISIBLE = 5  # the coordinate of a box that may be hidden that is P(visible)
 
@@ -51,6 +53,21 @@ class VisibleBoxSpace(BoxSpace):
         off = np.abs(particles.x[:, 0, :2] - estimated.state[0, :2])
         near = (off <= 0.5 * self.windows(estimated)[0]).all(axis=1)
         return np.array([min(float(np.sum(np.exp(particles.log_w) * particles.x[:, 0, VISIBLE] * near)), 1.0)])
+
+
+class TransitionDensity(NamedTuple):
+    """Places and log scales z (N, 3) as the motion sees them, given all particles of the last frame.
+
+    `x` (N, 1, D): z with velocities drawn of p(velocity | z). `log_visible`, `log_hidden` (N,): log p(z, visible or
+    hidden | Y_{t-1}), the sum over all parents, without `returns`, the probability of a return elsewhere, within
+    `spread` (3,) of where it is found.
+    """
+
+    x: Array
+    log_visible: Array
+    log_hidden: Array
+    returns: float
+    spread: Array
 
 
 @dataclass(frozen=True)
@@ -171,6 +188,87 @@ def visible_walk(settings: VisibleWalkSettings, context: Context) -> VisibleWalk
     return VisibleWalk(
         settings, unit, (settings.sigma.pixels(unit), settings.hidden.pixels(unit)), context.placed.scale
     )
+
+
+class ModeProposal(NamedTuple):
+    """Where the likelihood proposes to look: J Gaussians of place and log scale, in pixels and nats.
+
+    `mean`, `std` (J, 3), `log_w` (J,); `redetected` (J,): whether re-detection found the mode, far from the last place.
+    """
+
+    mean: Array
+    std: Array
+    log_w: Array
+    redetected: Mask
+
+    def after(self, mean: Array, std: Array) -> ModeProposal:
+        """These modes times a Gaussian prior (3,); modes of re-detection stay as they are."""
+        precision = 1 / self.std**2 + 1 / std**2
+        both = (self.mean / self.std**2 + mean / std**2) / precision
+        kept = self.redetected[:, None]
+        off = np.where(self.redetected, 0.0, np.sum((self.mean - mean) ** 2 / (self.std**2 + std**2), axis=1))
+        log_w = self.log_w - 0.5 * off
+        return ModeProposal(
+            np.where(kept, self.mean, both), np.where(kept, self.std, precision**-0.5), log_w, self.redetected
+        )
+
+    def draw(self, rng: Generator, n: int) -> Array:
+        """(n, 3), n even: antithetic pairs, so that a symmetric density has no error of its mean."""
+        if not n:
+            return np.empty((0, 3))
+        which = systematic(rng, normalise(self.log_w), n // 2)
+        off = self.std[which] * rng.standard_normal((n // 2, 3))
+        return np.vstack([self.mean[which] + off, self.mean[which] - off])
+
+    def log_density(self, z: Array) -> Array:
+        """(N,): of z (N, 3)."""
+        off = (z[:, None] - self.mean) / self.std
+        each = -0.5 * np.sum(off**2, axis=2) - np.log(self.std).sum(axis=1) - 1.5 * np.log(2 * np.pi)
+        return logsumexp(each + normalise(self.log_w), axis=1)
+
+    def elsewhere(self, spread: Array) -> ModeProposal | None:
+        """The modes of re-detection, equally likely, with standard deviations `spread` (3,); None without any."""
+        n = int(self.redetected.sum())
+        if not n:
+            return None
+        return ModeProposal(self.mean[self.redetected], np.tile(spread, (n, 1)), np.zeros(n), np.ones(n, np.bool_))
+
+
+def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+    """Proposes from the modes of the likelihood too, with exact weights (after Zhang et al. 2017, 2018).
+
+    Places and log scales z are drawn from q(z) = g * sum_j a_j N(z; mode_j) + (1 - g) * p(z | Y_{t-1}), g = `guided`,
+    whatever their parents, so that a weight is over all parents (a marginal particle filter; Klaas et al. 2005):
+
+        w(z, v) = L(z)^v p(z, v | Y_{t-1}) / q(z),  v = 1 where the target is visible, 0 where it is hidden
+
+    Particles carry both, their sum as weight and the share of v = 1 as a coordinate (Rao-Blackwellised). A hidden
+    target may return at a mode that re-detection found.
+    """
+    n, guides = settings.particles, model.likelihood.guides(model.learned).after(*model.motion.forecast(particles))
+    pairs = round(settings.guided * n / 2)
+    # some are drawn from either, or q would not cover what the other one covers
+    drawn = 2 * min(max(pairs, 1), (n - 2) // 2) if settings.guided > 0 else 0
+    parents = systematic(rng, particles.log_w, (n - drawn + 1) // 2)
+    moved = model.propagate(rng, particles.x[np.repeat(parents, 2)[: n - drawn]])[:, 0, :3]
+    z = np.vstack([guides.draw(rng, drawn), np.column_stack([moved[:, :2], np.log(moved[:, 2])])])
+    x, log_visible, log_hidden, returns, spread = model.motion.arrive(
+        rng, z, particles, found=bool(guides.redetected.any())
+    )
+    with np.errstate(divide="ignore"):
+        log_g = np.log([drawn / n, 1 - drawn / n])
+    log_q = np.logaddexp(log_g[0] + guides.log_density(z), log_g[1] + np.logaddexp(log_visible, log_hidden))
+    if (found := guides.elsewhere(spread)) is not None and returns > 0:
+        log_return = np.log(returns) + found.log_density(z)
+        log_visible = np.logaddexp(log_visible, log_return)
+        x[rng.random(n) < np.exp(log_return - log_visible), 0, 3:-1] = 0.0  # what returns has no velocity yet
+    log_visible = log_visible + model.log_likelihood(x, x)[:, 0]
+    total = np.logaddexp(log_visible, log_hidden)
+    x[:, 0, -1] = np.exp(log_visible - total)
+    log_ratio = np.maximum(total - log_q, MIN_LOG)
+    log_w, log_sum = summed(log_ratio)
+    evidence = float(log_sum) - math.log(n)
+    return Particles(x, log_w), Info(np.full(1, float(effective_sample_size(log_w))), evidence)
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,7 @@ class CorrelationFilterSettings(LikelihoodSettings):
 class GuidedSettings(FilterSettings):
     """Proposes from the likelihood's modes, the transition, and re-detection; weights are exact (Zhang et al. 2017)."""
 
-    engine = "facetrack_cli.trackers.box.modes:guided"
+    engine = "facetrack_cli.trackers.box.hidden_box:guided"
     goes_with = ("box",)
     type: Literal["guided"]
     particles: Annotated[int, Field(ge=4, le=2_000)]
