@@ -313,14 +313,13 @@ def smoothed_names(p: Array, exchanged: Array) -> Array:
     return posterior
 
 
-def chained(beliefs: Sequence[Belief], lost: Mask, gone: Mask, by_hand: Mask | None = None) -> Chain:
+def chained(beliefs: Sequence[Belief], lost: Mask, gone: Mask, by_hand: Mask) -> Chain:
     """Of beliefs of T frames; `lost` (T, K) as the tracker judged, `gone` where there is no part to know of.
 
     In the frames `by_hand` (T,) corrections placed the parts. A part is `lost` only after some frames in doubt,
     which did not show it either. Those of the last stretch, after which it is never seen again, say nothing of what
     was before.
     """
-    by_hand = np.zeros(len(lost), dtype=np.bool_) if by_hand is None else by_hand
     unseen = lost & ~gone & ~by_hand[:, None]
     seen_later = np.zeros_like(unseen)
     for t in range(len(unseen) - 2, -1, -1):

@@ -50,15 +50,6 @@ def test_gradients_of_scales_are_those_of_windows_read_bilinearly(seed, x, y, si
     assert np.mean(np.abs(out - theirs) > 1e-3) < 0.1
 
 
-def test_gradients_of_scales_inside_of_the_image():
-    image = np.random.default_rng(2).integers(0, 256, (61, 83), np.uint8)
-    sides = np.array([(20.3, 31.7), (27.1, 40.9), (33.3, 52.1)])
-    out = np.empty((3, cells.CHANNELS, 4, 3), np.float32)
-    cells.gradients_of_scales(image, 40.2, 30.7, sides, 4, out)
-    whole = [naive.window(image, 40.2, 30.7, *both, (16, 12)) for both in sides]
-    np.testing.assert_allclose(out, [naive.gradients(one, 4) for one in whole], atol=1e-4)
-
-
 @given(seed=seeds, count=st.integers(1, 6), features=st.integers(1, 9), places=st.integers(1, 12))
 def test_project_is_what_its_plain_twin_says(seed, count, features, places):
     rng = np.random.default_rng(seed)

@@ -169,20 +169,6 @@ def test_a_search_finds_what_jumped_and_no_worse_place():
     assert ahead.error == 1.0 and not ahead.shift.any()
 
 
-@pytest.mark.parametrize("deform", [(1.2, 0, 0, 1.2), (0.94, -0.34, 0.34, 0.94)])
-def test_a_search_looks_in_the_target_s_own_axes(deform):
-    # the image turned and enlarged with the target: so is the jump
-    a = np.reshape(deform, (2, 2))
-    middle = HERE[0, :2]
-    turned = cv2.warpAffine(PICTURE, np.column_stack([a, middle - a @ middle]), PICTURE.shape[::-1])
-    jump = np.array([14.0, -9.0])
-    now = frame(cv2.warpAffine(turned, np.column_stack([np.eye(2), jump]), PICTURE.shape[::-1]))
-    here = np.concatenate([middle, np.ravel(a)])[None]
-    learned = MODEL.init(frame(turned), here)
-    found = GUIDE._search(here, now, GUIDE.patches.factor(here), MODEL.expected(learned), 0.5)
-    assert np.abs(found[0, :2] - jump).max() < 1.6 and not found[0, 2:].any()
-
-
 def test_towards_the_appearance_corrects_what_the_last_frame_was_wrong_by():
     # the estimate of the last frame was 3 pixels off, and nothing moved
     wrong, picture = state(123, 90), frame(PICTURE)

@@ -42,7 +42,7 @@ def test_draws_of_every_motion_are_those_of_its_linear_form_and_each_pair_is_sco
     parents.flags.writeable = False
     assert motion.propagate(rng, parents).shape == parents.shape
     assert motion.propagate(rng, parents[:0]).shape == (0, *state.shape)
-    if not isinstance(motion, FirstOrder | AffineWalk):
+    if not isinstance(motion, FirstOrder | AffineWalk | VisibleWalk):
         table = motion.log_transition(x, parents)
         assert table.shape == (4, 7, len(state))
         np.testing.assert_allclose(table[2, 5], motion.log_transition(x[2:3], parents[5:6])[0, 0])

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from facetrack_cli.core.types import Frame
 from facetrack_cli.trackers.regions import likelihoods
 from facetrack_cli.trackers.regions import region_kernels as kernel
 from facetrack_cli.trackers.regions.likelihoods import OUTSIDE, ellipse
@@ -169,13 +168,6 @@ def texture(seed=0, width=WIDTH, height=HEIGHT, blur=2.5):
     return 128 + smooth * (40 / smooth.std())
 
 
-def moved(grey, dx, dy):
-    size = grey.shape[1], grey.shape[0]
-    return cv2.warpAffine(
-        grey, np.array([[1, 0, dx], [0, 1.0, dy]]), size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
-    )
-
-
 def scored(likelihood, before, now, x, parents):
     parents = np.repeat(states(parents), len(np.atleast_2d(x)), axis=0)
     return likelihood.score(likelihood.init(before, states([0, 0, 1.0])[0]), now, states(x), parents)[:, 0]
@@ -240,17 +232,3 @@ def test_likelihood_is_the_formula_of_the_paper(kind):
         outside = {"l2": OUTSIDE**2, "saturated_l1": 15.0, "hausdorff": OUTSIDE}[kind]
         d = naive.distance(here, there, kind, 15.0, outside)
         assert log_p == pytest.approx(-d / (2 * 60.0**2 if kind == "l2" else 60.0), rel=1e-3)
-
-
-@pytest.mark.parametrize("grid", [(16, 16), (60, 60)])
-def test_a_parent_is_looked_up_wherever_it_was(grid):
-    """Each frame is cut around the boxes that lie in it."""
-    still = texture(0, 500, 400)
-    before, now = grey(still), grey(moved(still, 2, 1))
-    likelihood = correlation((64.0, 64.0), grid=grid)
-    x, parent = [[420.0, 330.0, 1.0]], [60.0, 50.0, 1.4]
-    cut = scored(likelihood, before, now, x, parent)
-    whole = Frame(0, 0.0, before.bgr), Frame(1, 0.0, now.bgr)
-    for f in whole:
-        f.grey(likelihood.factor, (0, 0, 500, 400))
-    np.testing.assert_array_equal(cut, scored(likelihood, *whole, x, parent))

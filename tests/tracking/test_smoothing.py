@@ -45,6 +45,11 @@ def kalman(motion, x0, rng, t, hidden=(), noise=1.5):
     return found, np.array(seen)
 
 
+def none_of(lost):
+    """Nothing is gone, and nothing placed by hand."""
+    return np.zeros_like(lost), np.zeros(len(lost), bool)
+
+
 def batch(linear, x0, seen, hidden, noise, k):
     """Mean and covariance of x_1 ... x_T-1 of part k given all that was seen, from their joint normal distribution."""
     a, o, q, x = linear.matrix[k], linear.offset[k], linear.cov[k], x0[k, : linear.matrix.shape[-1]]
@@ -78,7 +83,7 @@ def test_the_smoothed_belief_is_the_posterior_given_all_frames(name, hidden):
     for i in hidden:
         found[i] = found[i]._replace(mean=found[i].mean + 50, cov=np.eye(found[i].cov.shape[-1]) * found[i].cov * 3)
         found[i] = found[i]._replace(doubt=np.ones(len(x0), bool))
-    mean, cov = smoothed(chained(found, lost, np.zeros_like(lost)))
+    mean, cov = smoothed(chained(found, lost, *none_of(lost)))
     for k in range(len(x0)):
         exact, spread = batch(motion.linear(x0), x0, seen, hidden, 1.5, k)
         np.testing.assert_allclose(mean[1:, k], exact, atol=1e-6)
@@ -91,8 +96,8 @@ def test_a_part_that_is_not_seen_again_says_nothing_of_before():
     lost = np.zeros((12, 2), bool)
     lost[8:, 0] = True
     gone = np.zeros_like(lost)
-    mean, cov = smoothed(chained(found, lost, gone))
-    before, spread = smoothed(chained(found[:8], lost[:8], gone[:8]))
+    mean, cov = smoothed(chained(found, lost, gone, gone[:, 0]))
+    before, spread = smoothed(chained(found[:8], lost[:8], gone[:8], gone[:8, 0]))
     np.testing.assert_allclose(mean[:8, 0], before[:, 0])
     np.testing.assert_allclose(cov[:8, 0], spread[:, 0])
 
@@ -104,7 +109,7 @@ def test_a_hidden_part_moves_with_those_that_are_seen():
     found = [Belief(one, exact, walk.linear(one), doubt) for one in x]
     lost = np.zeros((9, 2), bool)
     lost[3:6, 1] = True
-    mean, _ = smoothed(chained(found, lost, np.zeros_like(lost)))
+    mean, _ = smoothed(chained(found, lost, *none_of(lost)))
     np.testing.assert_allclose(mean[3:6, 1], x[3:6, 1], atol=0.1)
 
 

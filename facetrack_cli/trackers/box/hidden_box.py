@@ -118,12 +118,6 @@ class VisibleWalk(Motion):
         moved[:, 0, VISIBLE] = self._visible(x)
         return moved
 
-    def log_transition(self, x: Array, parents: Array) -> Array:
-        """log p of place and log scale of x (N, 1, 6) given parents (M, 1, 6) -> (N, M, 1)."""
-        z, visible = np.column_stack([x[:, 0, :2], np.log(x[:, 0, 2])]), self._visible(parents)
-        shown, hidden = (self._log_density(z, parents, sigma) for sigma in self.sigma)
-        return np.asarray(np.logaddexp(shown + np.log(visible), hidden + np.log1p(-visible)))[..., None]
-
     def forecast(self, particles: Particles) -> tuple[Array, Array]:
         """Mean and standard deviation (3,) of place and log scale a frame later, where the target is visible."""
         one, x, w = self.settings, particles.x[:, 0], np.exp(particles.log_w)
@@ -173,14 +167,6 @@ class VisibleWalk(Motion):
         """(N,): P(visible) a frame later. What returns elsewhere is not counted."""
         one, before = self.settings, x[:, 0, VISIBLE]
         return np.asarray(before * (1 - one.hide) + (1 - before) * one.show * (1 - one.elsewhere))
-
-    def _log_density(self, z: Array, parents: Array, sigma: float) -> Array:
-        """(N, M): log p(z | parents) with steps of `sigma`."""
-        one, parents = self.settings, parents[:, 0]
-        mean, step = parents[:, :2] + one.velocity * parents[:, 3:5], sigma * parents[:, 2]
-        off = ((z[:, 0, None] - mean[:, 0]) ** 2 + (z[:, 1, None] - mean[:, 1]) ** 2) / step**2
-        off += ((z[:, 2, None] - np.log(parents[:, 2])) / one.scale) ** 2
-        return np.asarray(-0.5 * off - 2 * np.log(step) - np.log(one.scale) - 1.5 * np.log(2 * np.pi))
 
 
 def visible_walk(settings: VisibleWalkSettings, context: Context) -> VisibleWalk:
