@@ -36,9 +36,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Whole
 from facetrack_cli.engine.kernels.compiled import AS_IT_IS, HIDDEN, calibrate
@@ -48,7 +48,6 @@ from facetrack_cli.trajectory.trajectory import SPREAD, Status, Trajectory
 if TYPE_CHECKING:
     from facetrack_cli.engine.protocols import Belief, Likelihood
 
-FORMAT: Final = "facetrack-calibration"
 MAX_SPREAD_FACTOR: Final = 20.0
 """What a spread is multiplied by at most; divided by no more."""
 Feature: TypeAlias = Literal["confidence", "log_odds", "spread", "ess", "lost", "size"]
@@ -82,18 +81,6 @@ class Isotonic(_StoredPart):
     score: Feature | Logistic
     knots: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=1)]
 
-    @field_validator("knots")
-    @classmethod
-    def _ordered(cls, knots: list[list[float]], info: Any) -> list[list[float]]:
-        x, p = np.array(knots).T
-        score = info.data.get("score")
-        falls = isinstance(score, str) and RISES[score] < 0  # type: ignore[index]
-        if np.any(np.diff(x) <= 0) or np.any(np.diff(p) * (-1 if falls else 1) < 0) or p.min() < 0 or p.max() > 1:
-            raise ValueError(
-                f"values must rise from knot to knot, and p, within 0 and 1, {'fall' if falls else 'rise'}"
-            )
-        return knots
-
 
 Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
 
@@ -107,7 +94,7 @@ class Calibration(_StoredPart):
     the ellipse that should hold so many.
     """
 
-    format: Literal["facetrack-calibration"] = FORMAT
+    format: Literal["facetrack-calibration"] = "facetrack-calibration"
     version: Literal[1] = 1
     recipe: str
     right: Literal["error of the centre below 1/4 of the size"] = "error of the centre below 1/4 of the size"
@@ -169,14 +156,12 @@ def load_calibration(path: Path) -> Calibration:
     """The calibration in a file. Raises InputError for anything else."""
     remedy = "make it with tools/calibrations.py, or take confidence.calibration=null"
     try:
-        return Calibration.model_validate_json(read_bounded(path, what="calibration"))
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror}; check the file's permissions") from None
+        with reading(path):
+            return Calibration.model_validate_json(read_bounded(path, what="calibration"))
     except ValidationError as e:
-        first = e.errors()[0]
-        place = ".".join(str(key) for key in first["loc"] if not str(key).startswith("literal["))
-        message = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{path}: is no calibration: {place}: {message[:1].lower()}{message[1:]}; {remedy}") from None
+        first = e.errors(include_url=False)[0]
+        why = ": ".join(filter(None, (".".join(map(str, first["loc"])), first["msg"])))
+        raise InputError(f"{path}: is no calibration: {why}; {remedy}") from None
 
 
 @dataclass(frozen=True)
