@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,6 +19,16 @@ def texture(seed=0):
 
 def trainer(size=(32.0, 40.0), count=33, step=STEP):
     return ScaleTrainer(size, count, step)
+
+
+@pytest.mark.parametrize("k", [0.92, 1.04])
+def test_the_peak_is_at_the_scale(k):
+    one, picture = trainer(), texture()
+    known = one.learn(None, one.read(grey(picture), CENTRE, 1.0), 1.0)
+    to = np.array([[k, 0, (1 - k) * CENTRE[0]], [0, k, (1 - k) * CENTRE[1]]])
+    zoomed = cv2.warpAffine(picture, to, (160, 120), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    response = one.respond(known, one.read(grey(zoomed), CENTRE, 1.0))
+    assert one.log_scales[int(response.argmax())] == pytest.approx(math.log(k), abs=1.01 * math.log(STEP))
 
 
 @pytest.mark.parametrize("steps", [-2, 0, 1])
