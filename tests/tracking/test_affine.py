@@ -244,7 +244,9 @@ def test_the_number_and_the_name_follow_the_posterior():
 @pytest.mark.parametrize("best", [False, True])
 def test_what_is_predicted_is_where_the_picture_went(best):
     noise = NoiseSettings(rate=4.0)
-    steps, results = followed(target(best=best, motion=predicted(WALK, PLAIN.patches, VelocitySettings(), noise)))
+    walk = predicted(WALK, PLAIN.patches, VelocitySettings(), noise)
+    step = partial(filters.adaptive, adaptive(100, centre=True))
+    steps, results = followed(target(best=best, motion=walk, step=step))
     for before, after, result in zip(steps, steps[1:], results[1:], strict=False):
         np.testing.assert_array_equal(after.ahead.state, before.estimated.state)
         np.testing.assert_array_equal(after.flow.state, after.estimated.state)
@@ -254,6 +256,7 @@ def test_what_is_predicted_is_where_the_picture_went(best):
         np.testing.assert_allclose(after.ahead.shift[0, :2], JUMP, atol=0.5)
         # particles lie around the predicted place, with as much noise as is said
         off = after.particles.x[:, 0] - (after.ahead.state + after.ahead.shift)
+        assert not off[0].any() and off[1:].all(), "the first particle is the place itself"
         assert np.abs(off[:, :2].mean(axis=0)).max() < 4 * 2.0 * after.ahead.noise / math.sqrt(len(off))
         assert off[:, :2].std() == pytest.approx(2.0 * after.ahead.noise, rel=0.35)
         said = reported(result)
