@@ -145,22 +145,15 @@ def test_it_is_found_where_it_returns(targets):
     assert sum(n >= 10 for n in times) >= targets - 1
 
 
-def test_log_l_is_highest_at_the_modes():
-    places, recipe = path(), load_recipe("correlation_filter")
-    frames, [target] = clip(places), build_tracker(recipe, start(places[0]))
-    likelihood, x0 = target.likelihood, target.x0
-    learned = likelihood.init(frames[0], x0)
-    learned = likelihood.look(learned, frames[3], x0)
+def test_the_mean_of_l_over_a_box_and_a_tenth_of_log_scale_is_its_evidence():
+    frames, [target] = clip(path()), build_tracker(load_recipe("correlation_filter"), start(path()[0]))
+    likelihood = target.likelihood
+    learned = likelihood.look(likelihood.init(frames[0], target.x0), frames[2], target.x0)
     guides = likelihood.guides(learned)
-    best = int(guides.log_w.argmax())
-    np.testing.assert_allclose(guides.mean[best, :2], places[3][:2], atol=1.5)
-    x = np.repeat(x0[None], 200, axis=0)
-    z = guides.mean[best] + guides.std[best] * np.random.default_rng(0).normal(0, 1, (200, 3))
-    x[:, 0, :2], x[:, 0, 2] = z[:, :2], np.exp(z[:, 2])
-    top = x[:1].copy()
-    top[0, 0, :2], top[0, 0, 2] = guides.mean[best, :2], np.exp(guides.mean[best, 2])
-    score = likelihood.score(learned, frames[3], np.concatenate([top, x]), x)
-    assert score.shape == (201, 1) and np.isfinite(score).all()
-    assert score[0] >= score[1:].max()
-    far = top + np.array([60, 60, 0, 0, 0, 0])
-    assert likelihood.score(learned, frames[3], far, far)[0, 0] < score[0, 0] - 20
+    sides = [np.arange(WIDTH), np.arange(HEIGHT), np.arange(-0.3, 0.3, 0.01)]
+    x = np.zeros((np.prod([len(side) for side in sides]), 1, 6))
+    x[:, 0, :3] = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    x[:, 0, 2] = np.exp(x[:, 0, 2])
+    whole = np.exp(likelihood.score(learned, frames[2], x, x)).sum() * 0.01
+    areas = 24 * 28 * np.exp(2 * guides.mean[:, 2])
+    assert whole == pytest.approx(np.sum(np.exp(guides.log_w) * areas * 0.1), rel=0.02)

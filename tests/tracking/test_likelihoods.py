@@ -237,7 +237,7 @@ def test_estimated_the_likelihood_is_flatter_and_has_the_same_order(kind):
     for one in (model, changed(model, independent="estimated")):
         learned = one.learn(one.init(first, BOX), second, BOX, None)
         share = learned if kind == "contour" else learned.share
-        scores.append(one.score(learned, second, x, x))
+        scores.append(one.score(learned, first, x, x))
         assert one is not model or share.mean == 1.0
     assert share.frames == 2 and 0 < share.mean < (1.001 if kind == "contour" else 0.6)
     np.testing.assert_allclose(scores[1], scores[0] * share.mean, rtol=1e-9)
