@@ -110,13 +110,6 @@ def shown(*state):
     return SPACE.windows(estimated)[0], SPACE.angle(estimated)
 
 
-def test_a_box_at_the_start_is_itself():
-    (x0,) = SPACE.at((100, 50, 41, 61))
-    np.testing.assert_array_equal(x0, (120, 80, 1, 0, 0, 1))
-    windows, angle = shown(*x0)
-    assert (tuple(windows), angle) == ((41, 61), 0)
-
-
 @given(STATES)
 def test_the_angle_is_the_nearest_rotation(state):
     windows, angle = shown(*state)

@@ -59,23 +59,6 @@ def test_project_is_what_its_plain_twin_says(seed, count, features, places):
     np.testing.assert_allclose(out, naive.project(components, of, taper), atol=1e-4)
 
 
-@given(seed=seeds, channels=st.integers(1, 6), places=st.integers(1, 10), rate=st.sampled_from([0.0, 0.02, 0.5, 1.0]))
-def test_a_memory_is_a_matrix_for_each_frequency(seed, channels, places, rate):
-    rng = np.random.default_rng(seed)
-    memory = np.zeros((channels * (channels + 1) // 2, 2, places), np.float32)
-    whole = np.zeros((places, channels, channels), complex)
-    for share in (1.0, rate, 0.3):
-        x = singles(rng, 2, channels, places)
-        cells.remember(memory, x, np.float32(share))
-        whole = naive.remember(whole, x, share)
-    np.testing.assert_allclose(naive.matrices(memory, channels), whole, atol=1e-5)
-    v, out = singles(rng, 2, channels, places), np.full((2, channels, places), np.nan, np.float32)
-    cells.multiply(memory, v, out)
-    np.testing.assert_allclose(naive.complexes(out), naive.multiply(whole, v), atol=1e-4)
-    for matrix in naive.matrices(memory, channels):
-        assert np.linalg.eigvalsh(matrix).min() > -1e-4
-
-
 @given(
     seed=seeds,
     shape=st.tuples(st.integers(1, 7), st.integers(1, 7)),

@@ -107,15 +107,6 @@ def test_settings_at_their_bounds_are_survived(key, values):
         assert_finite(run(clip(places, cover=range(6, 10)), start(places[0]), **{key: value}))
 
 
-@pytest.mark.parametrize("by", [(4.0, 0.0), (0.0, -4.0)])
-def test_a_target_that_leaves_the_frame_is_lost(by):
-    places = [(80 + by[0] * n, 60 + by[1] * n) for n in range(45)]
-    results = run(clip(places), start(places[0]))
-    assert_finite(results)
-    assert np.abs(off(results, places))[:10].max() < 0.25
-    assert statuses(results)[-5:] == ["lost"] * 5
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("colour", [True, False])
 def test_covered_it_is_lost_and_tracked_again_after(colour, seed):

@@ -16,7 +16,7 @@ from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trackers.skin.likelihoods import CloudSpace, log_weights
-from facetrack_cli.trackers.skin.settings import ExclusionSettings, SkinCloudSettings
+from facetrack_cli.trackers.skin.settings import ExclusionSettings
 from tests.support.parts import sir
 from tests.support.results import target
 
@@ -142,20 +142,6 @@ def test_targets_are_built_in_the_recipes_order_and_the_first_keep_off_none():
     everyone = built("head_hands", "exclusion.first=[]")
     assert all(settings(target) == ExclusionSettings(strength=0.9, reach=1.0) for target in everyone)
     assert all(target.exclusion is None for target in built("head_hands", "exclusion=null"))
-
-
-def test_a_cloud_begins_over_its_own_box_and_learns_from_whom_the_recipe_names():
-    hand = "targets.left_hand.likelihood"
-    _, left, right = built(
-        "head_hands", f"{hand}.floor=0.05", f"{hand}.max_size=null",
-        "targets.right_hand.likelihood.learn_from=null",
-    )  # fmt: skip
-    settings = SkinCloudSettings(type="skin", learn_from="head", floor=0.05, max_size=None)
-    assert (left.likelihood.settings, left.likelihood.size) == (settings, (24.0, 28.0))
-    assert left.likelihood.teacher == BOXES["head"]
-    assert right.likelihood.teacher == BOXES["right_hand"]
-    np.testing.assert_array_equal(left.scatter, [[24.0, 28.0]])
-    assert left.windows == {"box": pytest.approx((24.0, 28.0))}
 
 
 # --- exclusion: what one target explains counts for less for another

@@ -83,12 +83,6 @@ def matrices(memory, channels):
     return whole
 
 
-def remember(before, x, rate):
-    """The matrices (F, C, C) moved by `rate` towards x x^H."""
-    z = complexes(x)
-    return np.array([(1 - rate) * m + rate * np.outer(z[:, f], z[:, f].conj()) for f, m in enumerate(before)])
-
-
 def multiply(whole, v):
     """(C, F): each frequency's matrix times v."""
     z = complexes(v)
