@@ -55,7 +55,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -409,17 +409,17 @@ def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size:
 
 def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]:
     """NCC of boxes x (N, 1, 6) with the template as it is now, with means kept and removed: (N,) each, -1..1."""
-    view = _view(template, frame, x)
+    image, boxes, seen = _view(template, frame, x)
     centred, mean, variance = template.moments
-    cross, spread = _moments(view, centred)
-    remove = _ratio(cross, variance * spread, view.seen)
+    cross, spread = _moments(image, boxes, seen, centred)
+    remove = _ratio(cross, variance * spread, seen)
     # area means of the image and of its square: a point stands for s x s pixels around it
-    (th, tw), s = centred.shape, view.boxes[2]
-    low = view.boxes[:2] - 0.5 * s + 0.5
+    (th, tw), s = centred.shape, boxes[2]
+    low = boxes[:2] - 0.5 * s + 0.5
     edges, area = np.vstack([low, low + s * np.array([[tw], [th]])]), s * tw * s * th
-    sums = cv2.integral2(view.image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
+    sums = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     level, square = (kernel.box_sums(one, edges) / area for one in sums)
-    return _ratio(cross + mean * level, (variance + mean * mean) * square, view.seen), remove
+    return _ratio(cross + mean * level, (variance + mean * mean) * square, seen), remove
 
 
 def adapted(template: Template, settings: PatternSettings, frame: Frame, state: Array) -> Template:
@@ -431,16 +431,11 @@ def adapted(template: Template, settings: PatternSettings, frame: Frame, state: 
     return replace(template, now=(1 - rate) * template.now + rate * _patch(template, frame, state))
 
 
-class _GreyView(NamedTuple):
-    """The grey image around boxes (3, N) = (u, v, s) in its pixels, and which of them are `seen` at all."""
+def _view(template: Template, frame: Frame, x: Array) -> tuple[Image, Array, Mask]:
+    """The grey image around boxes x (N, 1, 6), boxes (3, N) = (u, v, s) in its pixels, and which are seen at all.
 
-    image: Image
-    boxes: Array
-    seen: Mask
-
-
-def _view(template: Template, frame: Frame, x: Array) -> _GreyView:
-    """What boxes x (N, 1, 6) cover: (0, 0, 1) stands for those beyond the image, thinner than a pixel or no numbers."""
+    (0, 0, 1) stands for those beyond the image, thinner than a pixel or no numbers.
+    """
     factor, (th, tw) = template.factor, template.now.shape
     size = np.array([max(side // factor, 1) for side in frame.size])
     s, points = x[:, 0, 2], np.array([[tw], [th]])
@@ -456,7 +451,7 @@ def _view(template: Template, frame: Frame, x: Array) -> _GreyView:
     (x0, y0), (x1, y1) = corner.tolist(), far.tolist()
     boxes[:2] -= corner[:, None]
     image = np.ascontiguousarray(cropped(frame.grey, factor, x0, y0, x1, y1))  # one signature, one compilation
-    return _GreyView(image, boxes, seen)
+    return image, boxes, seen
 
 
 def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
@@ -465,22 +460,22 @@ def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
     return np.clip(np.where(good, cross, 0.0) / np.sqrt(np.where(good, energy, 1.0)), -1.0, 1.0)
 
 
-def _moments(view: _GreyView, centred: NDArray[np.float32]) -> Array:
+def _moments(image: Image, boxes: Array, seen: Mask, centred: NDArray[np.float32]) -> Array:
     """Mean of template times image, and the image's variance at the template's points, (2, N), the cheaper way."""
-    places = view.boxes[:2, view.seen] if view.seen.any() else np.zeros((2, 1))
-    (x0, y0), (height, width) = np.floor(places.min(axis=1)).astype(int).tolist(), view.image.shape
+    places = boxes[:2, seen] if seen.any() else np.zeros((2, 1))
+    (x0, y0), (height, width) = np.floor(places.min(axis=1)).astype(int).tolist(), image.shape
     x1, y1 = (np.floor(places.max(axis=1)).astype(int) + 1 + centred.shape[::-1]).tolist()
-    same_scale = (view.boxes[2, view.seen] == 1.0).all()
-    if not same_scale or (x1 - x0) * (y1 - y0) * DENSE > view.boxes.shape[1] * centred.size:
-        return np.asarray(kernel.moments_direct(view.image, centred, view.boxes))
+    same_scale = (boxes[2, seen] == 1.0).all()
+    if not same_scale or (x1 - x0) * (y1 - y0) * DENSE > boxes.shape[1] * centred.size:
+        return np.asarray(kernel.moments_direct(image, centred, boxes))
     # one correlation at all whole places
     region = np.zeros((y1 - y0, x1 - x0), np.float32)
     left, right, top, bottom = max(x0, 0), min(x1, width), max(y0, 0), min(y1, height)
     if right > left and bottom > top:
-        region[top - y0 : bottom - y0, left - x0 : right - x0] = view.image[top:bottom, left:right]
+        region[top - y0 : bottom - y0, left - x0 : right - x0] = image[top:bottom, left:right]
     correlated = cv2.matchTemplate(region, centred, cv2.TM_CCORR)
-    cross = kernel.bilinear(correlated, view.boxes, x0, y0) / centred.size
-    return np.stack([cross, _variances(region, view.boxes[:2] - np.array([[x0], [y0]]), *centred.shape)])
+    cross = kernel.bilinear(correlated, boxes, x0, y0) / centred.size
+    return np.stack([cross, _variances(region, boxes[:2] - np.array([[x0], [y0]]), *centred.shape)])
 
 
 def _variances(region: NDArray[np.float32], places: Array, th: int, tw: int) -> Array:
@@ -506,9 +501,9 @@ def _variances(region: NDArray[np.float32], places: Array, th: int, tw: int) -> 
 
 def _patch(template: Template, frame: Frame, x0: Array) -> NDArray[np.float32]:
     """The grey levels of the box at x0 (1, 6), at the template's points."""
-    view = _view(template, frame, x0[None])
-    if not view.seen[0]:
+    image, boxes, seen = _view(template, frame, x0[None])
+    if not seen[0]:
         return np.zeros_like(template.now)
-    (u, v, s), (th, tw) = view.boxes[:, 0], template.now.shape
+    (u, v, s), (th, tw) = boxes[:, 0], template.now.shape
     x, y = (np.float32(at) for at in np.meshgrid(u + s * np.arange(tw), v + s * np.arange(th)))
-    return np.asarray(remap(np.float32(view.image), x, y, cv2.BORDER_CONSTANT))
+    return np.asarray(remap(np.float32(image), x, y, cv2.BORDER_CONSTANT))
