@@ -190,12 +190,8 @@ class AffineWalk(Motion):
         """x (N, 1, 6) moved by one frame: by nu_t, and by the noise, r_t / r_0 times as large as at first."""
         u, spread = rng.standard_normal(x.shape), _AFFINE * self._sigma
         step = sum(u[..., j : j + 1] * spread[:, j] for j in range(6))  # in this order, on any processor
-        return self._bounded(x + step if self.ahead is None else x + self.ahead.shift + self.ahead.noise * step)
-
-    def _bounded(self, x: Array) -> Array:
-        """x (N, 1, 6), with scales beyond the bounds brought back to them."""
-        least, most = self.scale
-        scale = np.asarray(scale_of(x))[..., None]
+        x = x + step if self.ahead is None else x + self.ahead.shift + self.ahead.noise * step
+        (least, most), scale = self.scale, scale_of(x)[..., None]
         wild = (scale < least) | (scale > most)
         if wild.any():
             by = np.clip(scale, least, most) / np.maximum(scale, 1e-12)

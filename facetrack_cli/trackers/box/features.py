@@ -65,10 +65,6 @@ _CHROMA = 60.0  # levels of a and b that count as much as the whole range of gre
 _COLOURS = 2.0  # grey levels by which channels differ on average in a clip with colours
 
 
-def has_colours(image: Image) -> bool:
-    return float(np.abs(image[..., 0].astype(np.int16) - image[..., 2]).mean()) > _COLOURS
-
-
 def spectrum(x: Single) -> Single:
     """The Fourier transform (2, C, F) of x (C, G, G): real and imaginary parts of the F = G (G / 2 + 1) frequencies."""
     found = np.fft.rfft(x)
@@ -116,7 +112,7 @@ class Features:
     def learn(cls, frame: Frame, centre: Array, side: float, cells: int, count: int) -> Features:
         """The `count` principal components of the window of the first frame."""
         image = Similarity(centre, side / (CELL * cells)).read(frame, CELL * cells).bgr
-        colour = has_colours(image)
+        colour = float(np.abs(image[..., 0].astype(np.int16) - image[..., 2]).mean()) > _COLOURS
         hann = np.hanning(cells + 2)[1:-1].astype(np.float32)
         taper = np.outer(hann, hann).ravel()
         read = image if colour else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)

@@ -351,7 +351,8 @@ def cast_of(tracks: Sequence[TrackSummary], known: Sequence[FaceDescriptor] = ()
     if len(senses) > 2:  # one of three alone does not part what is in one place
         odds = np.where((follows | goes_on) & (rest > 0), rest, odds)
     odds = np.clip(odds + _SAME_PLACE * follows + _GOES_ON * goes_on, -_BOUND, _BOUND)
-    apart = np.pad(_apart(tracks), (k, 0))
+    first, stop = (np.array([getattr(one, key) for one in tracks]) for key in ("first", "stop"))
+    apart = np.pad((first[:, None] < stop) & (first < stop[:, None]) & ~np.eye(len(tracks), dtype=bool), (k, 0))
     apart[:k, :k] = ~np.eye(k, dtype=bool)
     nobody = np.array([i >= k and worth_of(one) < LEAST for i, one in enumerate(every)])
     nothing = (nobody[:, None] | nobody) & ~(follows | goes_on)
@@ -426,14 +427,6 @@ def _nearest(x: Array) -> Array:
         each = each.reshape(VIEWS, t, VIEWS).transpose(1, 0, 2).reshape(t, -1)
         found[i] = np.partition(each, _NEAREST - 1, axis=1)[:, :_NEAREST].mean(axis=1)
     return 0.5 * (found + found.T)
-
-
-def _apart(tracks: Sequence[TrackSummary]) -> Mask:
-    """(T, T) tracks that are seen in the same frames."""
-    first, stop = (np.array([getattr(one, key) for one in tracks]) for key in ("first", "stop"))
-    both = (first[:, None] < stop) & (first < stop[:, None])
-    np.fill_diagonal(both, False)
-    return np.asarray(both)
 
 
 def places(tracks: Sequence[TrackSummary], fps: float) -> tuple[Mask, Mask]:

@@ -73,7 +73,6 @@ from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin.settings import (
     CloudSettings,
     ExclusionSettings,
-    PatternSettings,
     SkinCloudSettings,
     SkinNccSettings,
 )
@@ -329,9 +328,15 @@ class SkinNcc(Likelihood):
         return np.asarray(np.mean(cues, axis=0)[:, None])
 
     def learn(self, learned: SkinPattern, frame: Frame, state: Array, particles: Particles) -> SkinPattern:
-        if self.settings.ncc is None or learned.template is None:
+        """The template follows the estimate `state` (1, 6), while it matches the first one."""
+        ncc, template = self.settings.ncc, learned.template
+        if ncc is None or template is None or ncc.adapt == 0.0:
             return learned
-        return replace(learned, template=adapted(learned.template, self.settings.ncc, frame, state))
+        first, rate = replace(template, now=template.first), np.float32(ncc.adapt)
+        if correlate(first, frame, state[None])[1][0] < ncc.adapt_above:
+            return learned
+        now = (1 - rate) * template.now + rate * _patch(template, frame, state)
+        return replace(learned, template=replace(template, now=now))
 
     def rho(self, learned: SkinPattern, frame: Frame, x: Array) -> Array:
         """(R_ext - R_int) / area of R_int, eq. 9, of boxes x (N, 1, 6) -> (N,), -1..1; 0 of what is no box."""
@@ -420,15 +425,6 @@ def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]
     sums = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     level, square = (kernel.box_sums(one, edges) / area for one in sums)
     return _ratio(cross + mean * level, (variance + mean * mean) * square, seen), remove
-
-
-def adapted(template: Template, settings: PatternSettings, frame: Frame, state: Array) -> Template:
-    """The template after a frame whose estimate is `state` (1, 6)."""
-    first = replace(template, now=template.first)
-    rate = np.float32(settings.adapt)
-    if rate == 0.0 or correlate(first, frame, state[None])[1][0] < settings.adapt_above:
-        return template
-    return replace(template, now=(1 - rate) * template.now + rate * _patch(template, frame, state))
 
 
 def _view(template: Template, frame: Frame, x: Array) -> tuple[Image, Array, Mask]:
