@@ -27,7 +27,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.geometry import shown_angle
-from facetrack_cli.core.types import BOX, Array, Mask, Whole
+from facetrack_cli.core.types import BOX, Array, Mask
 from facetrack_cli.engine.protocols import Belief, Linear
 from facetrack_cli.trackers.face.stabilized import FACE, MIDDLE
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics, outlines
@@ -215,7 +215,9 @@ class _SmoothedTarget:
         if not self.lag:
             # in the frame, where what the head's filter and the points' correct of each other is no jitter
             at = steadied(at, ~points.unseen & ~self.gone[:, parts])
-        seen = self._cov(parts) + _mapped(new, cov) - _mapped(old, points.cov)
+        x, y, xy = (np.nan_to_num(self.of[name][:, parts]) for name in ("std_x", "std_y", "cov_xy"))
+        rows = np.stack([x**2, xy, xy, y**2], axis=-1).reshape(*x.shape, 2, 2)
+        seen = rows + _mapped(new, cov) - _mapped(old, points.cov)
         hidden = _mapped(new, cov) + box_cov[..., :2, :2]
         values, vectors = np.linalg.eigh(np.where(points.unseen[..., None, None], hidden, seen))
         spread = vectors * np.maximum(values, 1e-6)[..., None, :] @ np.swapaxes(vectors, -1, -2)
@@ -228,10 +230,6 @@ class _SmoothedTarget:
             columns[side] = self.of[side] * ratio[:, None]
             columns[f"std_{side}"][:, k] = self.of[side][:, k] * np.sqrt(box_cov[:, 0, 2, 2]) / head.mean[:, 0, 2]
         return still, cov
-
-    def _cov(self, parts: Whole) -> Array:
-        x, y, xy = (np.nan_to_num(self.of[name][:, parts]) for name in ("std_x", "std_y", "cov_xy"))
-        return np.stack([x**2, xy, xy, y**2], axis=-1).reshape(*x.shape, 2, 2)
 
     @property
     def _reported(self) -> Diagnostics | None:
