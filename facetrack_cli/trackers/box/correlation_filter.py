@@ -147,11 +147,6 @@ class Usual(NamedTuple):
     others: Heights
     elsewhere: Heights
 
-    @property
-    def ratio(self) -> float:
-        """How high peaks of the filter of now usually are, over peaks of the first frames' filter."""
-        return self.now.mean / max(self.first.mean, 1e-9)
-
     def learn(self, peaks: Peaks, visible: float) -> Usual:
         """After a frame in which the target is visible with this probability."""
         elsewhere = self.elsewhere
@@ -348,7 +343,8 @@ class CorrelationFilter(Likelihood):
 
     def _both(self, learned: CorrelationState, view: ResponseView) -> Single:
         """What both filters respond to, as high as R usually is."""
-        return np.float32(0.5) * (view.now + np.float32(learned.heights.ratio) * view.first)
+        usual, first = learned.heights[:2]
+        return np.float32(0.5) * (view.now + np.float32(usual.mean / max(first.mean, 1e-9)) * view.first)
 
     def _modes(
         self, view: ResponseView, scale: float, found: Array, log_l: Array, *, redetected: bool = False
@@ -409,8 +405,7 @@ class CorrelationFilter(Likelihood):
 
     def score(self, learned: CorrelationState, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, 1): log L of x (N, 1, D), the Gaussians of the modes; 0 far from all."""
-        assert learned.seen is not None
-        guides = learned.seen.guides
+        guides = self.guides(learned)
         z = np.column_stack([x[:, 0, :2], np.log(x[:, 0, 2])])
         off = np.sum(((z[:, None] - guides.mean) / guides.std) ** 2, axis=2)
         # so that the mean of L over a box and a tenth of log scale is its evidence

@@ -55,21 +55,6 @@ class VisibleBoxSpace(BoxSpace):
         return np.array([min(float(np.sum(np.exp(particles.log_w) * particles.x[:, 0, VISIBLE] * near)), 1.0)])
 
 
-class TransitionDensity(NamedTuple):
-    """Places and log scales z (N, 3) as the motion sees them, given all particles of the last frame.
-
-    `x` (N, 1, D): z with velocities drawn of p(velocity | z). `log_visible`, `log_hidden` (N,): log p(z, visible or
-    hidden | Y_{t-1}), the sum over all parents, without `returns`, the probability of a return elsewhere, within
-    `spread` (3,) of where it is found.
-    """
-
-    x: Array
-    log_visible: Array
-    log_hidden: Array
-    returns: float
-    spread: Array
-
-
 @dataclass(frozen=True)
 class VisibleWalk(Motion):
     """A walk with velocity of a box that may be hidden; with a = `velocity` and b = `acceleration` of the settings
@@ -127,10 +112,18 @@ class VisibleWalk(Motion):
 
     def arrive(
         self, rng: np.random.Generator, z: Array, particles: Particles, *, found: bool = False
-    ) -> TransitionDensity:
+    ) -> tuple[Array, Array, Array, float, Array]:
         """How a particle of the last frame may come to z (N, 3), place and log scale, and with which velocity.
 
-        `found`: whether re-detection found anything; what returns elsewhere unseen counts as hidden.
+        Parameters
+        ----------
+        found : whether re-detection found anything; what returns elsewhere unseen counts as hidden.
+
+        Returns
+        -------
+        x : (N, 1, D), z with velocities drawn of p(velocity | z).
+        log_visible, log_hidden : (N,), log p(z, visible or hidden | Y_{t-1}), the sum over all parents, without
+        returns, spread : the probability of a return elsewhere, within `spread` (3,) of where it is found.
         """
         one, parents, visible = self.settings, particles.x, self._visible(particles.x)
         mean = np.column_stack([self.expect(parents)[:, 0, :2], np.log(parents[:, 0, 2])])
@@ -149,9 +142,8 @@ class VisibleWalk(Motion):
         x[:, 0, 3:5] = v + b * (z[:, :2] - chosen[:, :2] - v) + noise
         x[:, 0, VISIBLE] = 0.0
         w = np.exp(particles.log_w)
-        returns = float(w @ leaves)
         size = float(w @ parents[:, 0, 2]) * self.unit
-        return TransitionDensity(x, log_visible, log_hidden, returns, np.array([0.4 * size, 0.4 * size, 0.04]))
+        return x, log_visible, log_hidden, float(w @ leaves), np.array([0.4 * size, 0.4 * size, 0.04])
 
     def linear(self, state: Array) -> Linear:
         """The motion around a state (1, 6), without its last coordinate, by whether the target is visible there."""
