@@ -19,7 +19,6 @@ from facetrack_cli.engine.resampling import (
     systematic,
     uniform,
 )
-from facetrack_cli.engine.spaces import estimate
 from tests.support.parts import auxiliary, factorized, sir
 
 K, D, FRAMES = 4, 1, 30
@@ -274,50 +273,6 @@ def test_particles_of_one_origin_are_one_sample():
     assert distinct(np.arange(7)[:, None], uniform(7)) == pytest.approx(7)
     log_w = np.log([0.5, 0.25, 0.25])
     assert distinct(np.array([[0, 0], [1, 0], [2, 1]]), log_w) == pytest.approx([1 / 0.375, 1 / 0.625])
-
-
-def spreads(step, n, noise, parts, seeds):
-    """Variances (T,) after each step of a walk seen with this noise, mean squared errors, and the exact variance."""
-
-    class Seen(LinearGaussian):
-        def propagate(self, rng, x):
-            return x + Q * rng.standard_normal(x.shape)
-
-        def log_likelihood(self, x, parents):
-            return -0.5 * np.sum((x - self.y) ** 2, axis=2) / noise**2
-
-    found, plain, wrong = [], [], []
-    for seed in range(seeds):
-        rng = np.random.default_rng(seed)
-        x, particles = np.zeros((parts, 2)), Particles(np.zeros((n, parts, 2)), uniform(n))
-        for t in range(FRAMES):
-            x = x + Q * rng.standard_normal(x.shape)
-            particles, info = step(rng, particles, Seen(x + noise * rng.standard_normal(x.shape)))
-            if t < 5:
-                continue  # until the exact variance stays the same
-            state, cov, _ = estimate(particles, info.ess)
-            found += cov[:, [0, 1], [0, 1]].ravel().tolist()
-            plain += estimate(particles, np.full(parts, np.inf)).cov[:, [0, 1], [0, 1]].ravel().tolist()
-            wrong += ((state - x) ** 2).ravel().tolist()
-    return np.array(found), np.array(plain), np.array(wrong), 0.5 * (np.sqrt(Q**4 + 4 * Q**2 * noise**2) - Q**2)
-
-
-MARGINALS = pytest.mark.parametrize(
-    ("step", "parts"), [(factorized("none", look_ahead="none"), K), (sir(), 1)], ids=["parts", "one"]
-)
-
-
-@MARGINALS
-def test_the_spread_covers_the_error_however_few_particles_count(step, parts):
-    """Four or five of a hundred particles count: uncorrected, the ellipses that should hold 90 % hold two thirds."""
-    found, plain, wrong, exact = spreads(step, 100, 0.2, parts, 60 // parts)
-
-    def within(variance):
-        return np.mean(np.sum((wrong / np.maximum(variance, 1e-9)).reshape(-1, 2), axis=1) <= 2 * np.log(10))
-
-    assert within(plain) < 0.75
-    assert 0.82 < within(found) < 0.95
-    assert np.mean(wrong) > 1.5 * exact  # what the particles themselves are off
 
 
 # --- resampling ----------------------------------------------------------------------------------------------------
