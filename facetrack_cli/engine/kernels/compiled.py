@@ -57,15 +57,11 @@ _SUMS: Any = {"contract", "reassoc", "nsz"}
 _KERNEL: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # only Python calls them
 
 
-def _cached(function: Any, **more: Any) -> Any:
+def exact(function: Any, **more: Any) -> Any:
     kernel = njit(cache=True, **_KERNEL, **more)(function)
     if isinstance(cache := getattr(kernel, "_cache", None), caching.FunctionCache):  # not with NUMBA_DISABLE_JIT
         cache.__class__ = KernelCache
     return kernel
-
-
-def exact(function: Any) -> Any:
-    return _cached(function)
 
 
 def fast(function: Any) -> Any:
@@ -73,7 +69,7 @@ def fast(function: Any) -> Any:
 
     No kernel calls such a one: what numba compiles first and what it later finds in the cache would reorder otherwise.
     """
-    return _cached(function, fastmath=_SUMS)
+    return exact(function, fastmath=_SUMS)
 
 
 # parts of other kernels, exact and fast ones: typed once, not wherever they are called, which compiles in half the time
