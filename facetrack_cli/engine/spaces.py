@@ -80,8 +80,8 @@ class Space(Protocol):
         """Of particles whose effective sample sizes are `ess` (K,)."""
         return estimate(particles, ess, best=best)
 
-    def angle(self, estimated: Estimate) -> float | None:
-        """Of the one part which is no upright box, in degrees; None of upright ones. It also reports `AFFINE`."""
+    def outline(self, estimated: Estimate) -> tuple[float, Array] | None:
+        """Angle in degrees and corners (4, 2), clockwise from top left, of the one part; None of an upright one."""
         return None
 
     def at(self, box: Box) -> Array:

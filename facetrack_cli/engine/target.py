@@ -20,16 +20,7 @@ from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.spaces import Context, Estimate, PointSpace, Space, evenly
 from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.recipe.model import ConfidenceSettings, ParticleFilterSettings, Recipe, above
-from facetrack_cli.trajectory.diagnostics import (
-    ENTROPY,
-    ERROR,
-    EVIDENCE,
-    NOISE,
-    POSTERIOR,
-    Diagnostic,
-    Diagnostics,
-    outlines,
-)
+from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, of_frame
 
 _ROUNDING: Final = 1e-9  # of a variance: what is less is rounding
@@ -228,7 +219,7 @@ class ParticleTarget:
     def _result(self, state: ParticleState, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
         """`otherwise` is the status where nothing judges."""
         k, judged, estimated = len(self.parts), state.judgement, state.estimated
-        windows, angle = self.space.windows(estimated), self.space.angle(estimated)
+        windows, outline = self.space.windows(estimated), self.space.outline(estimated)
         std = np.sqrt(np.maximum(estimated.cov.reshape(k, 4)[:, ::3], 0.0))
         columns: dict[str, Any] = {
             "x": estimated.state[:, 0], "y": estimated.state[:, 1], "w": windows[:, 0], "h": windows[:, 1],
@@ -241,8 +232,8 @@ class ParticleTarget:
             columns["status"] = np.array([otherwise] * k)
         else:
             columns |= {"status": np.array(judged.status), "confidence": judged.confidence}
-        if angle is not None:
-            columns["angle"] = [angle]
+        if outline is not None:
+            columns |= {"angle": [outline[0]], "corners": outline[1][None]}
         if posterior := state.reported.get(POSTERIOR.name):
             best = max(posterior.values())
             likeliest = [name for name, probability in posterior.items() if probability == best]
@@ -252,8 +243,6 @@ class ParticleTarget:
             columns |= {name: np.where(state.absent, np.nan, columns[name]) for name in PLACE if name in columns}
             columns["status"] = np.where(state.absent, "absent", columns["status"])
         rows = of_frame(self._names, frame, self._reported(state, frame, info), **columns)
-        if angle is not None:
-            rows = replace(rows, corners=outlines(rows))
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.size)
         insets = self.likelihood.insets(state.learned)

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import MAX_REMEMBERED, Frame
 from facetrack_cli.engine.filters import Prediction
 from facetrack_cli.engine.spaces import evenly
@@ -107,13 +108,15 @@ STATES = st.tuples(st.floats(-500, 500), st.floats(-500, 500), NUMBER, NUMBER, N
 
 def shown(*state):
     estimated = evenly(np.array([state], np.float64), STILL)
-    return SPACE.windows(estimated)[0], SPACE.angle(estimated)
+    return SPACE.windows(estimated)[0], *SPACE.outline(estimated)
 
 
 @given(STATES)
-def test_the_angle_is_the_nearest_rotation(state):
-    windows, angle = shown(*state)
-    a = np.reshape(state[2:], (2, 2))
+def test_the_angle_is_the_nearest_rotation_and_corners_are_those_of_rows_in_a_file(state):
+    windows, angle, places = shown(*state)
+    a, affine = np.reshape(state[2:], (2, 2)), np.array([state[2:] + state[:2]])
+    expected = corners(affine, np.array([state[:2]]), windows[None])[0]
+    np.testing.assert_allclose(places, np.where(np.isnan(expected), places, expected), atol=1e-9)
     np.testing.assert_allclose(windows, np.linalg.norm(a, axis=0) * SPACE.size, atol=1e-9)
 
     def off(degrees):

@@ -80,10 +80,12 @@ class AffineSpace(SizedSpace):
         x, y, *deformation = estimated.state[0].tolist()
         return {"scale": float(scale_of(estimated.state[None])[0, 0]), "affine": (*deformation, x, y)}
 
-    def angle(self, estimated: Estimate) -> float:
-        """That of the rotation which is nearest to the deformation."""
-        _, _, a1, a2, a3, a4 = estimated.state[0].tolist()
-        return math.degrees(math.atan2(a3 - a2, a1 + a4))
+    def outline(self, estimated: Estimate) -> tuple[float, Array]:
+        """The angle is that of the rotation which is nearest to the deformation."""
+        cx, cy, a1, a2, a3, a4 = estimated.state[0].tolist()
+        (w, h), ways = self.size, ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
+        places = [(cx + i * w * a1 + j * h * a2, cy + i * w * a3 + j * h * a4) for i, j in ways]
+        return math.degrees(math.atan2(a3 - a2, a1 + a4)), np.array(places)
 
 
 def scale_of(x: Array) -> Array:
