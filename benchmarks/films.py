@@ -30,7 +30,6 @@ from facetrack_cli.evaluation.identities import SAME, Seen, measure_people
 from facetrack_cli.trackers.face.detectors import Detection, detector
 from facetrack_cli.trackers.face.stabilized import Similarity, slope
 from facetrack_cli.trackers.people import descriptor as looks
-from facetrack_cli.trackers.people import identity
 from facetrack_cli.video.source import open_source
 
 POINTS = ("nose", "mouth_left", "mouth_right")
@@ -83,7 +82,7 @@ def detected(clip: Path) -> Faces:
     tracks = [track for track in (*done, *open_) if len(track) >= 5]
     views = [np.array([looks.embedded(x) for _, _, x in t if x is not None][:3]).mean(axis=0) for t in tracks]
     far = np.linalg.norm(np.array(views)[:, None] - np.array(views), axis=2)
-    label = identity.clusters(0.5 - far, np.zeros(far.shape, np.bool_))
+    label = looks.clusters(0.5 - far, np.zeros(far.shape, np.bool_))
     found: Faces = defaultdict(dict)
     for name, track in zip(label.tolist(), tracks, strict=True):
         for frame_index, face, _ in track:

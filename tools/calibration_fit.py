@@ -23,7 +23,6 @@ from facetrack_cli.engine.confidence import (
     MAX_SPREAD_FACTOR,
     RISES,
     Calibration,
-    CrossChecked,
     Feature,
     Isotonic,
     Logistic,
@@ -154,7 +153,11 @@ class Fitted:
         return figures(self.sample, self.left_out)
 
     @property
-    def checked(self) -> CrossChecked:
+    def checked(self) -> dict[str, int | float]:
+        """Calibration error and Brier score on each clip by the map of the others, and those of raw confidence.
+
+        `within_..`: share of the right and visible rows in the ellipses that should hold 50 and 90 % of them.
+        """
         raw, found, right = self.raw, self.found, np.average(self.sample.right, weights=self.sample.weight)
         values = {"right": right, "ece": found.ece, "brier": found.brier, "ece_raw": raw.ece, "brier_raw": raw.brier}
         one, by = self.sample, np.ones(len(self.sample))
@@ -162,7 +165,7 @@ class Fitted:
             by[one.clip == clip] = one.take(one.clip != clip).spread
         values |= {"within_50": one.within(ELLIPSE_50, by), "within_90": one.within(ELLIPSE_90, by)}
         values |= {"within_90_raw": one.within(ELLIPSE_90)}
-        return CrossChecked(rows=len(self.sample), **{name: round(float(value), 4) for name, value in values.items()})
+        return {"rows": len(self.sample), **{name: round(float(value), 4) for name, value in values.items()}}
 
 
 def pool(y: Array, weight: Array) -> Array:

@@ -25,6 +25,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 
@@ -145,7 +146,7 @@ def main() -> None:
             continue
         file.write_text(found.calibration.to_json(), encoding="utf-8")
         for kind, one in found.fitted.items():
-            now, clips = one.checked, len(one.sample.clips)
+            now, clips = SimpleNamespace(**one.checked), len(one.sample.clips)
             print(
                 f"{path.stem:<40} {kind:<6} {clips:5} {now.right:5.2f} {now.ece_raw:11.3f} {now.brier_raw:5.3f} "
                 f"{now.ece:17.3f} {now.brier:5.3f}   50 %: {now.within_50:.2f} 90 %: {now.within_90_raw:.2f} -> "

@@ -1,4 +1,4 @@
-"""Fit the log odds that two tracks show one person: SENSES of facetrack_cli/trackers/people/identity.py.
+"""Fit the log odds that two tracks show one person: SENSES of facetrack_cli/trackers/people/descriptor.py.
 
     python tools/same_person.py CLIP... [--tracks 14] --keep views.npz
     python tools/same_person.py views.npz...
@@ -27,8 +27,16 @@ from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Array, Frame, Mask
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.face.stabilized import Similarity, slope
-from facetrack_cli.trackers.people.descriptor import VIEWS, Describer, FaceDescriptor, View, load_people, save_people
-from facetrack_cli.trackers.people.identity import distances, worth_of
+from facetrack_cli.trackers.people.descriptor import (
+    VIEWS,
+    Describer,
+    FaceDescriptor,
+    View,
+    distances,
+    load_people,
+    save_people,
+    worth_of,
+)
 from facetrack_cli.video.source import open_source
 
 FRAMES = (30, 70)  # of a track

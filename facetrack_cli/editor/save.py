@@ -16,7 +16,7 @@ from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.engine.loop import track
-from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.engine.protocols import Belief
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe
 from facetrack_cli.run_folder.finished import Run, recipe_of, run_files, stamp
 from facetrack_cli.run_folder.lease import FolderLease

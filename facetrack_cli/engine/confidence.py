@@ -36,20 +36,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Whole
-from facetrack_cli.engine.confidence_kernels import AS_IT_IS, HIDDEN, calibrate
-from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.engine.kernels.compiled import AS_IT_IS, HIDDEN, calibrate
 from facetrack_cli.recipe.model import LIKELY, ConfidenceSettings
 from facetrack_cli.trajectory.trajectory import SPREAD, Status, Trajectory
 
 if TYPE_CHECKING:
-    from facetrack_cli.engine.protocols import Likelihood
+    from facetrack_cli.engine.protocols import Belief, Likelihood
 
-FORMAT: Final = "facetrack-calibration"
 MAX_SPREAD_FACTOR: Final = 20.0
 """What a spread is multiplied by at most; divided by no more."""
 Feature: TypeAlias = Literal["confidence", "log_odds", "spread", "ess", "lost", "size"]
@@ -58,7 +56,6 @@ RISES: Final[Mapping[Feature, int]] = {
 }  # fmt: skip
 """Whether p rises with a feature or falls; 0: either."""
 PartKind: TypeAlias = Literal["points", "box"]
-_Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 
 
 class _StoredPart(BaseModel):
@@ -84,55 +81,27 @@ class Isotonic(_StoredPart):
     score: Feature | Logistic
     knots: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=1)]
 
-    @field_validator("knots")
-    @classmethod
-    def _ordered(cls, knots: list[list[float]], info: Any) -> list[list[float]]:
-        x, p = np.array(knots).T
-        score = info.data.get("score")
-        falls = isinstance(score, str) and RISES[score] < 0  # type: ignore[index]
-        if np.any(np.diff(x) <= 0) or np.any(np.diff(p) * (-1 if falls else 1) < 0) or p.min() < 0 or p.max() > 1:
-            raise ValueError(
-                f"values must rise from knot to knot, and p, within 0 and 1, {'fall' if falls else 'rise'}"
-            )
-        return knots
-
 
 Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
-
-
-class CrossChecked(_StoredPart):
-    """On each clip the map of the others: the calibration error and Brier score, and those of raw confidence.
-
-    `within_..`: share of the right and visible rows in the ellipses that should hold 50 and 90 % of them.
-    """
-
-    rows: Annotated[int, Field(ge=0)]
-    right: _Share
-    ece: _Share
-    brier: _Share
-    ece_raw: _Share
-    brier_raw: _Share
-    within_50: _Share
-    within_90: _Share
-    within_90_raw: _Share
 
 
 class Calibration(_StoredPart):
     """A map for each kind of part, and what it was fitted to: a recipe's runs, `seeds` of each clip.
 
+    `checked`: how right it is on each clip by the map of the others, and how right raw confidence and spread are.
     `lost`: the share of the rows of lost boxes that are right; p of such a row, and of its points, is no greater.
     `spread`: by what the standard deviations are multiplied, so that of the rows that are right and visible 90 % are in
     the ellipse that should hold so many.
     """
 
-    format: Literal["facetrack-calibration"] = FORMAT
+    format: Literal["facetrack-calibration"] = "facetrack-calibration"
     version: Literal[1] = 1
     recipe: str
     right: Literal["error of the centre below 1/4 of the size"] = "error of the centre below 1/4 of the size"
     maps: dict[PartKind, Map]
     lost: Annotated[float, Field(ge=0, lt=LIKELY)]
     spread: dict[PartKind, Annotated[float, Field(gt=0, le=MAX_SPREAD_FACTOR)]]
-    checked: dict[PartKind, CrossChecked]
+    checked: dict[PartKind, dict[str, int | float]]
     clips: list[str]
     seeds: int
 
@@ -187,14 +156,12 @@ def load_calibration(path: Path) -> Calibration:
     """The calibration in a file. Raises InputError for anything else."""
     remedy = "make it with tools/calibrations.py, or take confidence.calibration=null"
     try:
-        return Calibration.model_validate_json(read_bounded(path, what="calibration"))
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror}; check the file's permissions") from None
+        with reading(path):
+            return Calibration.model_validate_json(read_bounded(path, what="calibration"))
     except ValidationError as e:
-        first = e.errors()[0]
-        place = ".".join(str(key) for key in first["loc"] if not str(key).startswith("literal["))
-        message = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{path}: is no calibration: {place}: {message[:1].lower()}{message[1:]}; {remedy}") from None
+        first = e.errors(include_url=False)[0]
+        why = ": ".join(filter(None, (".".join(map(str, first["loc"])), first["msg"])))
+        raise InputError(f"{path}: is no calibration: {why}; {remedy}") from None
 
 
 @dataclass(frozen=True)

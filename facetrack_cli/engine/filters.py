@@ -15,12 +15,12 @@ from numpy.random import Generator
 
 from facetrack_cli.core.types import Array, Info, Mask, Particles, Whole
 from facetrack_cli.engine.resampling import (
-    SCHEMES,
     distinct,
     effective_sample_size,
     logsumexp,
     normalise,
     summed,
+    systematic,
     uniform,
 )
 from facetrack_cli.recipe.sections import AuxiliarySettings, FactorizedSettings, IndependentSettings, SirSettings
@@ -52,7 +52,7 @@ Step: TypeAlias = "Callable[[Generator, Particles, FrameModel], Stepped]"
 
 def sir(settings: SirSettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
     """Sampling/importance resampling over the joint state (section 2), p(y|s)p(s) as the observation."""
-    parents = particles.x[SCHEMES[settings.resampling](rng, particles.log_w, len(particles.x))]
+    parents = particles.x[systematic(rng, particles.log_w, len(particles.x))]
     return weighted(model, model.propagate(rng, parents), parents, 0.0)
 
 
@@ -63,7 +63,7 @@ def auxiliary(settings: AuxiliarySettings, rng: Generator, particles: Particles,
     """
     mu = model.expect(particles.x) if settings.look_ahead == "mean" else model.propagate(rng, particles.x)
     log_first = particles.log_w + (log_lambda := _log_observation(model, mu, particles.x))
-    chosen = SCHEMES[settings.resampling](rng, normalise(log_first), len(mu))
+    chosen = systematic(rng, normalise(log_first), len(mu))
     parents = particles.x[chosen]
     moved, info = weighted(model, model.propagate(rng, parents), parents, -log_lambda[chosen])
     return moved, info._replace(evidence=info.evidence + float(logsumexp(log_first)))
@@ -94,23 +94,23 @@ def factorized(
     belongs to the auxiliary variable, and the weights of steps 3 and 5 hold as they are.
     """
     n, k, d = particles.x.shape
-    resample, columns = SCHEMES[settings.resampling], np.arange(k)
+    columns = np.arange(k)
     jumps = rng.random((n, k)) < settings.from_prior if settings.from_prior > 0 else None
     if settings.look_ahead == "none":
-        chosen = resample(rng, np.repeat(particles.log_w[:, None], k, axis=1), n)
+        chosen = systematic(rng, np.repeat(particles.log_w[:, None], k, axis=1), n)
         base, evidence = np.zeros((n, k)), 0.0
     else:
         mean, all_ = settings.look_ahead == "mean", np.broadcast_to(np.arange(n)[:, None], (n, k))
         mu = _move(rng, particles.x, model, particles.x, jumps, all_, mean=mean)
         log_lambda = np.maximum(model.log_likelihood(mu, particles.x), MIN_LOG)
         first, log_first = summed(particles.log_w[:, None] + log_lambda)
-        chosen = resample(rng, first, n)
+        chosen = systematic(rng, first, n)
         base, evidence = -log_lambda.take(chosen * k + columns), float(log_first.sum())
     parents = particles.x.reshape(n * k, d).take(chosen * k + columns, axis=0)
     s = _move(rng, parents, model, particles.x, None if jumps is None else jumps[chosen, columns], chosen)
     marginal, each = summed(np.maximum(model.log_likelihood(s, parents), MIN_LOG) + base)
     # shuffled, because resampled indices come in order and would tie the parts together
-    picked = rng.permuted(resample(rng, marginal, n), axis=0)
+    picked = rng.permuted(systematic(rng, marginal, n), axis=0)
     x = s.reshape(n * k, d).take(picked * k + columns, axis=0)
     log_ratio = np.zeros(n)
     if settings.reweight in ("prior", "both"):

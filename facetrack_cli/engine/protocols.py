@@ -25,6 +25,20 @@ class Linear(NamedTuple):
     cov: Array
 
 
+class Belief(NamedTuple):
+    """What a filter knows of K parts after a frame: `mean` (K, D) and `cov` (K, D, D) of D coordinates of the state.
+
+    `motion` is that from the frame before; `doubt` (K,) says which parts the frame may not show. Of a hand, `named`
+    (2,) are the probability that both hands have their own names, and that these are others than in the frame before.
+    """
+
+    mean: Array
+    cov: Array
+    motion: Linear
+    doubt: Mask
+    named: Array | None = None
+
+
 class Likelihood(Protocol):
     """An observation model, of N particles, K parts and D coordinates of a part; lengths are pixels of the frame.
 
@@ -94,8 +108,8 @@ class Motion(Protocol):
     """How parts move from frame to frame: the transition density p(x_t | x_{t-1}) of N particles of K parts.
 
     Of a motion that predicts from the frame where the target went, before any particle is drawn, `begin` returns what
-    it learns of a frame, a value, the flow. It also has `learn` and `predict`, and its `propagate` takes the shift and
-    the noise of the prediction: see `PredictedWalk` in `trackers/appearance/affine.py`.
+    it learns of a frame, a value, the flow. It also has `learn` and `predict`, and a field `ahead`, the prediction
+    around which it moves in a frame: see `PredictedWalk` in `trackers/appearance/affine.py`.
     """
 
     diagnostics: ClassVar[tuple[Diagnostic, ...]] = ()

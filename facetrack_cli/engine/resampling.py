@@ -1,7 +1,4 @@
-"""Resampling schemes, arithmetic on log weights, and effective sample sizes: of particles, and of pixels (ours).
-
-Every scheme takes the generator, normalised log weights (N,), or (N, K) for K populations side by side, and a number of
-draws M; it returns M indices (M,) or (M, K), in ascending order, never of weight zero. Expected counts are M * w.
+"""Resampling, arithmetic on log weights, and effective sample sizes: of particles, and of pixels (ours).
 
 A likelihood that is a product over n pixels counts them as independent. Neighbours are not: what is wrong with one, a
 shift or a shadow, is wrong with the next. A sum of n terms with the autocorrelation rho has the variance of that of
@@ -14,8 +11,7 @@ at the estimate; lags count up to the distance at which its mean is what indepen
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -24,7 +20,6 @@ from facetrack_cli.engine.kernels.compiled import invert_cdf
 
 MEMORY: Final = 25  # frames over which shares are averaged: one alone is known to a quarter or so
 _MIN_ENERGY: Final = 1e-9
-Resampling: TypeAlias = Callable[[np.random.Generator, Array, int], Whole]
 
 
 def logsumexp(a: Array, axis: int = 0) -> Array:
@@ -76,28 +71,15 @@ def uniform(n: int) -> Array:
     return np.full(n, -np.log(n))
 
 
-def _invert(w: Array, points: Array) -> Whole:
-    """The indices at which the cumulated weights first exceed each ascending point of [0, 1).
-
-    For one population of weights (N,) and points (M,), or several (N, K) and (M, K). Weights, not all zero, need not
-    sum to one. Never an index of weight zero, and never N, however the sums are rounded.
-    """
-    out = np.empty((len(points), w[:1].size), np.int64)
-    invert_cdf(w.reshape(len(w), -1), points.reshape(len(points), -1), out)
-    return out.reshape(points.shape)
-
-
 def systematic(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
-    """One uniform offset, M evenly spaced points: the least noisy, each count is floor or ceil of M * w."""
-    return _invert(np.exp(log_w), np.add.outer(np.arange(m), rng.random(log_w.shape[1:])) / m)
+    """M indices (M,) or (M, K), ascending, by normalised log weights (N,), or (N, K) of K populations side by side.
 
-
-def multinomial(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
-    """M independent draws, as the papers' algorithms are written."""
-    return _invert(np.exp(log_w), np.sort(rng.random((m, *log_w.shape[1:])), axis=0))
-
-
-SCHEMES: dict[str, Resampling] = {scheme.__name__: scheme for scheme in (systematic, multinomial)}
+    They are where the cumulated weights first exceed M evenly spaced points with one uniform offset: the least noisy
+    scheme, in which each count is floor or ceil of M * w. Never an index of weight zero, however the sums are rounded.
+    """
+    w, points = np.exp(log_w), np.add.outer(np.arange(m), rng.random(log_w.shape[1:])) / m
+    invert_cdf(w.reshape(len(w), -1), points.reshape(m, -1), out := np.empty((m, w[:1].size), np.int64))
+    return out.reshape(points.shape)
 
 
 def effective_share(terms: Array, *, ring: bool = False) -> float:

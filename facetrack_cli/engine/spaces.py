@@ -57,13 +57,6 @@ class Estimate(NamedTuple):
     side_std: Array | None = None
 
 
-class Outline(NamedTuple):
-    """What a part is in the frame if no upright box: `angle` in degrees, `corners` (4, 2) clockwise from top left."""
-
-    angle: float
-    corners: Array
-
-
 class Space(Protocol):
     """What a state (K, D) is in the image. Its first two coordinates are the centre of the part, in pixels."""
 
@@ -87,8 +80,8 @@ class Space(Protocol):
         """Of particles whose effective sample sizes are `ess` (K,)."""
         return estimate(particles, ess, best=best)
 
-    def outline(self, estimated: Estimate) -> Outline | None:
-        """That of the one part which is no upright box; None of upright ones."""
+    def outline(self, estimated: Estimate) -> tuple[float, Array] | None:
+        """Angle in degrees and corners (4, 2), clockwise from top left, of the one part; None of an upright one."""
         return None
 
     def at(self, box: Box) -> Array:

@@ -1,9 +1,9 @@
 """A target followed by a particle filter: its state from frame to frame, and the model that the filter sees."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, Final, NamedTuple, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.random import Generator
@@ -15,15 +15,15 @@ from facetrack_cli.engine import confidence
 from facetrack_cli.engine.confidence import Calibration, Judgement, load_calibration
 from facetrack_cli.engine.filters import Prediction, Step
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.engine.protocols import Likelihood, Motion, Names, Prior
+from facetrack_cli.engine.protocols import Belief, Likelihood, Linear, Motion, Names, Prior
 from facetrack_cli.engine.resampling import uniform
-from facetrack_cli.engine.smoothing import Belief, belief
 from facetrack_cli.engine.spaces import Context, Estimate, PointSpace, Space, evenly
 from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.recipe.model import ConfidenceSettings, ParticleFilterSettings, Recipe, above
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, of_frame
 
+_ROUNDING: Final = 1e-9  # of a variance: what is less is rounding
 Exclusion: TypeAlias = Callable[[Array, Sequence[Footprint]], Array]
 """What other targets, at their footprints, add to log p(y | x) of x (N, K, D): (N, K)."""
 
@@ -31,9 +31,9 @@ Exclusion: TypeAlias = Callable[[Array, Sequence[Footprint]], Array]
 class ParticleState(NamedTuple):
     """What a particle filter carries on: particles, estimate, what was learned of the clip, how parts are judged.
 
-    `reported` are the likelihood's diagnostics, `flow` is what a motion that predicts has learned, `ahead` what it
-    predicted of this frame, and `entropy_before` the entropy of the identity in the frame before this one. `absent`
-    (K,) are the parts that are not visible, None if all are.
+    `reported` are the likelihood's diagnostics, `flow` is what a motion that predicts has learned, and `ahead` what it
+    predicted of this frame. `entropy_fell`: whether the identity has become no less certain in this frame; None if
+    nobody is recognised. `absent` (K,) are the parts that are not visible, None if all are.
     """
 
     particles: Particles
@@ -43,7 +43,7 @@ class ParticleState(NamedTuple):
     reported: Mapping[str, Any] = {}
     flow: Any = None
     ahead: Prediction | None = None
-    entropy_before: float | None = None
+    entropy_fell: bool | None = None
     absent: Mask | None = None
 
 
@@ -101,8 +101,8 @@ class ParticleTarget:
         self, rng: Generator, frame: Frame, state: ParticleState, status: Status
     ) -> tuple[ParticleState, TargetResult]:
         """The state with its diagnostics and its flow, where particles begin."""
-        flow = self.motion.begin(rng, frame, state.estimated.state)
-        state = state._replace(reported=self.likelihood.diagnose(state.learned), flow=flow)
+        flow, reported = self.motion.begin(rng, frame, state.estimated.state), self.likelihood.diagnose(state.learned)
+        state = state._replace(reported=reported, flow=flow, entropy_fell=True if ENTROPY.name in reported else None)
         return state, self._result(state, frame, self.begun, status)
 
     def restart(
@@ -166,7 +166,12 @@ class ParticleTarget:
         """As `advance`; `motion` makes that of this one frame of what the likelihood has learned by a look at it."""
         expected = self.motion.expect(state.estimated.state[None])[0]
         state = state._replace(learned=self.likelihood.look(state.learned, frame, expected))
-        moved = self.motion if motion is None else motion(state.learned)
+        moved: Any = self.motion if motion is None else motion(state.learned)
+        ahead, scorer = None, cast(Any, self.likelihood)
+        if state.flow is not None:
+            asked = (partial(each, state.learned) for each in (scorer.error, scorer.expected))
+            ahead = moved.predict(state.flow, frame, *asked)._replace(entropy_fell=state.entropy_fell)
+            moved = replace(moved, ahead=ahead)
         bound = FrameModel(self, state, frame, footprints, moved)
         particles, info = self.step(rng, state.particles, bound)
         if state.absent is not None:
@@ -183,14 +188,11 @@ class ParticleTarget:
             else:
                 distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
                 judgement = confidence.judge(self.confidence, judgement, distance)
-        after = ParticleState(
-            particles, estimated, learned, judgement, self.likelihood.diagnose(learned), absent=state.absent
-        )
-        if state.flow is None:
-            return after, info
-        flow = bound.motion.learn(frame, estimated.state, particles.x)
-        before = state.reported.get(ENTROPY.name)
-        return after._replace(flow=flow, ahead=bound.ahead, entropy_before=before), info
+        reported, fell = self.likelihood.diagnose(learned), None
+        if ENTROPY.name in reported:
+            fell = reported[ENTROPY.name] <= state.reported[ENTROPY.name]
+        flow = None if ahead is None else moved.learn(frame, estimated.state, particles.x)
+        return ParticleState(particles, estimated, learned, judgement, reported, flow, ahead, fell, state.absent), info
 
     def footprint(self, state: ParticleState, *, ahead: bool) -> Footprint | None:
         if len(self.parts) > 1:
@@ -231,7 +233,7 @@ class ParticleTarget:
         else:
             columns |= {"status": np.array(judged.status), "confidence": judged.confidence}
         if outline is not None:
-            columns |= {"angle": [outline.angle], "corners": outline.corners[None]}
+            columns |= {"angle": [outline[0]], "corners": outline[1][None]}
         if posterior := state.reported.get(POSTERIOR.name):
             best = max(posterior.values())
             likeliest = [name for name, probability in posterior.items() if probability == best]
@@ -297,27 +299,22 @@ class FrameModel:
     def prior(self) -> Any:
         return self.target.prior
 
-    @cached_property
+    @property
     def ahead(self) -> Prediction:
         """Where the motion predicts the target, or where it was."""
-        estimated, scorer = self.state.estimated.state, self.likelihood
-        if self.state.flow is None:
-            return Prediction(estimated, np.zeros_like(estimated))
-        error, expected = partial(scorer.error, self.learned), partial(scorer.expected, self.learned)
-        ahead: Prediction = self.motion.predict(self.state.flow, self.frame, error, expected)
-        before, entropy = self.state.entropy_before, self.state.reported.get(ENTROPY.name)
-        return ahead if entropy is None else ahead._replace(entropy_fell=before is None or entropy <= before)
+        state = self.state.estimated.state
+        ahead: Prediction | None = getattr(self.motion, "ahead", None)
+        return Prediction(state, np.zeros_like(state)) if ahead is None else ahead
 
     def propagate(self, rng: Generator, x: Array) -> Array:
         """(N, K, D): a draw from p(x_t | x_{t-1} = x) for each x (N, K, D), around the place that is predicted."""
-        how = () if self.state.flow is None else (self.ahead.shift, self.ahead.noise)
-        moved: Array = self.motion.propagate(rng, x, *how)
+        moved: Array = self.motion.propagate(rng, x)
         return moved
 
     def expect(self, x: Array) -> Array:
         """(N, K, D): the mean of p(x_t | x_{t-1} = x)."""
         mean: Array = self.motion.expect(x)
-        return mean if self.state.flow is None else mean + self.ahead.shift
+        return mean
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D)."""
@@ -340,6 +337,18 @@ class FrameModel:
     def _of_present(self, log_p: Array) -> Array:
         """log_p (..., K), in which parts that are not to be seen say nothing."""
         return log_p if self.state.absent is None else np.where(self.state.absent, 0.0, log_p)
+
+
+def belief(particles: Particles, motion: Linear, cov: Array, doubt: Mask) -> Belief:
+    """Of particles x (N, K, D), with the estimate's covariance `cov` (K, 2, 2) of their places."""
+    d = motion.matrix.shape[-1]
+    w, x = np.exp(particles.log_w), particles.x[..., :d]
+    mean = np.einsum("n,nkd->kd", w, x)
+    spread = np.einsum("n,nkd,nke->kde", w, x - mean, x - mean)
+    ours, theirs = (np.trace(matrix[:, :2, :2], axis1=1, axis2=2) for matrix in (spread, cov))
+    # the estimate's counts how few particles it stands on; without particles that differ there is nothing to count
+    more = np.divide(theirs, ours, out=np.ones(len(ours)), where=ours > _ROUNDING)
+    return Belief(mean, spread * more[:, None, None], motion, doubt)
 
 
 T = TypeVar("T", bound=ParticleTarget)

@@ -354,8 +354,6 @@ class ResampledSettings(FilterSettings):
 
     particles: Annotated[int, Field(ge=1, le=1_000_000)]
     """Number of particles, K in the paper; of `independent`: for each part."""
-    resampling: Literal["systematic", "multinomial"] = "systematic"
-    """How particles are picked by their weights."""
 
 
 class SirSettings(ResampledSettings):

@@ -33,8 +33,16 @@ from facetrack_cli.runs.signals import never
 from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.start.presence import LOOK_FRAMES, MultiFaceTracker
 from facetrack_cli.trackers.face.detectors import detector
-from facetrack_cli.trackers.people.descriptor import VIEWS, Describer, FaceDescriptor, together, views_of
-from facetrack_cli.trackers.people.identity import UNKNOWN, TrackSummary, cast_of
+from facetrack_cli.trackers.people.descriptor import (
+    UNKNOWN,
+    VIEWS,
+    Describer,
+    FaceDescriptor,
+    TrackSummary,
+    cast_of,
+    together,
+    views_of,
+)
 from facetrack_cli.trajectory.people import new_name
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.trajectory.writers import json_frames

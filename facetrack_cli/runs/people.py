@@ -22,8 +22,20 @@ from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import rewrite
 from facetrack_cli.start.presence import MAX_FACES
 from facetrack_cli.trackers.face.detectors import detector
-from facetrack_cli.trackers.people.descriptor import Describer, load_people, save_people, still, views_of
-from facetrack_cli.trackers.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, TrackSummary, cast_of, places
+from facetrack_cli.trackers.people.descriptor import (
+    AT_ONCE_S,
+    SURE,
+    UNKNOWN,
+    Cast,
+    Describer,
+    TrackSummary,
+    cast_of,
+    load_people,
+    places,
+    save_people,
+    still,
+    views_of,
+)
 from facetrack_cli.trajectory.people import (
     NOBODY,
     People,

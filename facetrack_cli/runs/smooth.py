@@ -19,8 +19,7 @@ from facetrack_cli.core.files import FULL, check_plain, discard, publish, tempor
 from facetrack_cli.core.npz import Kind, Stored, write_arrays
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Correction
-from facetrack_cli.engine.protocols import Linear
-from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.engine.protocols import Belief, Linear
 from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.finished import read_files, run_files
 from facetrack_cli.run_folder.lease import FolderLease, sweep

@@ -86,10 +86,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.box.box_kernels.read_cubic": ("f4:2 f8:1 f8:1 f8:1", _CELLS),
     "engine.kernels.compiled.invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
     "trackers.skin.skin_kernels.box_sums": ("f8:2 f8:2", f"{_NCC} skin"),
-    "engine.confidence_kernels.calibrate": (
-        "f8:2 b1:1 b1:1 b1:1 f8 f8:2 f8:2 f8:3 i8:1 f8:1 f8 f8 i8:1",
-        "calibration",
-    ),
+    "engine.kernels.compiled.calibrate": ("f8:2 b1:1 b1:1 b1:1 f8 f8:2 f8:2 f8:3 i8:1 f8:1 f8 f8 i8:1", "calibration"),
     "engine.kernels.compiled.moments": ("f8:3 f8:1 f8:1 f8:2 f8:3", _FILTERS),
     "trackers.skin.skin_kernels.bilinear": ("f4:2 f8:2 i8 i8", _NCC),
     "trackers.appearance.appearance_kernels.mapped": ("f8:2 f4:2 f4:1", "velocity"),

@@ -5,7 +5,7 @@ begins a track; the track is followed back over the frames since the last look. 
 probability: looks that find it or not, and what the tracker says of itself, are its evidence (a Bernoulli filter of
 existence, as in Mahler 2007). A track ends where that is small, where the face leaves the picture, and at every cut: no
 motion is carried over it. Two tracks of one face are one too many, and the later one ends. Who it is is decided later,
-of the whole film (`trackers/people/identity.py`).
+of the whole film (`trackers/people/descriptor.py`).
 """
 
 from __future__ import annotations

@@ -440,7 +440,7 @@ class TargetResult(NamedTuple):
     """What a tracker says of one target in one frame: a row for each of its K parts, with its diagnostics.
 
     `cloud` (N, K, 2) are the particles' centres in pixels; `notes` are lines for the user, of the frame in which they
-    arise. `beliefs` gives what the smoother needs (`engine.smoothing.Belief`); None of what has none.
+    arise. `beliefs` gives what the smoother needs (`engine.protocols.Belief`); None of what has none.
     """
 
     rows: Trajectory

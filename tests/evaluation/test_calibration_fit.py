@@ -104,7 +104,7 @@ def test_the_calibrated_are_nearer_to_the_truth_on_clips_never_seen(probability)
     found = fit(seen)
     raw, after = figures(held, held.known["confidence"]), figures(held, fitting.probability(found.map, held.known))
     assert after.ece < 0.04 < 0.15 < raw.ece and after.brier < raw.brier
-    assert found.checked.ece < 0.04 and found.checked.ece_raw > 0.15
+    assert found.checked["ece"] < 0.04 and found.checked["ece_raw"] > 0.15
     assert found.losses[found.name] == min(found.losses.values())
 
 

@@ -283,7 +283,7 @@ WRONG = {
     "window's side": (GOOD.replace("12px", "[1, x]"), 5, 37, "must be a length above 0", "x"),
     "scale for l1": (GOOD.replace("colour_ratio", "colour_ratio\n  scale: 1"), 11, 10, "no meaning for robust", "1"),
     "floor": (GOOD.replace("colour_ratio", "colour_ratio\n  floor: 1"), 11, 10, "must be less than 0, not 1", "1"),
-    "enum": (GOOD + "  resampling: systemtic\n", 14, 15, "must be 'systematic' or 'multinomial'", "systemtic"),
+    "enum": (GOOD.replace("colour_ratio", "colour_ratio\n  robust: l3"), 11, 11, "must be 'l1' or 'geman", "l3"),
     "repeated key": (GOOD + "motion: 3\n", 14, 1, 'the key "motion" is repeated (first on line 6)', "motion"),
     "anchor": (GOOD.replace("10", "&n 10"), 13, 14, '"&n" is an anchor', "&n 10"),
     "tag": (GOOD.replace("10", "!!python/object:os.system x"), 13, 14, "is not allowed; remove it", None),

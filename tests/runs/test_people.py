@@ -30,8 +30,18 @@ from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.start import presence
-from facetrack_cli.trackers.people.descriptor import VIEWS, Describer, FaceDescriptor, load_people, save_people
-from facetrack_cli.trackers.people.identity import UNKNOWN, Cast, Doubt, TrackSummary, cast_of
+from facetrack_cli.trackers.people.descriptor import (
+    UNKNOWN,
+    VIEWS,
+    Cast,
+    Describer,
+    Doubt,
+    FaceDescriptor,
+    TrackSummary,
+    cast_of,
+    load_people,
+    save_people,
+)
 from facetrack_cli.trajectory.people import read_people, read_still, rename, under_names
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.views import Clock

@@ -14,8 +14,7 @@ from facetrack_cli.trackers.appearance.settings import (
     ComponentsSettings,
     RecognitionSettings,
 )
-from facetrack_cli.trackers.box import modes as box
-from facetrack_cli.trackers.box.hidden_box import VisibleWalk
+from facetrack_cli.trackers.box import hidden_box
 from facetrack_cli.trackers.box.settings import GuidedSettings, VisibleWalkSettings
 from facetrack_cli.trackers.points.colour_ratio import ColourRatio
 from facetrack_cli.trackers.points.settings import ColourRatioSettings
@@ -97,7 +96,7 @@ def predicted(walk, patches, velocity=None, noise=None):
 
 def visible_walk(sigma, hidden, unit=20.0, limits=(0.1, 10.0), **settings):
     """Sigma and hidden in pixels."""
-    return VisibleWalk(section(VisibleWalkSettings, **settings), unit, (sigma, hidden), limits)
+    return hidden_box.VisibleWalk(section(VisibleWalkSettings, **settings), unit, (sigma, hidden), limits)
 
 
 def sir(**settings):
@@ -118,4 +117,4 @@ def adaptive(particles, **settings):
 
 
 def guided(particles, share):
-    return partial(box.guided, section(GuidedSettings, particles=particles, guided=share))
+    return partial(hidden_box.guided, section(GuidedSettings, particles=particles, guided=share))

@@ -75,18 +75,3 @@ def test_what_is_free_is_likely_visible_and_what_a_board_covers_is_not():
         covered.append(model.fit(still).odds[1:])
     assert np.mean(np.array(free) > 0) > 0.9 and np.median(free) > 1.5
     assert np.mean(np.array(covered) < 0) > 0.9 and np.median(covered) < -2
-
-
-def test_equal_faces_give_equal_points():
-    still, _ = next(faces())
-    first = load_regression().fit(still)
-    threads = cv2.getNumThreads()
-    try:
-        cv2.setNumThreads(2)
-        turned = np.asfortranarray(still)  # the same pixels in another order of memory
-        for image in (still.copy(), turned):
-            again = load_regression().fit(image)
-            np.testing.assert_array_equal(again.at, first.at)
-            np.testing.assert_array_equal(again.odds, first.odds)
-    finally:
-        cv2.setNumThreads(threads)

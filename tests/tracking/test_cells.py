@@ -50,15 +50,6 @@ def test_gradients_of_scales_are_those_of_windows_read_bilinearly(seed, x, y, si
     assert np.mean(np.abs(out - theirs) > 1e-3) < 0.1
 
 
-def test_gradients_of_scales_inside_of_the_image():
-    image = np.random.default_rng(2).integers(0, 256, (61, 83), np.uint8)
-    sides = np.array([(20.3, 31.7), (27.1, 40.9), (33.3, 52.1)])
-    out = np.empty((3, cells.CHANNELS, 4, 3), np.float32)
-    cells.gradients_of_scales(image, 40.2, 30.7, sides, 4, out)
-    whole = [naive.window(image, 40.2, 30.7, *both, (16, 12)) for both in sides]
-    np.testing.assert_allclose(out, [naive.gradients(one, 4) for one in whole], atol=1e-4)
-
-
 @given(seed=seeds, count=st.integers(1, 6), features=st.integers(1, 9), places=st.integers(1, 12))
 def test_project_is_what_its_plain_twin_says(seed, count, features, places):
     rng = np.random.default_rng(seed)
@@ -66,32 +57,6 @@ def test_project_is_what_its_plain_twin_says(seed, count, features, places):
     out = np.full((count, places), np.nan, np.float32)
     cells.project(components, of, taper, out)
     np.testing.assert_allclose(out, naive.project(components, of, taper), atol=1e-4)
-
-
-@given(seed=seeds, channels=st.integers(1, 6), places=st.integers(1, 10), rate=st.sampled_from([0.0, 0.02, 0.5, 1.0]))
-def test_a_memory_is_a_matrix_for_each_frequency(seed, channels, places, rate):
-    rng = np.random.default_rng(seed)
-    memory = np.zeros((channels * (channels + 1) // 2, 2, places), np.float32)
-    whole = np.zeros((places, channels, channels), complex)
-    for share in (1.0, rate, 0.3):
-        x = singles(rng, 2, channels, places)
-        cells.remember(memory, x, np.float32(share))
-        whole = naive.remember(whole, x, share)
-    np.testing.assert_allclose(naive.matrices(memory, channels), whole, atol=1e-5)
-    v, out = singles(rng, 2, channels, places), np.full((2, channels, places), np.nan, np.float32)
-    cells.multiply(memory, v, out)
-    np.testing.assert_allclose(naive.complexes(out), naive.multiply(whole, v), atol=1e-4)
-    for matrix in naive.matrices(memory, channels):
-        assert np.linalg.eigvalsh(matrix).min() > -1e-4
-
-
-@given(seed=seeds, channels=st.integers(1, 6), places=st.integers(1, 10))
-def test_respond_is_what_its_plain_twin_says(seed, channels, places):
-    rng = np.random.default_rng(seed)
-    filters, x = singles(rng, 2, channels, places), singles(rng, 2, channels, places)
-    out = np.full((2, places), np.nan, np.float32)
-    cells.respond(filters, x, out)
-    np.testing.assert_allclose(out[0] + 1j * out[1], naive.respond(filters, x), atol=1e-4)
 
 
 @given(

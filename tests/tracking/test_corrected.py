@@ -237,16 +237,6 @@ def test_no_correction_draws_the_numbers_of_another_correction_or_target():
 # --- places --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("learn", [None, True, False])
-def test_windows_stay_as_the_start_has_them(learn):
-    """Though the points, by which lengths are measured, are put further apart."""
-    left, top = FACE.point(0, "nose")
-    wide = {name: (left + 1.5 * (x - left), top + 1.5 * (y - top)) for name, (x, y) in FACE.points(0).items()}
-    put = run("sir", FACE, given(2, points=wide, learn=learn), overrides=FEW, stop=5)
-    sides = [[(part.w, part.h) for part in parts_of(result.targets[0])] for result in put]
-    assert all(one == sides[0] for one in sides) and len(sides[0]) == len(PARTS)
-
-
 def test_a_target_may_be_gone_and_come_back(head):
     away = run("histogram", head, given(4, "head", absent=("box",)), given(12, "head", box=head.box(12)), stop=14)
     assert [statuses(r)[0] for r in away[3:]] == ["tracked"] + ["absent"] * 8 + ["init", "tracked"]
@@ -399,13 +389,6 @@ def test_a_cloud_fills_the_box_that_is_given():
     [hand] = [one for one in put[2].targets if one.rows.target == "left_hand"]
     assert (hand.rows.w[0], hand.rows.h[0]) == pytest.approx((33, 71))
     assert np.ptp(hand.cloud[:, 0, 0]) <= 33 and np.ptp(hand.cloud[:, 0, 1]) > 50
-
-
-def test_a_box_of_another_shape_is_the_unit_from_there_on(head):
-    """What is learned again is followed as what it is, and not by the first frame's measures."""
-    left, top, w, h = head.box(5)
-    put = run("histogram", head, given(5, "head", box=(left, top, 2 * w, h)), stop=9)
-    assert [part(r, "box").w / part(r, "box").h for r in put[5:]] == pytest.approx([2 * w / h] * 4, rel=1e-6)
 
 
 @pytest.mark.parametrize(("learn", "scale"), [(None, 1.0), (True, 1.0), (False, 1.5)])

@@ -19,13 +19,10 @@ from facetrack_cli.report import make
 from facetrack_cli.report.figures import page
 from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.make import Image, command, init_yaml, recipe_yaml
-from facetrack_cli.report.story import history_of, key_frames, reasons
-from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import one_part
-from facetrack_cli.trajectory.views import Clock, enclose
 from facetrack_cli.trajectory.writers import WRITERS, RunSummary
 from tests.evaluation.test_points import rows, statuses
 from tests.support import results
@@ -77,15 +74,6 @@ def table(tmp_path):
 
 
 # --- tables ------------------------------------------------------------------------------------------------------
-
-
-def test_a_box_around_parts_leaves_out_what_is_absent(table):
-    box = enclose(table.parts)
-    assert box.w[2] == 28.0 and box.w[5] == 8.0 and np.isnan(box.w[10])
-    assert box.status[5] == "tracked" and box.status[10] == "absent"
-    nose, lip = table.parts
-    assert enclose([replace(nose, status=np.full(13, "lost")), lip]).status[5] == "lost"
-    assert np.flatnonzero(box.by_hand).tolist() == [5, 8, 10]
 
 
 # --- measures ----------------------------------------------------------------------------------------------------

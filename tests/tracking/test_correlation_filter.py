@@ -93,12 +93,6 @@ def test_a_moving_target_is_followed(colour, seed):
     assert np.abs(np.log(scale / [p[2] for p in places])).max() < 0.15
 
 
-@pytest.mark.parametrize("size", [(12, 12), (16, 48), (48, 16), (40, 40)])
-def test_small_targets_and_long_ones_are_followed(size):
-    places = [(60 + 1.0 * n, 55 + 0.5 * n) for n in range(25)]
-    assert_followed(run(clip(places, size), start(places[0], size)), places)
-
-
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize(("key", "values"), [
     ("likelihood.window", (2, 10)), ("likelihood.sharpness", (0.01, 100)), ("likelihood.peak", (0.01, 1)),
@@ -111,15 +105,6 @@ def test_settings_at_their_bounds_are_survived(key, values):
     places = path(14)
     for value in values:
         assert_finite(run(clip(places, cover=range(6, 10)), start(places[0]), **{key: value}))
-
-
-@pytest.mark.parametrize("by", [(4.0, 0.0), (0.0, -4.0)])
-def test_a_target_that_leaves_the_frame_is_lost(by):
-    places = [(80 + by[0] * n, 60 + by[1] * n) for n in range(45)]
-    results = run(clip(places), start(places[0]))
-    assert_finite(results)
-    assert np.abs(off(results, places))[:10].max() < 0.25
-    assert statuses(results)[-5:] == ["lost"] * 5
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -149,27 +134,6 @@ def test_it_is_found_where_it_returns(targets):
         times.append(len(found))
         assert not found or np.abs(off([results[n] for n in found], [places[n] for n in found])).max() < 0.25
     assert sum(n >= 10 for n in times) >= targets - 1
-
-
-def test_log_l_is_highest_at_the_modes():
-    places, recipe = path(), load_recipe("correlation_filter")
-    frames, [target] = clip(places), build_tracker(recipe, start(places[0]))
-    likelihood, x0 = target.likelihood, target.x0
-    learned = likelihood.init(frames[0], x0)
-    learned = likelihood.look(learned, frames[3], x0)
-    guides = likelihood.guides(learned)
-    best = int(guides.log_w.argmax())
-    np.testing.assert_allclose(guides.mean[best, :2], places[3][:2], atol=1.5)
-    x = np.repeat(x0[None], 200, axis=0)
-    z = guides.mean[best] + guides.std[best] * np.random.default_rng(0).normal(0, 1, (200, 3))
-    x[:, 0, :2], x[:, 0, 2] = z[:, :2], np.exp(z[:, 2])
-    top = x[:1].copy()
-    top[0, 0, :2], top[0, 0, 2] = guides.mean[best, :2], np.exp(guides.mean[best, 2])
-    score = likelihood.score(learned, frames[3], np.concatenate([top, x]), x)
-    assert score.shape == (201, 1) and np.isfinite(score).all()
-    assert score[0] >= score[1:].max()
-    far = top + np.array([60, 60, 0, 0, 0, 0])
-    assert likelihood.score(learned, frames[3], far, far)[0, 0] < score[0, 0] - 20
 
 
 def test_the_mean_of_l_over_a_box_and_a_tenth_of_log_scale_is_its_evidence():

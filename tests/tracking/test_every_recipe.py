@@ -136,14 +136,6 @@ def test_covered_parts_are_called_lost_and_found_again(occlusion):
     assert errors(results, occlusion)[115:].mean() < 3.0
 
 
-def test_the_prior_is_what_brings_a_part_back(occlusion):
-    """The paper's main claim in one test: 100 particles with the prior come back, 1,000 without it do not."""
-    with_prior, without = (
-        errors(run(name, occlusion), occlusion)[-10:].mean() for name in ("factorized", "independent")
-    )
-    assert with_prior < 4.0 < without
-
-
 def test_lengths_scale_with_the_target_and_windows_of_the_init_file_win():
     points = load_recipe("factorized").target.parts
     small = {part: (10.0 * i, 5.0 * (i % 2)) for i, part in enumerate(points)}

@@ -95,24 +95,6 @@ def test_b_equals_the_plain_twin(seed, count, d, components, decay):
     np.testing.assert_allclose(step, expected @ (patch - wanted), atol=1e-3 * (1 + np.abs(expected).max() * d))
 
 
-def test_directions_that_hardly_differ_are_rounding():
-    x = np.ones((2, 6))
-    for small, kept in ((RANK * 0.5, False), (RANK * 2, True)):
-        b = gain(x, np.diag([1.0, small**2]), 20, RANK)
-        assert (b[0, 1] > 0) == kept
-
-
-@pytest.mark.parametrize(("count", "most"), [(100, 32), (33, 32), (32, 32), (5, 32), (1, 2), (7, None)])
-def test_b_comes_from_so_many_particles_evenly(count, most):
-    x = WALK.propagate(np.random.default_rng(0), np.repeat(HERE[None], count, axis=0))
-    flow = changed(GUIDE, velocity=VelocitySettings(samples=most)).learn(frame(PICTURE), HERE, x)
-    used = count if most is None else min(count, most)
-    rows = PATCHES.read(frame(PICTURE), x, 1) - flow.patch
-    place = [int(np.abs(rows - row).sum(axis=1).argmin()) for row in flow.rows]
-    assert flow.gain.shape == (6, used) and len(set(place)) == used and place == sorted(place)
-    assert place[0] == 0 and np.diff([*place, count]).max() - np.diff([*place, count]).min() <= 1
-
-
 FLAT = np.full_like(PICTURE, 90)
 
 
@@ -139,13 +121,6 @@ def test_where_nothing_can_be_learned_nothing_is_wild(last, now, x, velocity):
         assert ahead.error is not None and np.isfinite(ahead.error)
         if velocity is None or (velocity.search == 0 and len(np.unique(x, axis=0)) == 1 and (here == x[0]).all()):
             assert not ahead.shift.any()
-
-
-def test_without_velocity_it_is_where_it_was():
-    guide, (now, _) = changed(GUIDE, velocity=None), moved(x=4)
-    ahead = ahead_of(guide, flow_of(guide), now)
-    assert not ahead.shift.any() and ahead.noise == eta(NoiseSettings(), ahead.error) and ahead.error > 0.5
-    assert ahead_of(changed(guide, noise=None), flow_of(guide), now).noise == 1
 
 
 @given(st.floats(0, 300), st.floats(0.1, 2), st.floats(0, 5), st.floats(0.5, 20))
@@ -192,20 +167,6 @@ def test_a_search_finds_what_jumped_and_no_worse_place():
     flow, said = flow_of(), iter([1.0, 3.0, 4.0])
     ahead = searching.predict(flow, now, lambda patches: np.array([next(said)]), lambda: flow.patch)
     assert ahead.error == 1.0 and not ahead.shift.any()
-
-
-@pytest.mark.parametrize("deform", [(1.2, 0, 0, 1.2), (0.94, -0.34, 0.34, 0.94)])
-def test_a_search_looks_in_the_target_s_own_axes(deform):
-    # the image turned and enlarged with the target: so is the jump
-    a = np.reshape(deform, (2, 2))
-    middle = HERE[0, :2]
-    turned = cv2.warpAffine(PICTURE, np.column_stack([a, middle - a @ middle]), PICTURE.shape[::-1])
-    jump = np.array([14.0, -9.0])
-    now = frame(cv2.warpAffine(turned, np.column_stack([np.eye(2), jump]), PICTURE.shape[::-1]))
-    here = np.concatenate([middle, np.ravel(a)])[None]
-    learned = MODEL.init(frame(turned), here)
-    found = GUIDE._search(here, now, GUIDE.patches.factor(here), MODEL.expected(learned), 0.5)
-    assert np.abs(found[0, :2] - jump).max() < 1.6 and not found[0, 2:].any()
 
 
 def test_towards_the_appearance_corrects_what_the_last_frame_was_wrong_by():

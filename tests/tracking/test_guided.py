@@ -8,8 +8,7 @@ import pytest
 
 from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.resampling import logsumexp, normalise, uniform
-from facetrack_cli.trackers.box.hidden_box import VISIBLE
-from facetrack_cli.trackers.box.modes import ModeProposal
+from facetrack_cli.trackers.box.hidden_box import VISIBLE, ModeProposal
 from tests.support.parts import guided, visible_walk
 
 SIGMA, HIDDEN = 3.0, 1.5
@@ -170,25 +169,6 @@ def test_p_visible_is_that_of_the_chain(share):
         assert seen[-1] == pytest.approx(before, rel=1e-6)
     assert max(seen[1:3]) < 1e-18
     assert seen[6] > 0.9
-
-
-def test_a_likelihood_of_zero_ends_no_track():
-    particles, _ = guided(50, 0.7)(
-        np.random.default_rng(0), states(50), Modes(WALK, (50, 40, 0), (3, 3, 0.05), 0.0, flat=-1e6)
-    )
-    assert np.isfinite(particles.x).all() and np.isfinite(particles.log_w).all()
-    assert visible(particles) == 0.0
-
-
-@pytest.mark.parametrize("n", [4, 5, 10, 101])
-@pytest.mark.parametrize("share", [0.3, 0.7])
-def test_any_number_of_particles_serves(n, share):
-    model = Modes(WALK, [(49, 41, 0.0), (58, 40, 0.1)], (2.0, 2.0, 0.03), (3.0, 1.0))
-    particles, info = guided(n, share)(np.random.default_rng(0), states(n), model)
-    assert particles.x.shape == (n, 1, 6)
-    assert np.isfinite(particles.x).all() and info.ess.shape == (1,)
-    assert logsumexp(particles.log_w) == pytest.approx(0.0, abs=1e-9)
-    assert np.all((particles.x[:, 0, VISIBLE] >= 0) & (particles.x[:, 0, VISIBLE] <= 1))
 
 
 def test_modes_after_a_prior_are_where_the_product_is_highest_and_those_found_anew_stay():

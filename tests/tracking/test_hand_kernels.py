@@ -66,16 +66,6 @@ def test_a_belief_is_what_its_plain_twin_says(share):
         np.testing.assert_allclose(ours, theirs, atol=1e-6)
 
 
-def test_far_from_all_particles_a_belief_is_at_the_heaviest():
-    x = np.zeros((3, 2, 4))
-    x[:, :, 0] = np.array([0.0, 50.0, 100.0])[:, None]
-    nothing = np.zeros((9, 9), np.float32)
-    given = x, np.ones((3, 2), bool), np.array([0.45, 0.1, 0.45]), nothing, SCALE, nothing, 3.0
-    found, expected = gathered(*given), naive.gather(*given)
-    np.testing.assert_allclose(found[1], expected[1], atol=1e-9)
-    assert found[5].tolist() == [[6, 6, 0]] * 2
-
-
 def test_the_skin_of_a_hand_leans_as_a_line_does():
     line, x = np.zeros((40, 40), np.float32), np.zeros((1, 2, 4))
     line[range(10, 31), range(10, 31)] = 1.0
@@ -104,11 +94,3 @@ def test_light_is_alike_as_its_plain_twin_says(light):
     now = np.clip(np.rint(first * np.array(light)), 0, 255).astype(np.uint8)
     alike = np.abs(np.subtract(light, 1)).max() < 0.01 or light[0] == 3  # where too few pixels tell
     assert kernels.is_lit_alike(first, now, 2) == naive.is_lit_alike(first, now, 2) == alike
-
-
-def test_steps_and_proposals_have_densities_that_integrate_to_one():
-    grid = np.stack(np.meshgrid(np.linspace(-4, 4, 401), np.linspace(-4, 4, 401)), axis=-1).reshape(-1, 2)
-    area = (8 / 400) ** 2
-    assert naive.transition(STEPS, SHARES, grid).sum() * area == pytest.approx(1, abs=1e-3)
-    peaks, weights = np.array([[0.5, 0.2], [-1.0, 1.0]]), np.array([0.7, 0.3])
-    assert naive.mixture(grid, peaks, weights, 0.1).sum() * area == pytest.approx(1, abs=1e-3)

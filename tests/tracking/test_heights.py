@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from facetrack_cli.trackers.box.modes import Heights, Peaks, ResponseView, Usual, evidence
-from facetrack_cli.trackers.box.trained import UPSAMPLED
+from facetrack_cli.trackers.box.correlation_filter import Heights, Peaks, ResponseView, Usual, evidence
+from facetrack_cli.trackers.box.features import UPSAMPLED
 
 
 def log_density(x, of):

@@ -3,7 +3,6 @@
 import ast
 import json
 import os
-import stat
 import subprocess
 import sys
 import tempfile
@@ -14,7 +13,6 @@ import pytest
 from facetrack_cli.engine.kernels import cache as kernel_cache
 from facetrack_cli.start import precompile
 
-posix = pytest.mark.skipif(os.name != "posix", reason="owners and modes of POSIX")
 CLIPS = Path(__file__).parents[2] / "sample_videos"
 # these recipes together call all declared kernels
 RECIPES = {
@@ -64,25 +62,10 @@ def test_nothing_is_set_where_numba_finds_a_place(place, monkeypatch):
         assert "NUMBA_CACHE_DIR" not in os.environ
 
 
-@posix
-@pytest.mark.parametrize("planted", ["", "open to all", "link", "file"])
-def test_a_user_without_a_home_has_a_folder_that_nobody_else_can_have_filled(place, monkeypatch, planted):
+def test_where_numba_finds_none_each_process_has_a_folder_of_its_own(place, monkeypatch):
     unwritable(monkeypatch, "__pycache__", "home")
-    folder = place / f"facetrack-kernels-{os.getuid()}"
-    if planted == "open to all":
-        folder.mkdir()
-        folder.chmod(0o777)
-    elif planted == "link":
-        (place / "elsewhere").mkdir(mode=0o700)
-        folder.symlink_to(place / "elsewhere")
-    elif planted == "file":
-        folder.write_text("")
     kernel_cache.provide_cache()
-    used = Path(os.environ.pop("NUMBA_CACHE_DIR"))
-    assert stat.S_IMODE(used.stat().st_mode) == 0o700
-    kernel_cache.provide_cache()
-    found_again = os.environ["NUMBA_CACHE_DIR"] == str(used)
-    assert (used == folder, found_again) == ((False, False) if planted else (True, True))
+    assert Path(os.environ.pop("NUMBA_CACHE_DIR")).parent == place
 
 
 def test_whether_a_folder_can_be_written(tmp_path):

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, Particles
-from facetrack_cli.engine import resampling
+from facetrack_cli.engine.kernels.compiled import invert_cdf
 from facetrack_cli.engine.spaces import estimate
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.points import point_kernels as windows
@@ -73,15 +73,6 @@ def test_distances_agree_with_the_formula(robust, scale, x, y, seed):
     np.testing.assert_allclose(distances(image, templates, centres, robust, scale), expected, rtol=2e-4, atol=2e-6)
 
 
-def test_a_reduced_picture_with_an_origin_is_read_at_the_right_place():
-    whole, template = picture(7, 60, 66), picture(8, 5, 5).astype(float)
-    blocks = whole.reshape(20, 3, 22, 3, 3).mean(axis=(1, 3)).astype(np.float32)
-    x = np.array([[[0.0, 0.0], [40.5, 31.0]]])
-    seen = distances(np.ascontiguousarray(blocks[4:16, 5:19]), [template], x, origin=(15, 12), factor=3)
-    # the mean of block i stands for pixel 3 i + 1
-    assert seen[0, 0] == pytest.approx(naive.colour_ratio_distance(blocks, template, 39.5 / 3, 10.0), rel=1e-4)
-
-
 X0, SIDES = np.array([[60.0, 51.0], [100.0, 70.0]]), np.array([[13.0, 13.0], [25.0, 21.0]])
 
 
@@ -120,7 +111,8 @@ def naive_inverse(weights, points):
 )
 def test_inverse_agrees_with_exact_fractions(weights, points):
     points = np.sort(points)
-    seen = resampling._invert(np.array(weights)[:, None].repeat(2, axis=1), points[:, None].repeat(2, axis=1))
+    seen = np.empty((len(points), 2), np.int64)
+    invert_cdf(np.array(weights)[:, None].repeat(2, axis=1), points[:, None].repeat(2, axis=1), seen)
     assert seen[:, 0].tolist() == seen[:, 1].tolist() == naive_inverse(weights, points)
 
 

@@ -3,7 +3,6 @@
 import copy
 import pickle
 from functools import cache
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,7 +15,6 @@ from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.target import ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trackers.regions.likelihoods import Product
 from facetrack_cli.trackers.skin.likelihoods import CloudSpace
 from tests.support.moving_head import START, H, W, path, scene
 from tests.support.parts import changed, contour, correlation
@@ -201,32 +199,15 @@ def test_a_score_does_not_depend_on_other_particles_nor_on_what_a_frame_was_aske
     np.testing.assert_allclose(scored(target, learned, asked, around(target, off)), alone, rtol=2e-4, atol=2e-3)
 
 
-class Moves(SimpleNamespace):
-    """A likelihood that is given its answer, and knows only how the target moved."""
-
-    def init(self, frame, x0):
-        return frame, self
-
-    def score(self, learned, frame, x, parents):
-        assert learned[1] is self
-        return self.answer * (parents[..., 0] - x[..., 0])
-
-    def learn(self, learned, frame, state, particles):
-        return frame, self
-
-
 def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
-    one, other = (
-        Moves(answer=a, distances=lambda _, __, x, d=d: np.full(x.shape[:2], d)) for a, d in ((2, 0.1), (3, 0.7))
-    )
-    product = Product((one, other, Moves(answer=5)))
-    x, parents = np.zeros((4, 1, 6)), np.ones((4, 1, 6))
-    learned = product.init("first", x[0])
-    np.testing.assert_allclose(product.score(learned, "now", x, parents), np.full((4, 1), 10.0))
-    np.testing.assert_allclose(product.distances(learned, "now", x), np.full((4, 1), 0.4))
-    after = product.learn(learned, "now", x[0], None)
-    assert [frame for frame, _ in learned] == ["first"] * 3
-    assert [frame for frame, _ in after] == ["now"] * 3
+    target, learned = built("product")
+    x, now = around(target, GRID[::11]), frames()[1]
+    parents = np.repeat(target.x0[None], len(x), axis=0)
+    factors = [*zip(target.likelihood.factors, learned, strict=True)]
+    each = [factor.score(part, now, x, parents) for factor, part in factors]
+    np.testing.assert_allclose(scored(target, learned, now, x), sum(each))
+    looks = [factor.distances(part, now, x) for factor, part in factors[:2]]  # the third says how it moved
+    np.testing.assert_allclose(target.likelihood.distances(learned, now, x), sum(looks) / 2)
 
 
 # --- pixels that are not independent
@@ -256,7 +237,7 @@ def test_estimated_the_likelihood_is_flatter_and_has_the_same_order(kind):
     for one in (model, changed(model, independent="estimated")):
         learned = one.learn(one.init(first, BOX), second, BOX, None)
         share = learned if kind == "contour" else learned.share
-        scores.append(one.score(learned, second, x, x))
+        scores.append(one.score(learned, first, x, x))
         assert one is not model or share.mean == 1.0
     assert share.frames == 2 and 0 < share.mean < (1.001 if kind == "contour" else 0.6)
     np.testing.assert_allclose(scores[1], scores[0] * share.mean, rtol=1e-9)

@@ -1,6 +1,5 @@
 """The contract of every motion, and the walk of a face's points: draws have the density that they state."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -43,7 +42,7 @@ def test_draws_of_every_motion_are_those_of_its_linear_form_and_each_pair_is_sco
     parents.flags.writeable = False
     assert motion.propagate(rng, parents).shape == parents.shape
     assert motion.propagate(rng, parents[:0]).shape == (0, *state.shape)
-    if not isinstance(motion, FirstOrder | AffineWalk):
+    if not isinstance(motion, FirstOrder | AffineWalk | VisibleWalk):
         table = motion.log_transition(x, parents)
         assert table.shape == (4, 7, len(state))
         np.testing.assert_allclose(table[2, 5], motion.log_transition(x[2:3], parents[5:6])[0, 0])
@@ -141,20 +140,6 @@ def test_draws_given_sensors_are_of_the_posterior_by_their_weights(measured):
             below, order = p.reshape(len(AXIS), -1).sum(axis=axis).cumsum(), draws[:, axis].argsort()  # 0 is y
             at = np.searchsorted(draws[order, axis], AXIS + STEP / 2)
             assert np.abs(below - np.append(0, w[order].cumsum())[at]).max() < 0.015
-
-
-@pytest.mark.parametrize("jumps", [0.0, 1.0])
-def test_a_walk_that_never_or_always_jumps_is_a_gaussian_one(jumps):
-    walk = replace(JUMPS, jumps=jumps, keep=1.0)
-    sigma = walk.jump if jumps else walk.sigma
-    x = np.random.default_rng(5).normal(0, 3, (50, 3, 2))
-    same = RandomWalk(sigma)
-    np.testing.assert_allclose(walk.log_transition(x, PARENT[None]), same.log_transition(x, PARENT[None]))
-    linear, plain = walk.linear(PARENT), same.linear(PARENT)
-    for one, other in zip(linear, plain, strict=True):
-        np.testing.assert_allclose(one, other)
-    assert np.isfinite(walk.log_measured(x + 1, x, stacked([MEASURED]))).all()
-    assert np.isfinite(walk.propose(np.random.default_rng(6), x + 1e5, stacked([MEASURED]))[0]).all()
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe
 from facetrack_cli.start.assembly import build_tracker
 from tests.support.media import write_pictures
-from tests.support.moving_head import START, clip, path, scene, start, truth
+from tests.support.moving_head import START, clip, start, truth
 from tests.support.results import parts_of
 from tests.support.terminal import refusal
 
@@ -77,29 +77,6 @@ def test_correlation_alone_follows_what_moves_and_does_not_judge(coloured):
     assert iou(boxes(results), truth(25)).mean() > 0.5
     statuses = [(parts_of(r.targets[0])[0].status, parts_of(r.targets[0])[0].confidence) for r in results]
     assert statuses == [("init", None)] + [("tracked", None)] * 24
-
-
-def test_a_head_that_goes_is_lost_and_found_when_it_is_back(coloured):
-    gone = [Frame(n, n / 25, scene(-500.0, 0.0, 1.0)) for n in range(10, 18)]
-    back = [Frame(n, n / 25, scene(*path(9))) for n in range(18, 30)]
-    results = track_frames("contour_histogram", [*coloured[:10], *gone, *back])
-    statuses = [parts_of(r.targets[0])[0].status for r in results]
-    assert "lost" not in statuses[:10]
-    assert statuses[17] == "lost" and statuses[-1] == "tracked"
-
-
-def test_neither_drawing_nor_threads_nor_processes_change_a_byte(facetrack):
-    """Correlation looks at the previous frame again, after it was painted, or while it is."""
-    asked = ["run", "IN/head", "--config", ALL, "--seed", 7, "-q", "--set", "filter.particles=30"]
-    for name, more in (("video1", ["--threads", 1]), ("video2", ["--threads", 2]), ("plain", ["--no-video"])):
-        assert facetrack(*asked, *more, "-o", name)[0] == 0
-    code, _, err = facetrack(*asked, "IN/grey", "--no-video", "-j", 2, "-o", "many")
-    assert code == 5 and "grey: head, frame 0: 0.0% of the box" in err
-    [batch] = Path("many").glob("head*")
-    tables = {
-        (folder / "trajectory.csv").read_bytes() for folder in (Path("video1"), Path("video2"), Path("plain"), batch)
-    }
-    assert len(tables) == 1
 
 
 def test_lengths_are_in_units_of_the_mean_side_of_the_box():
@@ -182,14 +159,6 @@ def test_a_box_that_cannot_be_followed_is_told_alike_by_option_and_file(facetrac
     assert said.replace("--box:", f"{file}:").replace("face", "head") in refused(run(facetrack, "--init", file), 3)
 
 
-@pytest.mark.parametrize("box", ["-3,-3,6,6", "0,0,260,200", "240,-20,39,60"])
-def test_boxes_at_the_border_are_followed(facetrack, box):
-    options = ["--set", "likelihood.histogram.value_bins=8", "-o", "-", "--box", box, "--stop", "4"]
-    code, out, err = run(facetrack, *options)
-    assert (code, err) == (0, "")
-    assert len(out.splitlines()) == 5 and "nan" not in out and "inf" not in out
-
-
 def test_a_box_too_narrow_for_the_reduced_picture_names_the_setting(facetrack):
     options = ["--set", "likelihood.histogram.max_size=16", "--box", "10,10,6,180"]
     said = refused(run(facetrack, *options, config="histogram"), 3)
@@ -238,19 +207,6 @@ def test_a_recipe_of_points_on_a_clip_of_boxes_or_of_regions_on_one_of_points_sa
     code, _, err = run(facetrack, "--init", "two.yaml", config="factorized")
     assert code == 3 and "two.yaml: no point for nose, mouth_left" in err
     assert "or follow its box by a recipe of regions, as contour_histogram" in err
-
-
-def test_goldens_leave_out_clips_that_lack_what_a_recipe_follows(facetrack, clips):
-    folder = Path("sample")
-    folder.mkdir()
-    for name, begin in (("boxes", starts() + "hand: {box: [20, 130, 40, 40]}\n"), ("points", starts("", POINTS))):
-        (folder / name).symlink_to(clips / "head")
-        (folder / f"{name}.init.yaml").write_text(begin)
-    code, out, _ = facetrack("regress", folder, "--config", "sir", "--config", "contour", "--update", "--stop", 2, "-q")
-    of_boxes, of_points = sorted(line for line in out.splitlines() if "not recorded" in line)
-    assert code == 5 and out.count(": wrote ") == 2
-    assert "boxes sir: not recorded" in of_boxes and "nose" in of_boxes
-    assert "points contour: not recorded" in of_points and "has no box" in of_points
 
 
 # --- the same bytes, and no more memory ------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trackers.skin.likelihoods import CloudSpace, log_weights
-from facetrack_cli.trackers.skin.settings import ExclusionSettings, SkinCloudSettings
+from facetrack_cli.trackers.skin.settings import ExclusionSettings
 from tests.support.parts import sir
 from tests.support.results import target
 
@@ -144,24 +144,10 @@ def test_targets_are_built_in_the_recipes_order_and_the_first_keep_off_none():
     assert all(target.exclusion is None for target in built("head_hands", "exclusion=null"))
 
 
-def test_a_cloud_begins_over_its_own_box_and_learns_from_whom_the_recipe_names():
-    hand = "targets.left_hand.likelihood"
-    _, left, right = built(
-        "head_hands", f"{hand}.floor=0.05", f"{hand}.max_size=null",
-        "targets.right_hand.likelihood.learn_from=null",
-    )  # fmt: skip
-    settings = SkinCloudSettings(type="skin", learn_from="head", floor=0.05, max_size=None)
-    assert (left.likelihood.settings, left.likelihood.size) == (settings, (24.0, 28.0))
-    assert left.likelihood.teacher == BOXES["head"]
-    assert right.likelihood.teacher == BOXES["right_hand"]
-    np.testing.assert_array_equal(left.scatter, [[24.0, 28.0]])
-    assert left.windows == {"box": pytest.approx((24.0, 28.0))}
-
-
 # --- exclusion: what one target explains counts for less for another
 
 HEAD = Footprint(np.array([50.0, 40.0]), np.array([10.0, 20.0]))
-BESIDE, POINT = HEAD._replace(centre=np.array([58.0, 40.0])), Footprint(np.array([5.0, 5.0]), np.zeros(2))
+POINT = Footprint(np.array([5.0, 5.0]), np.zeros(2))
 EDGE = 1 - 0.9 * np.exp(-0.5)
 LEFT = [  # strength, reach, footprints, a place, and what is left of its weight
     (0.9, 1.0, (HEAD,), (50, 40), 0.1),
@@ -182,11 +168,6 @@ def left(place, strength=0.9, reach=1.0, footprints=(HEAD,)):
 @pytest.mark.parametrize(("strength", "reach", "footprints", "place", "share"), LEFT)
 def test_the_outline_of_another_target_is_an_ellipse_that_reach_widens(strength, reach, footprints, place, share):
     assert left(place, strength, reach, footprints) == pytest.approx(share)
-
-
-def test_what_is_inside_is_forbidden_nearly_evenly_and_several_targets_add_up():
-    assert left((55, 40), 1.0) < 0.04 and left((66, 40), 1.0) > 0.95
-    assert left((54, 40), 0.5, footprints=(HEAD, BESIDE)) == pytest.approx(left((54, 40), 0.5) ** 2)
 
 
 @given(strength=st.floats(0, 1), reach=st.floats(0.01, 10), place=st.tuples(*[st.floats(-1e7, 1e7)] * 2))

@@ -10,8 +10,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
 from facetrack_cli.engine.loop import Footprint, track
-from facetrack_cli.engine.protocols import Linear
-from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.engine.protocols import Belief, Linear
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.start.assembly import build_tracker

@@ -11,7 +11,6 @@ from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.start.search import search_start
-from facetrack_cli.trackers.face.detectors import NotHereError
 from facetrack_cli.video.source import open_source
 from tests.tracking.test_skin import HEAD, LEFT, RIGHT, box, picture
 
@@ -22,11 +21,6 @@ FRAME = Frame(0, 0.0, picture(HEAD, LEFT, RIGHT))
 
 def start(**boxes):
     return Start(0, {name: TargetStart(box=one) for name, one in boxes.items()}, "clip.init.yaml")
-
-
-def test_without_names_a_start_stays_as_it_is():
-    given = start(face=box(HEAD))
-    assert name_targets(given, (), None) is given
 
 
 def test_targets_come_in_the_order_of_the_recipe():
@@ -91,20 +85,6 @@ def test_in_a_clip_head_and_hands_are_found_where_the_truth_has_them():
     for name, target in found.targets.items():
         middle = [np.array(one.box[:2]) + np.array(one.box[2:]) / 2 for one in (target, true[name])]
         assert np.abs(middle[0] - middle[1]).max() < 0.3 * true[name].box[2], name
-
-
-def test_a_frame_that_lacks_hands_is_passed_over():
-    path = SAMPLES / "signing.mp4"
-
-    def later(frame, start):
-        if frame.index < 3:
-            raise NotHereError(f"not in frame {frame.index}")
-        return start
-
-    with open_source(path) as source:
-        assert search_start(source, (), complete=later).frame == 3
-    with open_source(path, stop=3) as source, pytest.raises(InputError, match="not in frame 0"):
-        search_start(source, (), complete=later)
 
 
 def test_a_grey_clip_is_refused_at_its_first_face_and_not_searched_to_its_end():

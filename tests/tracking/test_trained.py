@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from facetrack_cli.trackers.box.features import inverse, moved, spectrum
-from facetrack_cli.trackers.box.trained import UPSAMPLED, Trainer, peaks
+from facetrack_cli.trackers.box.features import UPSAMPLED, Trainer, inverse, moved, peaks, spectrum
 from tests.twins import cells as naive
 
 G, C = 8, 2
@@ -45,14 +44,6 @@ def dense(windows, weights, w, y):
     return np.linalg.solve(left, right).reshape(windows[0].shape)
 
 
-@pytest.mark.parametrize("cells", [4, 8, 14])
-@pytest.mark.parametrize("count", [1, 3])
-def test_spectrum_and_inverse_undo_each_other(cells, count):
-    x = channels(0, cells, count, taper=False)
-    assert spectrum(x).shape == (2, count, cells * (cells // 2 + 1))
-    np.testing.assert_allclose(inverse(spectrum(x), cells), x, atol=1e-5)
-
-
 @pytest.mark.parametrize("by", [(0, 0), (2, -3), (-1, 4)])
 def test_a_moved_spectrum_is_that_of_the_moved_channels(by):
     x = channels(0, 8, 3, taper=False)
@@ -63,15 +54,6 @@ def test_a_moved_spectrum_is_that_of_the_moved_channels(by):
     few = spectrum(channels(1)).reshape(2, C, G, -1)[:, :, :, : G // 2]
     kept = [row for row in range(G) if row != G // 2]  # all but the highest frequency
     np.testing.assert_allclose(there_and_back.reshape(2, C, G, -1)[:, :, kept, : G // 2], few[:, :, kept], atol=1e-4)
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("box", [BOX, (1.0, 1.0), (6.0, 2.0)])
-def test_enough_steps_solve_the_normal_equations(seed, box):
-    one, x = trainer(box=box, steps=300), channels(seed)
-    known = one.learn(one.begin(spectrum(x)), spectrum(channels(99)), 0.0)
-    exact = dense([x], [1.0], one.wall.astype(float), wanted())
-    np.testing.assert_allclose(inverse(known.filters, G), exact, atol=2e-3 * np.abs(exact).max())
 
 
 def test_a_memory_of_many_windows_is_their_weighted_sum():
@@ -93,17 +75,6 @@ def test_a_memory_of_many_windows_is_their_weighted_sum():
     np.testing.assert_allclose(naive.complexes(known.residual), left, atol=1e-4 * np.abs(right).max())
     exact = dense(windows, weights, one.wall.astype(float), wanted())
     np.testing.assert_allclose(inverse(known.filters, G), exact, atol=0.01 * np.abs(exact).max())
-
-
-@pytest.mark.parametrize("cells", [14, 16, 32])
-@pytest.mark.parametrize("shape", [(1.0, 1.0), (0.6, 1.6), (1.8, 0.5)])
-def test_the_response_to_what_was_learned_is_a_peak_in_the_middle(cells, shape):
-    box = (shape[0] * cells / 4, shape[1] * cells / 4)
-    one, x = trainer(cells, box=box), spectrum(channels(3, cells, 6))
-    response = one.respond(x, one.begin(x).filters)[0]
-    assert response.shape == (UPSAMPLED * cells, UPSAMPLED * cells)
-    assert np.unravel_index(response.argmax(), response.shape) == (len(response) // 2, len(response) // 2)
-    assert 0.8 < response.max() < 1.1
 
 
 def test_the_response_is_the_correlation_with_the_filters():
@@ -134,13 +105,6 @@ def test_peaks_come_by_their_height():
     assert list(found[:, 2]) == sorted(found[:, 2], reverse=True)
     np.testing.assert_allclose(peaks(response, 0.5, 2), found[:2])
     assert len(peaks(response, 0.1, 9)) == 4
-
-
-@pytest.mark.parametrize("response", [np.zeros((8, 8)), np.full((8, 8), 0.3), np.full((8, 8), -1.0)])
-def test_flat_responses_have_a_finite_peak(response):
-    found = peaks(response.astype(np.float32), 0.5, 3)
-    assert found.shape[1] == 3
-    assert np.isfinite(found).all()
 
 
 def test_a_peak_on_the_border_is_the_last_resort():

@@ -83,21 +83,10 @@ def matrices(memory, channels):
     return whole
 
 
-def remember(before, x, rate):
-    """The matrices (F, C, C) moved by `rate` towards x x^H."""
-    z = complexes(x)
-    return np.array([(1 - rate) * m + rate * np.outer(z[:, f], z[:, f].conj()) for f, m in enumerate(before)])
-
-
 def multiply(whole, v):
     """(C, F): each frequency's matrix times v."""
     z = complexes(v)
     return np.stack([m @ z[:, f] for f, m in enumerate(whole)], axis=1)
-
-
-def respond(filters, x):
-    """(F,): the sum over channels of conj(filters) x."""
-    return np.einsum("cf,cf->f", complexes(filters).conj(), complexes(x))
 
 
 def cubic(p, t):

@@ -1,7 +1,7 @@
 """The folder of compiled kernels, and the message that they are being compiled.
 
 numba keeps them in the package's folder or the user's cache, and fails if it can write to neither: then this file names
-a third folder. numba reads NUMBA_CACHE_DIR when it is imported, so the package sets it first.
+a third folder, for this process alone. numba reads NUMBA_CACHE_DIR when it is imported, so the package sets it first.
 """
 
 import os
@@ -23,14 +23,19 @@ def compiling() -> None:
 
 
 def provide_cache() -> None:
-    """Set NUMBA_CACHE_DIR, if needed, to a folder of this user's alone under the system's temporary one."""
+    """Set NUMBA_CACHE_DIR, if needed, to a temporary folder of this process: the next one compiles again."""
     package = path.dirname(path.abspath(__file__))  # noqa: PTH100, PTH120 -- pathlib takes longer to load than --help
     if "NUMBA_CACHE_DIR" in os.environ or _writable(path.join(package, "__pycache__")):  # noqa: PTH118
         return
     user = os.environ.get("XDG_CACHE_HOME") or path.expanduser("~/.cache")  # noqa: PTH111
     if path.isabs(user) and _writable(user):  # noqa: PTH117
         return
-    os.environ["NUMBA_CACHE_DIR"] = _temporary()
+    import atexit
+    import shutil
+    import tempfile
+
+    os.environ["NUMBA_CACHE_DIR"] = folder = tempfile.mkdtemp(prefix="facetrack-kernels-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
 
 
 def _writable(folder: str) -> bool:
@@ -38,21 +43,3 @@ def _writable(folder: str) -> bool:
     while not path.lexists(folder) and path.dirname(folder) != folder:  # noqa: PTH120
         folder = path.dirname(folder)  # noqa: PTH120
     return path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)  # noqa: PTH112
-
-
-def _temporary() -> str:
-    import tempfile
-    from pathlib import Path
-
-    if not hasattr(os, "getuid"):
-        return str(Path(tempfile.gettempdir(), "facetrack-kernels"))
-    folder = Path(tempfile.gettempdir(), f"facetrack-kernels-{os.getuid()}")
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        status = folder.lstat()
-        # its files are executed: nobody else may have written them
-        if status.st_uid == os.getuid() and not folder.is_symlink() and status.st_mode & 0o077 == 0:
-            return str(folder)
-    except OSError:
-        pass
-    return tempfile.mkdtemp(prefix="facetrack-kernels-")

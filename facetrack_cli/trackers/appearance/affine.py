@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -35,7 +35,7 @@ from facetrack_cli.core.types import Array, Box, Frame, Particles, factor_for
 from facetrack_cli.engine.filters import Prediction, Stepped, weighted
 from facetrack_cli.engine.kernels.compiled import boxes_extent
 from facetrack_cli.engine.protocols import Linear, Motion
-from facetrack_cli.engine.spaces import Context, Estimate, Outline, SizedSpace, estimate
+from facetrack_cli.engine.spaces import Context, Estimate, SizedSpace, estimate
 from facetrack_cli.engine.target import FrameModel
 from facetrack_cli.trackers.appearance.appearance_kernels import Rows, differences, gain, mapped, read_patches
 from facetrack_cli.trackers.appearance.settings import (
@@ -58,8 +58,7 @@ _AFFINE[2:, 2:] = np.sqrt(0.5) * np.array([[1, 0, 1, 0], [0, -1, 0, 1], [0, 1, 0
 class AffineSpace(SizedSpace):
     """A box under affine maps (section 4): state (1, 6) = (x, y, a1, a2, a3, a4).
 
-    [[a1, a2], [a3, a4]] leads from the start to now. `size`: width, height in pixels at the start. Its angle is
-    the rotation that is nearest to the deformation.
+    [[a1, a2], [a3, a4]] leads from the start to now. `size`: width, height in pixels at the start.
     """
 
     diagnostics: ClassVar = (SCALE, AFFINE)
@@ -81,13 +80,12 @@ class AffineSpace(SizedSpace):
         x, y, *deformation = estimated.state[0].tolist()
         return {"scale": float(scale_of(estimated.state[None])[0, 0]), "affine": (*deformation, x, y)}
 
-    def outline(self, estimated: Estimate) -> Outline:
+    def outline(self, estimated: Estimate) -> tuple[float, Array]:
+        """The angle is that of the rotation which is nearest to the deformation."""
         cx, cy, a1, a2, a3, a4 = estimated.state[0].tolist()
-        # the border runs through the middle of the outermost pixels, as that of an upright box
-        x, y = (max(side - 1, 1) / 2 for side in self.size)
-        a1, a2, a3, a4, angle = a1 * x, a2 * y, a3 * x, a4 * y, math.degrees(math.atan2(a3 - a2, a1 + a4))
-        ways = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-        return Outline(angle, np.array([(cx + i * a1 + j * a2, cy + i * a3 + j * a4) for i, j in ways]))
+        (w, h), ways = self.size, ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
+        places = [(cx + i * w * a1 + j * h * a2, cy + i * w * a3 + j * h * a4) for i, j in ways]
+        return math.degrees(math.atan2(a3 - a2, a1 + a4)), np.array(places)
 
 
 def scale_of(x: Array) -> Array:
@@ -174,12 +172,14 @@ class AffineWalk(Motion):
 
     The state is (x, y, a1, a2, a3, a4), `sigma` the standard deviation of x and y in pixels. The paper leaves u_0 open;
     here scale, turn, and stretch and shear have noise of their own: if they have the same, it is that of each of a1 to
-    a4. `scale` bounds the scale, [least, most]; the linear form leaves the bounds out.
+    a4. `scale` bounds the scale, [least, most]; the linear form leaves the bounds out. The walk of a frame goes around
+    the place `ahead`.
     """
 
     settings: AffineWalkSettings
     sigma: float
     scale: tuple[float, float]
+    ahead: Prediction | None = field(default=None, kw_only=True)
 
     @cached_property
     def _sigma(self) -> Array:
@@ -188,17 +188,12 @@ class AffineWalk(Motion):
         turn, shear = (deform if sigma is None else sigma for sigma in (turn, shear))
         return np.array([self.sigma, self.sigma, deform, turn, shear, shear])
 
-    def propagate(self, rng: Generator, x: Array, shift: Array | None = None, noise: float = 1.0) -> Array:
-        """x (N, 1, 6) moved by one frame: by the `shift` (1, 6), nu_t, and `noise`, r_t / r_0, times the noise."""
-        moved = np.zeros((1, 6)) if shift is None else shift
+    def propagate(self, rng: Generator, x: Array) -> Array:
+        """x (N, 1, 6) moved by one frame: by nu_t, and by the noise, r_t / r_0 times as large as at first."""
         u, spread = rng.standard_normal(x.shape), _AFFINE * self._sigma
         step = sum(u[..., j : j + 1] * spread[:, j] for j in range(6))  # in this order, on any processor
-        return self._bounded(x + moved + noise * step)
-
-    def _bounded(self, x: Array) -> Array:
-        """x (N, 1, 6), with scales beyond the bounds brought back to them."""
-        least, most = self.scale
-        scale = np.asarray(scale_of(x))[..., None]
+        x = x + step if self.ahead is None else x + self.ahead.shift + self.ahead.noise * step
+        (least, most), scale = self.scale, scale_of(x)[..., None]
         wild = (scale < least) | (scale > most)
         if wild.any():
             by = np.clip(scale, least, most) / np.maximum(scale, 1e-12)
@@ -207,7 +202,7 @@ class AffineWalk(Motion):
 
     def expect(self, x: Array) -> Array:
         """The mean of p(x_t | x_{t-1} = x), (N, 1, 6)."""
-        return x
+        return x if self.ahead is None else x + self.ahead.shift
 
     def linear(self, state: Array) -> Linear:
         """The motion around a state (1, 6)."""

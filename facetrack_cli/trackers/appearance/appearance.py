@@ -38,7 +38,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, cast
 
@@ -66,7 +66,8 @@ _NEVER = -1e30
 class Mixture:
     """a_t: weights `m`, centres `mu`, standard deviations `sigma`, (3, d) float32 each, in the order w, s, f.
 
-    `moments` (2, d) are M_1 and M_2 of S; `state` (1, 6) the estimate at which the model last learned.
+    `moments` (2, d) are M_1 and M_2 of S; `state` (1, 6) the estimate at which the model last learned. Of one that also
+    says who it is, log beta (N,) of the identities, with logsumexp 0, and notes on the start.
     """
 
     m: Rows
@@ -76,6 +77,8 @@ class Mixture:
     state: Array
     laplace: bool = False
     outlier: float = 0.0
+    log_beta: Array | None = None
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def terms(self) -> tuple[Rows, Rows]:
@@ -162,14 +165,6 @@ _MIN_WEIGHT = 1e-9  # of the largest weight: particles below it say nothing of t
 _NOTHING_LEFT = -1e30  # in place of log 0, when a posterior has nothing left for an identity
 
 
-@dataclass(frozen=True, eq=False)
-class Recognised(Mixture):
-    """The appearance, log beta (N,) of the identities, with logsumexp 0, and notes on the start."""
-
-    log_beta: Array = field(default_factory=lambda: np.zeros(0))
-    notes: tuple[str, ...] = ()
-
-
 @dataclass(frozen=True)
 class Recognition(Appearance):
     """An appearance that also says who it is, of the persons in a gallery."""
@@ -189,7 +184,7 @@ class Recognition(Appearance):
         """The identities: the persons, and "none" if the settings ask for it."""
         return (*self.gallery.names, NONE) if self.recognition.none else self.gallery.names
 
-    def init(self, frame: Frame, x0: Array) -> Recognised:
+    def init(self, frame: Frame, x0: Array) -> Mixture:
         """Every identity is as likely. Raises InputError as the appearance does."""
         n, (w, h), wanted = len(self.names), self.patches.size, self.gallery.proportion
         notes: tuple[str, ...] = ()
@@ -197,9 +192,7 @@ class Recognition(Appearance):
             box = f"the box of {w:.0f}x{h:.0f} pixels is {w / h:.2f} times as wide as high"
             remedy = "the name may be wrong; begin with a box of their proportions"
             notes = (f"{box}, and those of the gallery are {wanted:.2f} times: {remedy}",)
-        mixture = super().init(frame, x0)
-        own = {each.name: getattr(mixture, each.name) for each in fields(mixture)}
-        return Recognised(**own, log_beta=np.full(n, -math.log(n)), notes=notes)
+        return replace(super().init(frame, x0), log_beta=np.full(n, -math.log(n)), notes=notes)
 
     def score(self, learned: Any, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a + log sum_l beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6) -> (N, 1)."""
@@ -214,8 +207,7 @@ class Recognition(Appearance):
         joint, log_w = joint[heavy], particles.log_w[heavy]
         each = joint - logsumexp(joint, axis=1)[:, None]
         log_beta = normalise(np.maximum(logsumexp(log_w[:, None] + each, axis=0), _NOTHING_LEFT))
-        after: Any = super().learn(learned, frame, state, particles)
-        return replace(after, log_beta=log_beta)
+        return replace(super().learn(learned, frame, state, particles), log_beta=log_beta)
 
     def diagnose(self, learned: Any) -> Mapping[str, Any]:
         """p(n_t | z_0:t) of each identity, and its entropy in nats: log N at the start, 0 when there is no doubt."""
@@ -223,7 +215,7 @@ class Recognition(Appearance):
         entropy = max(-float(beta @ learned.log_beta), 0.0)
         return {"posterior": dict(zip(self.names, beta.tolist(), strict=True)), "entropy": entropy}
 
-    def _log_joint(self, learned: Recognised, frame: Frame, x: Array) -> Array:
+    def _log_joint(self, learned: Any, frame: Frame, x: Array) -> Array:
         """(N, L): log beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6)."""
         settings, patches = self.recognition, self.patches
         factor = patches.factor(learned.state)

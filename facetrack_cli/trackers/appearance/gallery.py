@@ -146,35 +146,40 @@ class Gallery:
         numbers = (*self.calibration, self.most_frontal, self.threshold, self.errors)
         if not (np.isfinite(self.faces).all() and np.isfinite(numbers).all()):
             raise ValueError("a number is not finite")
-        ranged = len(self.counts) == p and min(self.counts) >= 1 and len(self.calibration) == 2
-        ranged = ranged and (self.proportion is None or 0.0 < self.proportion < math.inf)
-        if not ranged or self.calibration[0] < 0.0 or not 0.0 <= self.most_frontal <= 1.0:
-            raise ValueError("counts, proportion or the calibration of p_f are out of range")
+        if len(self.counts) != p or len(self.calibration) != 2 or not 0.0 <= self.most_frontal <= 1.0:
+            raise ValueError("counts or the calibration of p_f are out of range")
 
     def log_scores(self, patches: Rows, *, sharpness: float = 1.0, none: bool = False) -> tuple[Array, Array]:
         """p_f (N,), 0 of a patch of zeros, and log p_n (N, P) of patches (N, d), with logsumexp 0 over the identities.
 
         With `none` a column more, of nobody. `sharpness` multiplies the log of eq. 16 (1 as published).
         """
-        ratios = self._ratios
+        every, needed, constant, signs, isotropic, q_mean, mean_square = self._ratios
         y = np.asarray(patches, np.float32)
         seen = np.einsum("nd,nd->n", y, y).astype(np.float64)
-        projected = (y @ (ratios.all if none else ratios.all[:, : ratios.needed])).astype(np.float64)
+        projected = (y @ (every if none else every[:, :needed])).astype(np.float64)
         space, p, s = self.frontal, len(self.names), len(self.frontal.values)
-        q = projected[:, p + 1 : p + 1 + s] - ratios.q_mean
-        error = np.maximum(seen - 2.0 * projected[:, p] + ratios.mean_square - (q**2).sum(1), 0.0)
+        q = projected[:, p + 1 : p + 1 + s] - q_mean
+        error = np.maximum(seen - 2.0 * projected[:, p] + mean_square - (q**2).sum(1), 0.0)
         log_q = space.log_constant - 0.5 * ((q**2) @ (1.0 / space.values) + (s < y.shape[1]) * error / space.rho)
         frontal = self.most_frontal * logistic(log_q, *self.calibration)
-        log_ratio = projected[:, :p] + ratios.constant
+        log_ratio = projected[:, :p] + constant
         if none:
             # what all identities have in common
-            both = projected[:, p + 1 + s :] ** 2 @ ratios.signs + seen * ratios.isotropic
+            both = projected[:, p + 1 + s :] ** 2 @ signs + seen * isotropic
             log_ratio = np.concatenate([log_ratio, (self.threshold - both)[:, None]], axis=1)
         log_ratio *= sharpness
         return np.where(seen > 0.0, frontal, 0.0), log_ratio - logsumexp(log_ratio, axis=1)[:, None]
 
     @cached_property
-    def _ratios(self) -> _Ratios:
+    def _ratios(self) -> tuple[Rows, int, Array, Array, float, Array, float]:
+        """Eq. 16 multiplied out, so that a patch takes part in one product of matrices only.
+
+        log Q(y - I) is quadratic in y: the linear term is a column for each identity, the quadratic one the same for
+        all. Columns are P of the identities, the mean of frontal faces, its s_f directions, and those of the other
+        spaces, each times the root of its weight; then the number of columns without these, the constant of each
+        identity, signs of the weights, the isotropic part, and projections and square of the frontal mean.
+        """
         faces, mean = self.faces.astype(np.float64), self.frontal.mean.astype(np.float64)
         linear, constant = np.zeros_like(faces), np.zeros(len(faces))
         roots, signs, isotropic = [], [], 0.0
@@ -190,7 +195,7 @@ class Gallery:
         columns = np.concatenate([linear, mean[None], self.frontal.vectors, *roots])
         every, needed = np.ascontiguousarray(columns.T, np.float32), len(faces) + 1 + len(self.frontal.values)
         q_mean, square = self.frontal.vectors @ mean, float(mean @ mean)
-        return _Ratios(every, needed, constant, np.concatenate(signs), isotropic, q_mean, square)
+        return every, needed, constant, np.concatenate(signs), isotropic, q_mean, square
 
     def save(self, path: Path) -> None:
         """Writes an .npz of plain arrays, whole or not at all; equal galleries give equal bytes. Raises OutputError."""
@@ -205,23 +210,6 @@ class Gallery:
             for field, kind in _FIELDS.items():
                 arrays[f"{name}_{field}"] = np.array(getattr(getattr(self, name), field), kind, order="C")
         KIND.write(path, arrays)
-
-
-class _Ratios(NamedTuple):
-    """Eq. 16 multiplied out, so that a patch takes part in one product of matrices only.
-
-    log Q(y - I) is quadratic in y: the linear term is a column for each identity, the quadratic one the same for all.
-    Columns of `all`: P of the identities, the mean of frontal faces, its s_f directions, and those of the other spaces,
-    each times the root of its weight; `needed` is the number of columns without these.
-    """
-
-    all: Rows
-    needed: int
-    constant: Array
-    signs: Array
-    isotropic: float
-    q_mean: Array
-    mean_square: float
 
 
 def logistic(score: Array, slope: float, offset: float) -> Array:

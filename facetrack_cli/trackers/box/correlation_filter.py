@@ -2,10 +2,9 @@
 
 Ours, of published pieces, in files beside this one:
 
-    modes.py     how high responses are of the target, and of all else
-    trained.py   the filter and how it is learned (2015, SRDCF; 2017, ECO)
     features.py  gradients, grey and colours of a window, reduced (ECO of Danelljan et al.); scale (2014, DSST);
-                 colours of target and surroundings (Bertinetto et al. 2016, Staple)
+                 colours of target and surroundings (Bertinetto et al. 2016, Staple); the filter and how it is learned
+                 (2015, SRDCF; 2017, ECO)
 
 With R the response to a window and Rm its highest value, the log-likelihood ratio of a target visible at x = (place,
 log scale) against one that is hidden is
@@ -46,26 +45,20 @@ from facetrack_cli.engine.resampling import logsumexp
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.box.box_kernels import read_cubic
 from facetrack_cli.trackers.box.features import (
+    UPSAMPLED,
     ColourModel,
     Colours,
     Features,
     ScaleTrainer,
     Single,
+    Trained,
     TrainedScale,
+    Trainer,
     moved,
+    peaks,
 )
-from facetrack_cli.trackers.box.hidden_box import VISIBLE
-from facetrack_cli.trackers.box.modes import (
-    Heights,
-    ModeProposal,
-    Peaks,
-    ResponseView,
-    Usual,
-    evidence,
-    log_student,
-)
+from facetrack_cli.trackers.box.hidden_box import VISIBLE, ModeProposal
 from facetrack_cli.trackers.box.settings import CorrelationFilterSettings
-from facetrack_cli.trackers.box.trained import UPSAMPLED, Trained, Trainer, peaks
 
 FIRST = 10  # frames from which the filter for re-detection is learned
 _USUAL = (0.75, 0.15)  # mean and standard deviation of peaks, in terms of that of the first window itself
@@ -88,6 +81,94 @@ _SOON = 25  # frames within which what returns has its last size
 _SPEED = 0.5  # mean sides of the box a frame, by which re-detection widens
 
 
+MIN_OTHER_STD = 0.02  # standard deviation of what is not the target, in terms of the mean of its peaks
+_MEMORY = 50.0  # frames over which it is learned how high peaks are
+_SIGMA = (0.1, 0.2)  # the least and the largest standard deviation of peaks, in terms of their mean
+_FREEDOM = 3.0  # degrees of freedom of both densities
+
+
+class Heights(NamedTuple):
+    """Running mean and standard deviation of peaks, and how many frames they are learned from."""
+
+    mean: float
+    std: float
+    frames: float
+
+    def z(self, height: float) -> float:
+        """How many standard deviations a height is below the mean; 0 above it."""
+        return max(self.mean - height, 0.0) / self.spread
+
+    @property
+    def spread(self) -> float:
+        """The standard deviation, within bounds."""
+        least, most = (share * self.mean for share in _SIGMA)
+        return max(min(max(self.std, least), most), 1e-9)
+
+    def learn(self, height: float, share: float) -> Heights:
+        frames = min(self.frames + share, _MEMORY)
+        rate = share / frames
+        off = min(max(height - self.mean, -2 * self.std), 2 * self.std)  # a mean that few bad frames do not move
+        return Heights(self.mean + rate * off, math.sqrt((1 - rate) * (self.std**2 + rate * off**2)), frames)
+
+
+class Peaks(NamedTuple):
+    """How high responses are: of both filters at the target, and of both together where it is sought elsewhere."""
+
+    now: float
+    first: float
+    elsewhere: float | None = None
+
+
+class ResponseView(NamedTuple):
+    """A window around `centre` (2,): R, the response of the filter of `now`, and that of the first frames.
+
+    `spectrum` (2, C, F) and `image` are the window itself.
+    """
+
+    centre: Array
+    spectrum: Single
+    image: Image
+    response: Single
+    now: Single
+    first: Single
+
+    def heights(self, peak: Array) -> Peaks:
+        """Those within a cell of a peak (column, row, height)."""
+        column, row = round(float(peak[0])), round(float(peak[1]))
+        rows, columns = (slice(max(k - UPSAMPLED, 0), k + UPSAMPLED + 1) for k in (row, column))
+        return Peaks(float(self.now[rows, columns].max()), float(self.first[rows, columns].max()))
+
+
+class Usual(NamedTuple):
+    """How high peaks usually are: of the target, by both filters; in other windows of the first frame, and since."""
+
+    now: Heights
+    first: Heights
+    others: Heights
+    elsewhere: Heights
+
+    def learn(self, peaks: Peaks, visible: float) -> Usual:
+        """After a frame in which the target is visible with this probability."""
+        elsewhere = self.elsewhere
+        if peaks.elsewhere is not None:
+            elsewhere = elsewhere.learn(peaks.elsewhere, 1 - visible)
+        now, first = self.now.learn(peaks.now, visible), self.first.learn(peaks.first, visible)
+        return Usual(now, first, self.others, elsewhere)
+
+
+def evidence(seen: Heights, other: Heights, height: float, bound: float) -> float:
+    """log p(height | the target) - log p(height | something else), of peaks of either, within a bound."""
+    spread = max(other.std, MIN_OTHER_STD * seen.mean, 1e-9)
+    ratio = log_student(seen.z(height)) - math.log(seen.spread)
+    ratio -= log_student(max(height - other.mean, 0.0) / spread) - math.log(spread)
+    return min(max(ratio, -bound), bound)
+
+
+def log_student(z: float) -> float:
+    """The logarithm of Student's density at z over that at 0."""
+    return -0.5 * (_FREEDOM + 1) * math.log1p(z * z / _FREEDOM)
+
+
 class Seen(NamedTuple):
     """What a frame shows: its modes, with log L at each, and how high responses are at the highest one.
 
@@ -99,7 +180,7 @@ class Seen(NamedTuple):
     candidate: Array | None
     view: ResponseView
     scale: float
-    scales: NDArray[np.complex64] | None
+    scales: NDArray[np.complex64]
 
 
 class CorrelationState(NamedTuple):
@@ -115,7 +196,7 @@ class CorrelationState(NamedTuple):
     features: Features
     filters: Trained
     first: Single
-    scales: TrainedScale | None
+    scales: TrainedScale
     colours: Colours | None
     heights: Usual
     frames: int = 1
@@ -152,9 +233,8 @@ class CorrelationFilter(Likelihood):
         return Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3))
 
     @cached_property
-    def _scale_trainer(self) -> ScaleTrainer | None:
-        one = self.settings.scales
-        return None if one is None else ScaleTrainer(self.size, one.count, one.step)
+    def _scale_trainer(self) -> ScaleTrainer:
+        return ScaleTrainer(self.size, self.settings.scales.count, self.settings.scales.step)
 
     @cached_property
     def _colour_model(self) -> ColourModel:
@@ -182,9 +262,7 @@ class CorrelationFilter(Likelihood):
         colours = None
         if features.colour and self.settings.colour > 0:
             colours = self._colour_model.learn(None, window, 1.0)
-        scales, trainer = None, self._scale_trainer
-        if trainer is not None:
-            scales = trainer.learn(None, trainer.read(frame, centre, scale), 1.0)
+        scales = self._scale_trainer.learn(None, self._scale_trainer.read(frame, centre, scale), 1.0)
         return CorrelationState(features, filters, filters.filters, scales, colours, heights, last=frame.index)
 
     def look(self, learned: CorrelationState, frame: Frame, expected: Array) -> CorrelationState:
@@ -202,9 +280,7 @@ class CorrelationFilter(Likelihood):
         )
         log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _MIN_RATIO))
         modes = [self._modes(view, scale, found, log_l)]
-        scales = None
-        if self._scale_trainer is not None:
-            scales = self._scale_trainer.read(frame, modes[0].mean[0, :2], scale)
+        scales = self._scale_trainer.read(frame, modes[0].mean[0, :2], scale)
         log_s, std = self._scale_at(learned, scales)
         modes[0].mean[:, 2] += log_s
         modes[0].std[:, 2] = std
@@ -267,7 +343,8 @@ class CorrelationFilter(Likelihood):
 
     def _both(self, learned: CorrelationState, view: ResponseView) -> Single:
         """What both filters respond to, as high as R usually is."""
-        return np.float32(0.5) * (view.now + np.float32(learned.heights.ratio) * view.first)
+        usual, first = learned.heights[:2]
+        return np.float32(0.5) * (view.now + np.float32(usual.mean / max(first.mean, 1e-9)) * view.first)
 
     def _modes(
         self, view: ResponseView, scale: float, found: Array, log_l: Array, *, redetected: bool = False
@@ -280,11 +357,9 @@ class CorrelationFilter(Likelihood):
         std = np.column_stack([widths * sample / math.sqrt(sharpness), np.full(len(found), _SCALE_STD)])
         return ModeProposal(mean, std, log_l, np.full(len(found), redetected))
 
-    def _scale_at(self, learned: CorrelationState, scales: NDArray[np.complex64] | None) -> tuple[float, float]:
+    def _scale_at(self, learned: CorrelationState, scales: NDArray[np.complex64]) -> tuple[float, float]:
         """Mean and standard deviation of the change of log scale, by S^sharpness times a broad prior."""
         trainer, settings = self._scale_trainer, self.settings.scales
-        if trainer is None or settings is None or learned.scales is None or scales is None:
-            return 0.0, _SCALE_STD
         response = trainer.respond(learned.scales, scales)
         response = response - response.min()
         if float(response.max()) < 1e-9:  # flat, as far outside of the frame
@@ -330,8 +405,7 @@ class CorrelationFilter(Likelihood):
 
     def score(self, learned: CorrelationState, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, 1): log L of x (N, 1, D), the Gaussians of the modes; 0 far from all."""
-        assert learned.seen is not None
-        guides = learned.seen.guides
+        guides = self.guides(learned)
         z = np.column_stack([x[:, 0, :2], np.log(x[:, 0, 2])])
         off = np.sum(((z[:, None] - guides.mean) / guides.std) ** 2, axis=2)
         # so that the mean of L over a box and a tenth of log scale is its evidence
@@ -367,28 +441,24 @@ class CorrelationFilter(Likelihood):
         centre, scale = state[0, :2], float(state[0, 2])
         x, window, across = self._at(learned, frame, centre, scale, seen)
         filters = self._trainer.learn(learned.filters, x, min(step * share * one.rate, 1.0))
-        scales, trainer, colours = learned.scales, self._scale_trainer, learned.colours
-        if trainer is not None and one.scales is not None and across is not None:
-            scales = trainer.learn(scales, across, min(step * share * one.scales.rate, 1.0))
-        if colours is not None:
-            colours = self._colour_model.learn(colours, window, step * share)
+        scales = self._scale_trainer.learn(learned.scales, across, min(step * share * one.scales.rate, 1.0))
+        colours = learned.colours and self._colour_model.learn(learned.colours, window, step * share)
         if frames <= FIRST:
             learned = learned._replace(first=filters.filters)
         return learned._replace(filters=filters, scales=scales, colours=colours)
 
     def _at(
         self, learned: CorrelationState, frame: Frame, centre: Array, scale: float, seen: Seen | None
-    ) -> tuple[Single, Image, NDArray[np.complex64] | None]:
+    ) -> tuple[Single, Image, NDArray[np.complex64]]:
         """Spectrum and window of the target, and its spectrum over scales: those `seen`, moved, if they are near."""
         trainer = self._scale_trainer
         if seen is not None:
             grown, cell = math.log(scale / seen.scale), self._side(seen.scale) / self.settings.cells
             off, mode = (centre - seen.view.centre) / cell, (centre - seen.guides.mean[0, :2]) / cell
             if abs(grown) < _SAME_SCALE and max(np.abs(off).max(), np.abs(mode).max()) < _SAME_PLACE:
-                across = None if trainer is None or seen.scales is None else trainer.moved(seen.scales, grown)
-                return moved(seen.view.spectrum, off, self.settings.cells), seen.view.image, across
-        x, window = learned.features.read(frame, centre, self._side(scale))
-        return x, window, None if trainer is None else trainer.read(frame, centre, scale)
+                spectrum = moved(seen.view.spectrum, off, self.settings.cells)
+                return spectrum, seen.view.image, trainer.moved(seen.scales, grown)
+        return *learned.features.read(frame, centre, self._side(scale)), trainer.read(frame, centre, scale)
 
     def distances(self, learned: CorrelationState, frame: Frame, x: Array) -> Array:
         """(N, 1) of zeros: whether the target is visible is part of the state."""

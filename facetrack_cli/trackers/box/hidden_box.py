@@ -1,24 +1,26 @@
-"""A box that may be hidden: its state, its walk, and what others than its own filter may do to it (ours).
+"""A box that may be hidden: its state, its walk, its filter, and what others than that may do to it (ours).
 
-A face's points carry their head, which is such a box.
+A face's points carry their head, which is such a box. The filter draws particles around the modes of a likelihood.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
-from facetrack_cli.core.types import Array, Box, Frame, Info, Particles
+from facetrack_cli.core.types import Array, Box, Frame, Info, Mask, Particles
 from facetrack_cli.engine import confidence
+from facetrack_cli.engine.filters import MIN_LOG, Stepped
 from facetrack_cli.engine.protocols import Linear, Motion
-from facetrack_cli.engine.resampling import effective_sample_size
+from facetrack_cli.engine.resampling import effective_sample_size, logsumexp, normalise, summed, systematic
 from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate
-from facetrack_cli.engine.target import ParticleState, ParticleTarget
+from facetrack_cli.engine.target import FrameModel, ParticleState, ParticleTarget
 from facetrack_cli.trackers.box.box_kernels import arrive
-from facetrack_cli.trackers.box.modes import TransitionDensity
-from facetrack_cli.trackers.box.settings import VisibleWalkSettings
+from facetrack_cli.trackers.box.settings import GuidedSettings, VisibleWalkSettings
 
 VISIBLE = 5  # the coordinate of a box that may be hidden that is P(visible)
 
@@ -101,12 +103,6 @@ class VisibleWalk(Motion):
         moved[:, 0, VISIBLE] = self._visible(x)
         return moved
 
-    def log_transition(self, x: Array, parents: Array) -> Array:
-        """log p of place and log scale of x (N, 1, 6) given parents (M, 1, 6) -> (N, M, 1)."""
-        z, visible = np.column_stack([x[:, 0, :2], np.log(x[:, 0, 2])]), self._visible(parents)
-        shown, hidden = (self._log_density(z, parents, sigma) for sigma in self.sigma)
-        return np.asarray(np.logaddexp(shown + np.log(visible), hidden + np.log1p(-visible)))[..., None]
-
     def forecast(self, particles: Particles) -> tuple[Array, Array]:
         """Mean and standard deviation (3,) of place and log scale a frame later, where the target is visible."""
         one, x, w = self.settings, particles.x[:, 0], np.exp(particles.log_w)
@@ -116,10 +112,18 @@ class VisibleWalk(Motion):
 
     def arrive(
         self, rng: np.random.Generator, z: Array, particles: Particles, *, found: bool = False
-    ) -> TransitionDensity:
+    ) -> tuple[Array, Array, Array, float, Array]:
         """How a particle of the last frame may come to z (N, 3), place and log scale, and with which velocity.
 
-        `found`: whether re-detection found anything; what returns elsewhere unseen counts as hidden.
+        Parameters
+        ----------
+        found : whether re-detection found anything; what returns elsewhere unseen counts as hidden.
+
+        Returns
+        -------
+        x : (N, 1, D), z with velocities drawn of p(velocity | z).
+        log_visible, log_hidden : (N,), log p(z, visible or hidden | Y_{t-1}), the sum over all parents, without
+        returns, spread : the probability of a return elsewhere, within `spread` (3,) of where it is found.
         """
         one, parents, visible = self.settings, particles.x, self._visible(particles.x)
         mean = np.column_stack([self.expect(parents)[:, 0, :2], np.log(parents[:, 0, 2])])
@@ -138,9 +142,8 @@ class VisibleWalk(Motion):
         x[:, 0, 3:5] = v + b * (z[:, :2] - chosen[:, :2] - v) + noise
         x[:, 0, VISIBLE] = 0.0
         w = np.exp(particles.log_w)
-        returns = float(w @ leaves)
         size = float(w @ parents[:, 0, 2]) * self.unit
-        return TransitionDensity(x, log_visible, log_hidden, returns, np.array([0.4 * size, 0.4 * size, 0.04]))
+        return x, log_visible, log_hidden, float(w @ leaves), np.array([0.4 * size, 0.4 * size, 0.04])
 
     def linear(self, state: Array) -> Linear:
         """The motion around a state (1, 6), without its last coordinate, by whether the target is visible there."""
@@ -157,20 +160,93 @@ class VisibleWalk(Motion):
         one, before = self.settings, x[:, 0, VISIBLE]
         return np.asarray(before * (1 - one.hide) + (1 - before) * one.show * (1 - one.elsewhere))
 
-    def _log_density(self, z: Array, parents: Array, sigma: float) -> Array:
-        """(N, M): log p(z | parents) with steps of `sigma`."""
-        one, parents = self.settings, parents[:, 0]
-        mean, step = parents[:, :2] + one.velocity * parents[:, 3:5], sigma * parents[:, 2]
-        off = ((z[:, 0, None] - mean[:, 0]) ** 2 + (z[:, 1, None] - mean[:, 1]) ** 2) / step**2
-        off += ((z[:, 2, None] - np.log(parents[:, 2])) / one.scale) ** 2
-        return np.asarray(-0.5 * off - 2 * np.log(step) - np.log(one.scale) - 1.5 * np.log(2 * np.pi))
-
 
 def visible_walk(settings: VisibleWalkSettings, context: Context) -> VisibleWalk:
     unit = context.placed.unit
     return VisibleWalk(
         settings, unit, (settings.sigma.pixels(unit), settings.hidden.pixels(unit)), context.placed.scale
     )
+
+
+class ModeProposal(NamedTuple):
+    """Where the likelihood proposes to look: J Gaussians of place and log scale, in pixels and nats.
+
+    `mean`, `std` (J, 3), `log_w` (J,); `redetected` (J,): whether re-detection found the mode, far from the last place.
+    """
+
+    mean: Array
+    std: Array
+    log_w: Array
+    redetected: Mask
+
+    def after(self, mean: Array, std: Array) -> ModeProposal:
+        """These modes times a Gaussian prior (3,); modes of re-detection stay as they are."""
+        precision = 1 / self.std**2 + 1 / std**2
+        both = (self.mean / self.std**2 + mean / std**2) / precision
+        kept = self.redetected[:, None]
+        off = np.where(self.redetected, 0.0, np.sum((self.mean - mean) ** 2 / (self.std**2 + std**2), axis=1))
+        log_w = self.log_w - 0.5 * off
+        return ModeProposal(
+            np.where(kept, self.mean, both), np.where(kept, self.std, precision**-0.5), log_w, self.redetected
+        )
+
+    def draw(self, rng: Generator, n: int) -> Array:
+        """(n, 3), n even: antithetic pairs, so that a symmetric density has no error of its mean."""
+        if not n:
+            return np.empty((0, 3))
+        which = systematic(rng, normalise(self.log_w), n // 2)
+        off = self.std[which] * rng.standard_normal((n // 2, 3))
+        return np.vstack([self.mean[which] + off, self.mean[which] - off])
+
+    def log_density(self, z: Array) -> Array:
+        """(N,): of z (N, 3)."""
+        off = (z[:, None] - self.mean) / self.std
+        each = -0.5 * np.sum(off**2, axis=2) - np.log(self.std).sum(axis=1) - 1.5 * np.log(2 * np.pi)
+        return logsumexp(each + normalise(self.log_w), axis=1)
+
+    def elsewhere(self, spread: Array) -> ModeProposal | None:
+        """The modes of re-detection, equally likely, with standard deviations `spread` (3,); None without any."""
+        n = int(self.redetected.sum())
+        if not n:
+            return None
+        return ModeProposal(self.mean[self.redetected], np.tile(spread, (n, 1)), np.zeros(n), np.ones(n, np.bool_))
+
+
+def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+    """Proposes from the modes of the likelihood too, with exact weights (after Zhang et al. 2017, 2018).
+
+    Places and log scales z are drawn from q(z) = g * sum_j a_j N(z; mode_j) + (1 - g) * p(z | Y_{t-1}), g = `guided`,
+    whatever their parents, so that a weight is over all parents (a marginal particle filter; Klaas et al. 2005):
+
+        w(z, v) = L(z)^v p(z, v | Y_{t-1}) / q(z),  v = 1 where the target is visible, 0 where it is hidden
+
+    Particles carry both, their sum as weight and the share of v = 1 as a coordinate (Rao-Blackwellised). A hidden
+    target may return at a mode that re-detection found.
+    """
+    n, guides = settings.particles, model.likelihood.guides(model.learned).after(*model.motion.forecast(particles))
+    pairs = round(settings.guided * n / 2)
+    # some are drawn from either, or q would not cover what the other one covers
+    drawn = 2 * min(max(pairs, 1), (n - 2) // 2) if settings.guided > 0 else 0
+    parents = systematic(rng, particles.log_w, (n - drawn + 1) // 2)
+    moved = model.propagate(rng, particles.x[np.repeat(parents, 2)[: n - drawn]])[:, 0, :3]
+    z = np.vstack([guides.draw(rng, drawn), np.column_stack([moved[:, :2], np.log(moved[:, 2])])])
+    x, log_visible, log_hidden, returns, spread = model.motion.arrive(
+        rng, z, particles, found=bool(guides.redetected.any())
+    )
+    with np.errstate(divide="ignore"):
+        log_g = np.log([drawn / n, 1 - drawn / n])
+    log_q = np.logaddexp(log_g[0] + guides.log_density(z), log_g[1] + np.logaddexp(log_visible, log_hidden))
+    if (found := guides.elsewhere(spread)) is not None and returns > 0:
+        log_return = np.log(returns) + found.log_density(z)
+        log_visible = np.logaddexp(log_visible, log_return)
+        x[rng.random(n) < np.exp(log_return - log_visible), 0, 3:-1] = 0.0  # what returns has no velocity yet
+    log_visible = log_visible + model.log_likelihood(x, x)[:, 0]
+    total = np.logaddexp(log_visible, log_hidden)
+    x[:, 0, -1] = np.exp(log_visible - total)
+    log_ratio = np.maximum(total - log_q, MIN_LOG)
+    log_w, log_sum = summed(log_ratio)
+    evidence = float(log_sum) - math.log(n)
+    return Particles(x, log_w), Info(np.full(1, float(effective_sample_size(log_w))), evidence)
 
 
 @dataclass(frozen=True)

@@ -94,8 +94,8 @@ class CorrelationFilterSettings(LikelihoodSettings):
     """The appearance is learned in every so many frames, as much more at a time (ECO: every 6th)."""
     hidden_rate: Share = 0.05
     """How much is learned while the target is hidden, in terms of what is learned while it is visible."""
-    scales: ScalesSettings | None = ScalesSettings()
-    """How the scale is found; null: the box keeps the size that the motion gives it."""
+    scales: ScalesSettings = ScalesSettings()
+    """How the scale is found."""
     colour: Share = 0.3
     """Share of the per-pixel colours in the response, where they tell the target from its surroundings (Staple)."""
     sharpness: Annotated[float, Field(gt=0, le=100)] = 5.0
@@ -111,7 +111,7 @@ class CorrelationFilterSettings(LikelihoodSettings):
 class GuidedSettings(FilterSettings):
     """Proposes from the likelihood's modes, the transition, and re-detection; weights are exact (Zhang et al. 2017)."""
 
-    engine = "facetrack_cli.trackers.box.modes:guided"
+    engine = "facetrack_cli.trackers.box.hidden_box:guided"
     goes_with = ("box",)
     type: Literal["guided"]
     particles: Annotated[int, Field(ge=4, le=2_000)]

@@ -7,7 +7,7 @@ target has the log odds
 
     prior       SHOT / K, after a cut CUT / K: a lone face is most likely the target; 0 where the clip has shown others
     looks       the face in grey, its colours and, with the extra `people`, dlib's embedding, against views of the
-                target: `same_person` in people/identity.py, where each is bounded by how often it is wrong
+                target: `same_person` in people/descriptor.py, where each is bounded by how often it is wrong
     place       NEAR where the target was last seen, -AWAY elsewhere while it is held to be covered; 0 after a cut
 
 A face that is seen in the place of a target that was not seen for a while may be of somebody who walks by. The log
@@ -38,8 +38,7 @@ from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
-from facetrack_cli.trackers.people.descriptor import Picture, together
-from facetrack_cli.trackers.people.identity import SENSES, same_person
+from facetrack_cli.trackers.people.descriptor import SENSES, Picture, same_person, together
 
 SHOT, CUT = 5.0, 2.3  # log odds that the one face of a frame is the target, in one shot and after a cut
 BOUND: Final = 4.0  # of the log odds by looks

@@ -33,8 +33,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.engine.protocols import Linear
-from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.engine.protocols import Belief, Linear
 from facetrack_cli.trackers.face import landmark_kernels as kernels
 from facetrack_cli.trackers.face.cascaded_regression import PlacedPoints
 from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK, KEEP, MAX_LOG_ODDS

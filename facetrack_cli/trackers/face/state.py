@@ -13,7 +13,7 @@ import numpy as np
 from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask, Particles
 from facetrack_cli.engine.confidence import Calibration
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.engine.protocols import Belief
 from facetrack_cli.engine.spaces import Estimate
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.trackers.box.hidden_box import BoxTarget

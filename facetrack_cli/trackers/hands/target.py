@@ -21,9 +21,8 @@ from numpy.random import Generator
 
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import BOX, Array, Box, Frame, TargetStart
-from facetrack_cli.engine import smoothing
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.engine.protocols import Linear, Names
+from facetrack_cli.engine.protocols import Belief, Linear, Names
 from facetrack_cli.trackers.hands import evidence, joint
 from facetrack_cli.trackers.hands.evidence import Scene
 from facetrack_cli.trackers.hands.settings import HandsSettings
@@ -190,9 +189,9 @@ class HandTarget:
             return TargetResult(rows, cloud)
         at, doubt, named = np.stack([rows.x, rows.y], axis=1), np.array([status == "lost"]), np.array(state.named)
 
-        def beliefs() -> tuple[smoothing.Belief]:
+        def beliefs() -> tuple[Belief]:
             steps = unit**2 * np.dot(self.settings.shares, np.square(self.settings.steps)) * np.eye(2)[None]
-            return (smoothing.Belief(at, cov[None], Linear(np.eye(2)[None], np.zeros((1, 2)), steps), doubt, named),)
+            return (Belief(at, cov[None], Linear(np.eye(2)[None], np.zeros((1, 2)), steps), doubt, named),)
 
         return TargetResult(rows, cloud, beliefs=beliefs)
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,18 +46,6 @@ def place_points(settings: PointsSettings, start: Start, name: str) -> Placed:
     return Placed(PointSpace(np.array(sides)), x0, np.array(sides), unit)
 
 
-class Group(NamedTuple):
-    """Windows read at 1 / `factor` of the frame's size; `parts` (G,) are their indices, laid out for the kernel.
-
-    `sides` (G, 2) are (w, h), odd, in reduced pixels; template g is `ratios[offsets[g] : offsets[g + 1]]`.
-    """
-
-    factor: int
-    parts: Whole
-    sides: Whole
-    offsets: Whole
-
-
 @dataclass(frozen=True)
 class Templates:
     """What K parts looked like in the first frame: `ratios`, o / E{o} of each after another; `sigma` (K,) of eq. 10."""
@@ -79,7 +66,11 @@ class ColourRatio(Likelihood):
         return cls(settings, context.placed.windows)
 
     @cached_property
-    def _groups(self) -> tuple[Group, ...]:
+    def _groups(self) -> tuple[tuple[int, Whole, Whole, Whole], ...]:
+        """By what the frame is reduced, indices (G,) of the parts read so, sides (G, 2) = (w, h), odd, reduced pixels.
+
+        Last offsets (G + 1,): template g is `ratios[offsets[g] : offsets[g + 1]]`.
+        """
         most, end = self.settings.max_samples, 0
         factors = np.array([factor_for(side, most) for side in self.windows.max(axis=1).tolist()])
         groups = []
@@ -88,14 +79,14 @@ class ColourRatio(Likelihood):
             # odd, and at least 3, so that a window has a pixel at its centre
             odd = [[max(3, 2 * round((side / factor - 1) / 2) + 1) for side in self.windows[k]] for k in parts]
             offsets = np.cumsum([end, *(CHANNELS * (w + 1) * h for w, h in odd)])
-            groups.append(Group(factor, parts, np.array(odd, np.int64), offsets))
+            groups.append((factor, parts, np.array(odd, np.int64), offsets))
             end = int(offsets[-1])
         return tuple(groups)
 
     @cached_property
     def _reach(self) -> float:
         """How far any window reaches, in whole pixels of reduced frames."""
-        return float(self.windows.max()) / 2 + 3 * self._groups[-1].factor
+        return float(self.windows.max()) / 2 + 3 * self._groups[-1][0]
 
     def init(self, frame: Frame, x0: Array) -> Templates:
         """The templates of K parts at x0 (K, 2)."""
@@ -130,6 +121,6 @@ class ColourRatio(Likelihood):
     def relearn(self, learned: Templates, frame: Frame, x0: Array, parts: Mask) -> Templates:
         """With the templates of `parts` (K,) as they look in `frame` at x0 (K, 2)."""
         seen = self.init(frame, x0)
-        fresh = np.concatenate([np.repeat(parts[group.parts], np.diff(group.offsets)) for group in self._groups])
+        fresh = np.concatenate([np.repeat(parts[of], np.diff(offsets)) for _, of, _, offsets in self._groups])
         ratios = np.where(fresh, seen.ratios, learned.ratios)
         return Templates(ratios, learned.sigma + parts * (seen.sigma - learned.sigma))

@@ -1,3 +1,4 @@
+# mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
 """Windows read from an image, and their colours compared; the loops of the Parzen shape prior.
 
 Patras & Pantic 2004, eq. 8, 9 and 11. Each kernel has a slow plain twin in `tests/twins/points.py`. For the prior, a
@@ -18,9 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.engine.kernels.compiled import exact, fast, inline
-
-# mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
-
 
 L1, GEMAN_MCCLURE = 0, 1
 ROBUST = {"l1": L1, "geman_mcclure": GEMAN_MCCLURE}
@@ -134,9 +132,6 @@ def extent(x: NDArray[np.float64], reach: float) -> tuple[float, float, float, f
 def flat(image: NDArray[Any]) -> NDArray[Any]:
     """An image (H, W, 3) as the flat rows (H, W * 3) that the kernels read, without a copy if it is contiguous."""
     return np.ascontiguousarray(image).reshape(image.shape[0], -1)
-
-
-# mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
 
 
 LANES = 16  # shapes are padded to a multiple of this, so that sums and maxima run in independent lanes

@@ -66,8 +66,6 @@ class ShapePrior:
             raise ValueError(f"shapes of {self.shapes.shape} where (M, {len(self.parts)}, 2) belongs")
         if not np.isfinite(self.shapes).all():
             raise ValueError("a shape is not finite")
-        if np.abs(self.shapes).max() > 100.0:
-            raise ValueError("a part moves more than 100 units: shapes are displacements in mouth widths, not pixels")
 
     def save(self, path: Path) -> None:
         """Writes an .npz of plain arrays, whole or not at all; equal priors give equal bytes. Raises OutputError."""

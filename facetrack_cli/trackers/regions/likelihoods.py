@@ -70,7 +70,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import remap
 from facetrack_cli.core.types import Array, Frame, Image, Particles, Whole, factor_for
-from facetrack_cli.engine.kernels.compiled import boxes_extent
+from facetrack_cli.engine.kernels.compiled import boxes_extent, cropped
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import Share
 from facetrack_cli.engine.spaces import Context
@@ -263,12 +263,9 @@ class Histogram(Likelihood):
         if not seen.any():
             return None, ex, ey, area
         (left, right), (top, bottom) = ((int(each[seen, 0].min()), int(each[seen, -1].max())) for each in (ex, ey))
-        extent = (left * factor, top * factor, right * factor - 1, bottom * factor - 1)
-        image, dx, dy = frame.reduced(factor, extent)
-        dx, dy = dx // factor, dy // factor
-        hsv = _hsv(image[top - dy : bottom - dy, left - dx : right - dx])
+        hsv = cv2.cvtColor(cropped(frame.reduced, factor, left, top, right, bottom), cv2.COLOR_BGR2HSV)
         # boxes beyond the image are empty, and stay so wherever they are put
-        return hsv, np.clip(ex, left, right) - left, np.clip(ey, top, bottom) - top, area
+        return np.asarray(hsv, np.uint8), np.clip(ex, left, right) - left, np.clip(ey, top, bottom) - top, area
 
     def _codes(self, hsv: Image, coloured: NDArray[np.uint16], colourless: NDArray[np.uint16]) -> NDArray[np.uint16]:
         """The bin of each pixel of hsv (H, W, 3); pale and dark ones have no hue where there are bins for them."""
@@ -280,11 +277,6 @@ class Histogram(Likelihood):
         least_saturation, least_value = self.settings.least_saturation, self.settings.least_value
         pale = (saturation < math.ceil(255 * least_saturation)) | (value < math.ceil(255 * least_value))
         return np.where(pale, colourless.take(value), codes)
-
-
-def _hsv(bgr: Image) -> Image:
-    """Hue 0..179 in steps of 2 degrees, saturation and value 0..255."""
-    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV), np.uint8)
 
 
 # grey levels: a region that is followed well has 6 to 20 (RMS); much more would push regions back into the frame

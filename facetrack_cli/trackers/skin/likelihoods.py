@@ -55,7 +55,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -64,7 +64,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre, remap
 from facetrack_cli.core.types import Array, Box, Frame, Image, Mask, Particles, Start, factor_for
-from facetrack_cli.engine.kernels.compiled import boxes_extent
+from facetrack_cli.engine.kernels.compiled import boxes_extent, cropped
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context, Estimate, Placed, Space, box_of, check_size, estimate, size_of_box
@@ -73,7 +73,6 @@ from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin.settings import (
     CloudSettings,
     ExclusionSettings,
-    PatternSettings,
     SkinCloudSettings,
     SkinNccSettings,
 )
@@ -84,7 +83,6 @@ LEAST_SHARE = 0.4
 MIN_VARIANCE = 9.0
 # grey clips have chroma of 1 or 2 after lossy codecs, faces of 5 to 40 nearly everywhere
 MIN_CHROMA, MIN_COLOURED = 4.0, 0.05
-MIN_CONTRAST = 0.1  # where less, boxes at some distance score better than the face itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +90,7 @@ class SkinModel:
     """A Gaussian on (Cb, Cr): mean (2,), cov (2, 2); full-range BT.601 of 8 bits, as OpenCV has it.
 
     `table` (256, 256) is 255 p, rounded, at [Cb, Cr]; `share` of the pixels of the ellipse in the box passed Kovac's
-    rules; `fallback`: too few, so that all of the ellipse was the sample; `contrast`: mean p in the box less that in
-    the ring of equal area around it, -1..1.
+    rules; `fallback`: too few, so that all of the ellipse was the sample.
     """
 
     mean: Array
@@ -101,19 +98,12 @@ class SkinModel:
     table: NDArray[np.uint8]
     share: float
     fallback: bool
-    contrast: float
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know of how the colour was learned, one line at most."""
-        notes = []
-        if self.fallback:
-            little = f"Kovac's rules find skin in only {self.share:.0%} of the face"
-            notes.append(f"{little}, so its colour was learned from all that its box shows")
-        if self.contrast < MIN_CONTRAST:
-            same = "what surrounds the face has nearly the same colour"
-            notes.append(f"{same}, so skin colour will hardly tell them apart")
-        return ("; ".join(notes),) if notes else ()
+        """What the user should know of how the colour was learned."""
+        little = f"Kovac's rules find skin in only {self.share:.0%} of the face"
+        return (f"{little}, so its colour was learned from all that its box shows",) if self.fallback else ()
 
 
 def kovac(bgr: Image) -> Mask:
@@ -156,7 +146,7 @@ def learn_skin(frame: Frame, box: Box) -> SkinModel:
     d = np.stack(np.meshgrid(np.arange(256.0) - mean[0], np.arange(256.0) - mean[1], indexing="ij"), axis=-1)
     squared = np.einsum("...i,ij,...j", d, np.linalg.inv(cov), d)
     table = np.asarray(np.rint(255 * np.exp(-squared / 2)), np.uint8)
-    return SkinModel(mean, cov, table, share, fallback, _contrast(frame, box, table))
+    return SkinModel(mean, cov, table, share, fallback)
 
 
 def _inside(frame: Frame, box: Box) -> tuple[int, int, int, int]:
@@ -181,20 +171,6 @@ def _ellipse(box: Box, x0: int, y0: int, region: Image) -> Mask:
     v = (np.arange(y0, y0 + height) - y) / max(box[3] / 2, 0.5)
     covered = u**2 + v[:, None] ** 2 <= 1
     return np.asarray(covered if covered.any() else np.ones_like(covered), np.bool_)
-
-
-def _contrast(frame: Frame, box: Box, table: NDArray[np.uint8]) -> float:
-    """Mean p in the box less that around it, of pixels in the frame; 1 where there is nothing around it."""
-    margin_x, margin_y = ((math.sqrt(2) - 1) / 2 * side for side in box[2:])
-    x0, y0, x1, y1 = _inside(frame, box)
-    wide = (box[0] - margin_x, box[1] - margin_y, box[2] + 2 * margin_x, box[3] + 2 * margin_y)
-    left, top, right, bottom = _inside(frame, wide)
-    # of a box of less than a pixel, the pixel that it gets all the same
-    left, top, right, bottom = min(left, x0), min(top, y0), max(right, x1), max(bottom, y1)
-    p = skin_map(frame.bgr[top:bottom, left:right], table).astype(np.float64) / 255
-    face = p[y0 - top : y1 - top, x0 - left : x1 - left]
-    around = p.size - face.size
-    return float(face.mean() - (p.sum() - face.sum()) / around) if around else 1.0
 
 
 MIDDLE = 0.7  # of the box's sides: what is looked at to tell whether a place is skin
@@ -352,9 +328,15 @@ class SkinNcc(Likelihood):
         return np.asarray(np.mean(cues, axis=0)[:, None])
 
     def learn(self, learned: SkinPattern, frame: Frame, state: Array, particles: Particles) -> SkinPattern:
-        if self.settings.ncc is None or learned.template is None:
+        """The template follows the estimate `state` (1, 6), while it matches the first one."""
+        ncc, template = self.settings.ncc, learned.template
+        if ncc is None or template is None or ncc.adapt == 0.0:
             return learned
-        return replace(learned, template=adapted(learned.template, self.settings.ncc, frame, state))
+        first, rate = replace(template, now=template.first), np.float32(ncc.adapt)
+        if correlate(first, frame, state[None])[1][0] < ncc.adapt_above:
+            return learned
+        now = (1 - rate) * template.now + rate * _patch(template, frame, state)
+        return replace(learned, template=replace(template, now=now))
 
     def rho(self, learned: SkinPattern, frame: Frame, x: Array) -> Array:
         """(R_ext - R_int) / area of R_int, eq. 9, of boxes x (N, 1, 6) -> (N,), -1..1; 0 of what is no box."""
@@ -364,13 +346,12 @@ class SkinNcc(Likelihood):
         w, h = (skin.inner * side for side in self.size)
         reach = math.sqrt(2.0) * w, math.sqrt(2.0) * h
         within = boxes_extent(np.ascontiguousarray(x[:, 0, :3]), *reach, *frame.size)
-        image, left, top = frame.reduced(factor, within)
-        # the frame may return a larger part: no more of it than the boxes cover
-        height, width = image.shape[:2]
-        x0, y0 = min(int(within[0] - left) // factor, width - 1), min(int(within[1] - top) // factor, height - 1)
-        x1, y1 = int(within[2] - left) // factor + 2, int(within[3] - top) // factor + 2
-        integral = cv2.integral(skin_map(image[y0:y1, x0:x1], learned.table), sdepth=cv2.CV_64F)
-        corner = np.array([[left + x0 * factor], [top + y0 * factor]])
+        width, height = (max(side // factor, 1) for side in frame.size)
+        x0, y0 = min(int(within[0]) // factor, width - 1), min(int(within[1]) // factor, height - 1)
+        x1, y1 = min(int(within[2]) // factor + 2, width), min(int(within[3]) // factor + 2, height)
+        image = cropped(frame.reduced, factor, x0, y0, x1, y1)
+        integral = cv2.integral(skin_map(image, learned.table), sdepth=cv2.CV_64F)
+        corner = np.array([[x0 * factor], [y0 * factor]])
         at = (x[:, 0, :2].T - corner - 0.5 * (factor - 1)) / factor
         half = 0.5 * (x[:, 0, 2] / factor) * np.array([[w], [h]])
         # comparisons with nan are false; what is thinner than a pixel is no box
@@ -433,38 +414,24 @@ def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size:
 
 def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]:
     """NCC of boxes x (N, 1, 6) with the template as it is now, with means kept and removed: (N,) each, -1..1."""
-    view = _view(template, frame, x)
+    image, boxes, seen = _view(template, frame, x)
     centred, mean, variance = template.moments
-    cross, spread = _moments(view, centred)
-    remove = _ratio(cross, variance * spread, view.seen)
+    cross, spread = _moments(image, boxes, seen, centred)
+    remove = _ratio(cross, variance * spread, seen)
     # area means of the image and of its square: a point stands for s x s pixels around it
-    (th, tw), s = centred.shape, view.boxes[2]
-    low = view.boxes[:2] - 0.5 * s + 0.5
+    (th, tw), s = centred.shape, boxes[2]
+    low = boxes[:2] - 0.5 * s + 0.5
     edges, area = np.vstack([low, low + s * np.array([[tw], [th]])]), s * tw * s * th
-    sums = cv2.integral2(view.image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
+    sums = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     level, square = (kernel.box_sums(one, edges) / area for one in sums)
-    return _ratio(cross + mean * level, (variance + mean * mean) * square, view.seen), remove
+    return _ratio(cross + mean * level, (variance + mean * mean) * square, seen), remove
 
 
-def adapted(template: Template, settings: PatternSettings, frame: Frame, state: Array) -> Template:
-    """The template after a frame whose estimate is `state` (1, 6)."""
-    first = replace(template, now=template.first)
-    rate = np.float32(settings.adapt)
-    if rate == 0.0 or correlate(first, frame, state[None])[1][0] < settings.adapt_above:
-        return template
-    return replace(template, now=(1 - rate) * template.now + rate * _patch(template, frame, state))
+def _view(template: Template, frame: Frame, x: Array) -> tuple[Image, Array, Mask]:
+    """The grey image around boxes x (N, 1, 6), boxes (3, N) = (u, v, s) in its pixels, and which are seen at all.
 
-
-class _GreyView(NamedTuple):
-    """The grey image around boxes (3, N) = (u, v, s) in its pixels, and which of them are `seen` at all."""
-
-    image: Image
-    boxes: Array
-    seen: Mask
-
-
-def _view(template: Template, frame: Frame, x: Array) -> _GreyView:
-    """What boxes x (N, 1, 6) cover: (0, 0, 1) stands for those beyond the image, thinner than a pixel or no numbers."""
+    (0, 0, 1) stands for those beyond the image, thinner than a pixel or no numbers.
+    """
     factor, (th, tw) = template.factor, template.now.shape
     size = np.array([max(side // factor, 1) for side in frame.size])
     s, points = x[:, 0, 2], np.array([[tw], [th]])
@@ -478,11 +445,9 @@ def _view(template: Template, frame: Frame, x: Array) -> _GreyView:
         corner = np.maximum(np.floor(start[:, seen].min(axis=1)), 0).astype(np.int64)
         far = np.minimum(np.ceil(end[:, seen].max(axis=1)) + 1, size).astype(np.int64)
     (x0, y0), (x1, y1) = corner.tolist(), far.tolist()
-    grey, left, top = frame.grey(factor, (x0 * factor, y0 * factor, x1 * factor - 1, y1 * factor - 1))
-    dx, dy = left // factor, top // factor
     boxes[:2] -= corner[:, None]
-    image = np.ascontiguousarray(grey[y0 - dy : y1 - dy, x0 - dx : x1 - dx])  # one signature, one compilation
-    return _GreyView(image, boxes, seen)
+    image = np.ascontiguousarray(cropped(frame.grey, factor, x0, y0, x1, y1))  # one signature, one compilation
+    return image, boxes, seen
 
 
 def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
@@ -491,22 +456,22 @@ def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
     return np.clip(np.where(good, cross, 0.0) / np.sqrt(np.where(good, energy, 1.0)), -1.0, 1.0)
 
 
-def _moments(view: _GreyView, centred: NDArray[np.float32]) -> Array:
+def _moments(image: Image, boxes: Array, seen: Mask, centred: NDArray[np.float32]) -> Array:
     """Mean of template times image, and the image's variance at the template's points, (2, N), the cheaper way."""
-    places = view.boxes[:2, view.seen] if view.seen.any() else np.zeros((2, 1))
-    (x0, y0), (height, width) = np.floor(places.min(axis=1)).astype(int).tolist(), view.image.shape
+    places = boxes[:2, seen] if seen.any() else np.zeros((2, 1))
+    (x0, y0), (height, width) = np.floor(places.min(axis=1)).astype(int).tolist(), image.shape
     x1, y1 = (np.floor(places.max(axis=1)).astype(int) + 1 + centred.shape[::-1]).tolist()
-    same_scale = (view.boxes[2, view.seen] == 1.0).all()
-    if not same_scale or (x1 - x0) * (y1 - y0) * DENSE > view.boxes.shape[1] * centred.size:
-        return np.asarray(kernel.moments_direct(view.image, centred, view.boxes))
+    same_scale = (boxes[2, seen] == 1.0).all()
+    if not same_scale or (x1 - x0) * (y1 - y0) * DENSE > boxes.shape[1] * centred.size:
+        return np.asarray(kernel.moments_direct(image, centred, boxes))
     # one correlation at all whole places
     region = np.zeros((y1 - y0, x1 - x0), np.float32)
     left, right, top, bottom = max(x0, 0), min(x1, width), max(y0, 0), min(y1, height)
     if right > left and bottom > top:
-        region[top - y0 : bottom - y0, left - x0 : right - x0] = view.image[top:bottom, left:right]
+        region[top - y0 : bottom - y0, left - x0 : right - x0] = image[top:bottom, left:right]
     correlated = cv2.matchTemplate(region, centred, cv2.TM_CCORR)
-    cross = kernel.bilinear(correlated, view.boxes, x0, y0) / centred.size
-    return np.stack([cross, _variances(region, view.boxes[:2] - np.array([[x0], [y0]]), *centred.shape)])
+    cross = kernel.bilinear(correlated, boxes, x0, y0) / centred.size
+    return np.stack([cross, _variances(region, boxes[:2] - np.array([[x0], [y0]]), *centred.shape)])
 
 
 def _variances(region: NDArray[np.float32], places: Array, th: int, tw: int) -> Array:
@@ -532,9 +497,9 @@ def _variances(region: NDArray[np.float32], places: Array, th: int, tw: int) -> 
 
 def _patch(template: Template, frame: Frame, x0: Array) -> NDArray[np.float32]:
     """The grey levels of the box at x0 (1, 6), at the template's points."""
-    view = _view(template, frame, x0[None])
-    if not view.seen[0]:
+    image, boxes, seen = _view(template, frame, x0[None])
+    if not seen[0]:
         return np.zeros_like(template.now)
-    (u, v, s), (th, tw) = view.boxes[:, 0], template.now.shape
+    (u, v, s), (th, tw) = boxes[:, 0], template.now.shape
     x, y = (np.float32(at) for at in np.meshgrid(u + s * np.arange(tw), v + s * np.arange(th)))
-    return np.asarray(remap(np.float32(view.image), x, y, cv2.BORDER_CONSTANT))
+    return np.asarray(remap(np.float32(image), x, y, cv2.BORDER_CONSTANT))
