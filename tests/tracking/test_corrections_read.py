@@ -19,10 +19,13 @@ from facetrack_cli.report import make
 from facetrack_cli.report.figures import page
 from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.make import Image, command, init_yaml, recipe_yaml
+from facetrack_cli.report.story import history_of, key_frames, reasons
+from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import one_part
+from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.trajectory.writers import WRITERS, RunSummary
 from tests.evaluation.test_points import rows, statuses
 from tests.support import results
