@@ -143,14 +143,11 @@ def probabilities(looks: Array, others: Array, alone: float) -> Array:
     return np.asarray(p / (math.exp(-most) + p.sum()))
 
 
-def by_looks(
-    views: Sequence[Picture], faces: Sequence[Similarity], frame: Frame, senses: Collection[str] = SENSES
-) -> Array:
-    """Bounded log odds (K,) that faces, upright in their stabilized images, are the person of the `views`."""
+def by_looks(views: Sequence[Picture], faces: Sequence[Picture], senses: Collection[str] = SENSES) -> Array:
+    """Bounded log odds (K,) that the person in the pictures of K faces is that of the `views`."""
     if not faces:
         return np.zeros(0)
-    looks = [together(view.looks for view in views)]
-    looks += [Picture.of(frame, face._replace(scale=face.scale * FACE)).looks for face in faces]
+    looks = [together(view.looks for view in views), *(face.looks for face in faces)]
     return np.clip(same_person(looks, senses)[0, 1:], -BOUND, BOUND)
 
 
