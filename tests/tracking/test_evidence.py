@@ -30,6 +30,7 @@ from facetrack_cli.trackers.face.evidence import (
     probabilities,
 )
 from facetrack_cli.trackers.face.stabilized import Similarity
+from facetrack_cli.trackers.face.state import laid_out
 from facetrack_cli.trackers.people import descriptor
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.trajectory import UNSEEN
@@ -162,19 +163,31 @@ def test_places_speak_for_a_face_where_the_target_was_and_against_others_while_i
 
 
 def test_looks_are_bounded(monkeypatch):
-    known = [Picture.of(shown((BOX, 1)), place(BOX)._replace(scale=BOX[2]))]
+    def pictures(frame, *boxes):
+        return [Picture.of(frame, place(box)._replace(scale=box[2])) for box in boxes]
+
+    known = pictures(shown((BOX, 1)), BOX)
 
     def like(looks, senses):
         return np.array([[100 * (one.face[0] @ looks[0].face[0] - 0.5) for one in looks]])
 
     monkeypatch.setattr(evidence, "same_person", like)
-    found = by_looks(known, [place(BOX), place(ELSEWHERE)], shown((BOX, 5), (ELSEWHERE, 1)))
+    found = by_looks(known, pictures(shown((BOX, 5), (ELSEWHERE, 1)), BOX, ELSEWHERE))
     np.testing.assert_allclose(found, [-BOUND, BOUND])
-    assert len(by_looks(known, [], shown())) == 0
+    assert len(by_looks(known, [])) == 0
+
+
+def test_views_are_laid_out_by_the_detector_and_not_by_the_box_of_the_start():
+    head, face = Similarity(np.array([80.0, 60.0]), 0.7, 0.3), seen(BOX, 0.2)
+    x = np.random.default_rng(0).uniform(0, 160, (5, 2))
+    there = head.to_frame(face.similarity.to_frame(x))  # the face was seen in the stabilized image
+    np.testing.assert_allclose(laid_out(head, face).to_frame(x), there)
+    assert laid_out(head, None) is head
 
 
 @pytest.mark.skipif(yunet_model() is None, reason="needs the extra detect")
-def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch):
+@pytest.mark.parametrize("init", ["yunet", PASSERBY.with_suffix(".init.yaml")])
+def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch, init):
     whose, taken = {}, Picture.of
 
     def of(frame, face):
@@ -188,7 +201,7 @@ def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch):
     by_walk = {}
     for model in (None, Path("a model")):
         monkeypatch.setattr(target, "embedding_model", lambda model=model: model)
-        box = track_video(PASSERBY, "face", init="yunet", stop=112).find("face", "box")
+        box = track_video(PASSERBY, "face", init=init, stop=112).find("face", "box")
         rows = [box.row(frame) for frame in range(83, 95)]  # in which somebody else stands before the face
         by_walk[model is None] = np.isin(box.status[rows], UNSEEN).mean()
         back = box.row(108)

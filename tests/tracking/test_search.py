@@ -26,7 +26,7 @@ from facetrack_cli.start.search import (
 )
 from facetrack_cli.trackers.face.cascaded_regression import PlacedPoints, load_regression
 from facetrack_cli.trackers.face.closer import again, everywhere, righted
-from facetrack_cli.trackers.face.detectors import Detection, Haar, YuNet, yunet_model
+from facetrack_cli.trackers.face.detectors import Detection, Haar, YuNet, named, yunet_model
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from tests.support import moving_face as moving
 from tests.support.moving_face import EYES, PARTS, Pose
@@ -237,6 +237,14 @@ def test_a_face_that_was_lost_is_looked_for_as_it_was():
     assert found.turn == 4 and found.roll == pytest.approx(np.pi)
     assert np.array(found.box[:2]) + found.box[2] / 2 == pytest.approx((1660, 820), abs=15)
     assert not [one for one in again(Haar(), lying, face._replace(angle=0.0)) if one.turn]
+
+
+@pytest.mark.parametrize("roll", [0, 45, 180])
+def test_a_face_that_was_turned_before_it_was_lost_is_seen_where_it_is_upright(roll):
+    """The roll of a head that turns away is that of the last points that were seen."""
+    upright, pose = moving.clip([POSE] * 1)[0], Similarity(np.array([90.0, 60.0]), 80 / FACE, np.radians(roll))
+    [face] = again(Haar(), upright, pose)
+    assert not face.turn and off(named(face.placed(upright)), POSE) < 0.25
 
 
 @pytest.mark.parametrize("cut", ["forehead", "chin"])

@@ -5,7 +5,7 @@ in it a face may be all that. What is seen there counts only if the regression, 
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 from typing import Final
 
@@ -67,12 +67,13 @@ def everywhere(detector: Detector, frame: Frame) -> list[Detection]:
 
 
 def again(detector: Detector, frame: Frame, face: Similarity) -> list[Detection]:
-    """The faces of a frame that lie as one that was lost, and are about as large or larger."""
+    """The faces of a frame that are upright, or lie as one that was lost, which may have been turned before it went."""
     turn, whole = eighths(face.angle), factor_for(max(frame.size), MAX_SEARCHED_PX)
     factor = min(whole, 2 ** max(math.floor(math.log2(face.scale * FACE / LEAST_PX[detector.name])), 0))
-    if not turn and factor == whole:
-        return detector.find(frame)
-    return _certain(detector, frame, _tiles(frame.size, factor, turn))
+    faces = detector.find(frame)
+    if turn or factor != whole:
+        faces += _certain(detector, frame, _tiles(frame.size, factor, turn), faces)
+    return faces
 
 
 def eighths(angle: float) -> int:
@@ -80,11 +81,13 @@ def eighths(angle: float) -> int:
     return round(4 * angle / math.pi) % 8
 
 
-def _certain(detector: Detector, frame: Frame, views: Iterable[tuple[Similarity, int]]) -> list[Detection]:
-    """The faces of views in which the regression sees nose and mouth, each once."""
+def _certain(
+    detector: Detector, frame: Frame, views: Iterable[tuple[Similarity, int]], others: Sequence[Detection] = ()
+) -> list[Detection]:
+    """The faces of views in which the regression sees nose and mouth, each once, and none of the `others`."""
     faces: list[Detection] = []
     for face in (face for view, side in views for face in seen(detector, frame, view, side)):
-        new = all(overlap(face.box, other.box) < MIN_OVERLAP for other in faces)
+        new = all(overlap(face.box, other.box) < MIN_OVERLAP for other in (*others, *faces))
         if new and face.placed(frame).log_odds > CERTAIN:
             faces.append(face)
     return faces

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import DetectorName
-from facetrack_cli.core.geometry import overlap, warp_affine
+from facetrack_cli.core.geometry import centre, overlap, warp_affine
 from facetrack_cli.core.types import Array, Box, Frame, Image, Point, factor_for
 from facetrack_cli.trackers.face.cascaded_regression import CORNER, PlacedPoints, load_regression
 from facetrack_cli.trackers.face.stabilized import EYE_LINE, FACE, MIDDLE, Similarity, change_between, slope
@@ -89,6 +89,11 @@ class Detection(NamedTuple):
     def roll(self) -> float:
         """How far it is turned, in radians."""
         return self.turn * math.pi / 4 if self.eyes is None else slope(np.array(self.eyes))
+
+    @property
+    def similarity(self) -> Similarity:
+        """The map from the stabilized image that this face lays out."""
+        return Similarity(np.array(centre(self.box)), self.box[2] / FACE, self.roll)
 
     def placed(self, frame: Frame) -> PlacedPoints:
         """Its five points, placed by the regression."""

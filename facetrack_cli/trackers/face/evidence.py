@@ -15,7 +15,10 @@ odds that it is the target are AGAIN + looks, the mean of LOOKS_AGAIN looks at m
 of before, and grey views of a head that turns differ as much as those of two people, so the embedding alone looks, and
 counts less where the face is small. If it speaks for somebody else, place says nothing any more, two looks must agree
 that the target is back, and the prior grows from 0 by 1 a second up to SHOT, since who walks by does not stay. This
-takes the extra `people`, and YuNet, whose eyes lay out all views alike.
+takes the extra `people`.
+
+Views are laid out as a detector has the face in them, so that those of a box that somebody has drawn are alike, too. A
+view that by its embedding is of somebody else is not kept.
 
 No term has a veto: skin changes with the light, hair with a hat.
 People change places over cuts, so the looks decide there, and hardly elsewhere. What looks like a cut and was a flash,
@@ -142,14 +145,11 @@ def probabilities(looks: Array, others: Array, alone: float) -> Array:
     return np.asarray(p / (math.exp(-most) + p.sum()))
 
 
-def by_looks(
-    views: Sequence[Picture], faces: Sequence[Similarity], frame: Frame, senses: Collection[str] = SENSES
-) -> Array:
-    """Bounded log odds (K,) that faces, upright in their stabilized images, are the person of the `views`."""
+def by_looks(views: Sequence[Picture], faces: Sequence[Picture], senses: Collection[str] = SENSES) -> Array:
+    """Bounded log odds (K,) that the person in the pictures of K faces is that of the `views`."""
     if not faces:
         return np.zeros(0)
-    looks = [together(view.looks for view in views)]
-    looks += [Picture.of(frame, face._replace(scale=face.scale * FACE)).looks for face in faces]
+    looks = [together(view.looks for view in views), *(face.looks for face in faces)]
     return np.clip(same_person(looks, senses)[0, 1:], -BOUND, BOUND)
 
 

@@ -49,6 +49,10 @@ class Similarity(NamedTuple):
         """Places (..., 2) of the frame in the stabilized image."""
         return np.asarray((x - self.centre) @ (self.matrix / self.scale**2) + MIDDLE)
 
+    def within(self, other: Similarity) -> Similarity:
+        """The map to the frame, where this one is to the stabilized image of another map."""
+        return Similarity(other.to_frame(self.centre), other.scale * self.scale, other.angle + self.angle)
+
     def into(self, other: Similarity) -> tuple[Array, Array]:
         """M.T (2, 2) and t (2,): x @ M.T + t are places x in the stabilized image of another map."""
         turned = self.matrix.T @ other.matrix / other.scale**2

@@ -68,14 +68,23 @@ from facetrack_cli.trackers.face.landmark_filters import (
 from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, SensorReading, modes
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
-from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, mapped, moved, updated
+from facetrack_cli.trackers.face.state import (
+    FaceParts,
+    FaceState,
+    FaceView,
+    head_confidence,
+    laid_out,
+    mapped,
+    moved,
+    updated,
+)
 from facetrack_cli.trackers.people.descriptor import Picture, embedding_model
 from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
 
 COMPANY: Final = 2  # searches that saw several faces, from which the clip has shown somebody else
-LOOK: Final = (3, 15)  # frames between two looks of the head's filter while it is new, and later, where points are seen
-NEW_FILTER: Final = 20  # looks after which the head's filter knows its peaks; sooner it may return on what is no face
+LOOK: Final = (3, 30)  # frames between two looks of the head's filter while it is new, and later, where points are seen
+NEW_FILTER: Final = 10  # looks after which the head's filter knows its peaks; sooner it may return on what is no face
 SETTLED: Final = 0.95  # probability by the head's filter, below which it looks in every frame
 EASY: Final = 8.0  # log odds that the points are seen where they are
 DOUBT: Final = 8.0  # log odds, below which the detector looks at once
@@ -113,9 +122,9 @@ class FaceTarget(FaceParts):
         biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, self.features.x0)
         if self.sensors.detector is not None and not self.sensors.searched and detection is None:
             facing = facing.undetected()
-        looks, pictures, info = (look_of(image),), (self._picture(frame, similarity),), self.features.begun
-        views, shots, pose = (looks, pictures, similarity), Passing((small(frame),)), self.pose
-        state = FaceState(head, features, info, biases, facing, pose, np.zeros(4), others, eyes, *views, shots)
+        face, info, shots = laid_out(similarity, detection), self.features.begun, Passing((small(frame),))
+        views = (look_of(image),), (self._picture(frame, face),), face
+        state = FaceState(head, features, info, biases, facing, self.pose, np.zeros(4), others, eyes, *views, shots)
         return state, self.result(state, self.head.begun, frame, result.notes)
 
     def restart(
@@ -141,7 +150,8 @@ class FaceTarget(FaceParts):
         features, _ = self.features.restart(rng, image, first.features, TargetStart(points=points), absent, anew)
         detection, at = self.sensors.detected(image), features.estimated.state
         biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, at)
-        views, shots, info = (first.looks, first.pictures, similarity), Passing((small(frame),)), self.features.begun
+        views, shots = (first.looks, first.pictures, laid_out(similarity, detection)), Passing((small(frame),))
+        info = self.features.begun
         state = FaceState(head, features, info, biases, Facing(), pose, np.zeros(4), others, eyes, *views, shots)
         return state, self.result(state, self.head.begun, frame)
 
@@ -235,7 +245,9 @@ class FaceTarget(FaceParts):
         """Whether what is followed after a possible cut looks like the face of before."""
         if head_confidence(state.head) < self.settings.lost_below or state.log_odds <= 0:
             return False
-        looks = by_looks(state.pictures, [self.map_to_frame(state.head.estimated.state, state.pose)], frame)
+        similarity = self.map_to_frame(state.head.estimated.state, state.pose)
+        face = laid_out(similarity, self.sensors.detected(similarity.read(frame)))
+        looks = by_looks(state.pictures, [self._picture(frame, face)])
         return bool(looks[0] + self._prior(state, frame) > 0)
 
     def _prior(self, state: FaceState, frame: Frame) -> float:
@@ -244,15 +256,13 @@ class FaceTarget(FaceParts):
 
     def _looked_again(self, state: FaceState, view: FaceView, frame: Frame) -> tuple[float, ...] | None:
         """`again` of the state with a look at the face that is seen in the target's place; None if it is recognised."""
-        # faces look alike where they are laid out alike, which boxes drawn by hand and those of cascades are not
-        laid_out = self.sensors.searched and view.detection is not None and view.detection.eyes is not None
-        weight = min(view.similarity.scale * FACE / SEEN_PX, 1.0)
-        if not laid_out or weight * BOUND <= AGAIN or embedding_model() is None:
+        weight = min(view.laid_out.scale * FACE / SEEN_PX, 1.0)
+        if weight * BOUND <= AGAIN or embedding_model() is None:
             return None
-        in_place = by_place(state.last_seen, [view.similarity], covered=False)[0] > 0
+        in_place = by_place(state.last_seen, [view.laid_out], covered=False)[0] > 0
         if not in_place or likeness(state.looks, look_of(view.image)) >= ALIKE:
             return None
-        [odds] = by_looks(state.pictures, [view.similarity], frame, WHO).tolist()
+        [odds] = by_looks(state.pictures, [self._picture(frame, view.laid_out)], WHO).tolist()
         again = (*(state.again or ()), weight * odds)
         return None if odds > KNOWN or (len(again) == LOOKS_AGAIN and mean(again) + AGAIN > 0) else again
 
@@ -319,10 +329,11 @@ class FaceTarget(FaceParts):
             eyes=eyes, log_odds=view.log_odds, again=() if view.log_odds <= 0 else state.again,
         )  # fmt: skip
         if recognised and not (state.again and self.alone):
-            state = state._replace(last_seen=view.similarity)
+            state = state._replace(last_seen=view.laid_out)
             if likeness(state.looks, look := look_of(view.image)) < NEW:
-                picture = self._picture(frame, view.similarity)
-                state = state._replace(looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
+                picture = self._picture(frame, view.laid_out)
+                if embedding_model() is None or by_looks(state.pictures, [picture], WHO)[0] > 0:
+                    state = state._replace(looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
         state = self._restabilized(self._posed(state, view), view.similarity)
         return state, self.result(state, head_info, frame, notes)
 
@@ -434,7 +445,7 @@ class FaceTarget(FaceParts):
         if faces:
             sightings = [Sighting.of(face, frame) for face in faces]
             maps = [face.similarity for face in sightings]
-            looks = by_looks(state.pictures, maps, frame).tolist()
+            looks = by_looks(state.pictures, [self._picture(frame, face) for face in maps]).tolist()
             sightings = [
                 face._replace(by_looks=odds, latest=odds).after(state.sighting)
                 for face, odds in zip(sightings, looks, strict=True)
