@@ -118,11 +118,11 @@ class FixSession(Session):
             if unknown := [part for part in named if part not in self._parts[name]]:
                 raise RefusedError(400, f"{name} has no {unknown[0]}; it has {', '.join(self._parts[name])}")
 
-    def save(self, draft: Draft) -> None:
-        if not draft.empty:
-            frame = draft.frame
+    def save(self) -> Answer:
+        if not self.draft.empty:
+            frame = self.draft.frame
             raise RefusedError(422, f"what was moved in frame {frame} is not tracked yet; track it, or discard it")
-        self.start_job("saving", self._write, saves=True)
+        return self.start_job("saving", self._write)
 
     def _rows(self, first: int, last: int) -> Json:
         """The rows of frames `first` to `last`, both included."""
@@ -137,17 +137,21 @@ class FixSession(Session):
         corrections, rows = self.fixer.now
         return overview(rows, bins, corrections, self._about["lost_below"])
 
-    def _track(self, base: StrictInt, learn: StrictBool | Literal["keep"] | None = "keep") -> Answer:
+    def _track(self, learn: StrictBool | Literal["keep"] | None = "keep") -> Answer:
         """Make the draft a correction of its frame. `learn` as of Correction; "keep" leaves that as it is."""
-        with self.lock:
-            self.refuse_unless(base)
-            draft = self.draft
-        corrections = self._drafted(draft)
+        frame, corrections = self.draft.frame, self._drafted(self.draft)
         if not corrections:
-            raise RefusedError(422, f"nothing is corrected in frame {draft.frame}; move a part, or mark it as absent")
-        return self._put(
-            corrections if learn == "keep" else [replace(correction, learn=learn) for correction in corrections], draft
-        )
+            raise RefusedError(422, f"nothing is corrected in frame {frame}; move a part, or mark it as absent")
+        if learn != "keep":
+            corrections = [replace(correction, learn=learn) for correction in corrections]
+        for correction in corrections:
+            self.fixer.check(correction)
+
+        def work(**options: Any) -> None:
+            self.fixer.put(corrections, **options)
+            self.draft = Draft(frame, {})  # it is a correction now
+
+        return self._begin(f"tracking {', '.join(correction.target for correction in corrections)}", work)
 
     def _drafted(self, draft: Draft) -> list[Correction]:
         """What the draft says, over what is corrected there already."""
@@ -157,25 +161,11 @@ class FixSession(Session):
 
     def change(self, draft: Draft) -> None:
         """Also keeps what it says, as if it were tracked already."""
-        with self.lock:
-            super().change(draft)
-            try:
-                keep(self.fixer, (*self._resumed, *self._drafted(draft)))
-            except OutputError as e:
-                self.message = flat(str(e))
-
-    def _put(self, corrections: Sequence[Correction], draft: Draft | None = None) -> Answer:
-        """Have corrections tracked; the draft that they are made of becomes empty."""
-        for correction in corrections:
-            self.fixer.check(correction)
-
-        def work(**options: Any) -> None:
-            self.fixer.put(corrections, **options)
-            with self.lock:
-                if draft is not None and self.draft is draft:  # else somebody continues with another one
-                    self.change(Draft(draft.frame, {}))
-
-        return self._begin(f"tracking {', '.join(correction.target for correction in corrections)}", work)
+        super().change(draft)
+        try:
+            keep(self.fixer, (*self._resumed, *self._drafted(draft)))
+        except OutputError as e:
+            self.message = flat(str(e))
 
     def _remove(self, frame: FrameNumber, target: str) -> Answer:
         if self.fixer.find(frame, target) is None:
@@ -192,9 +182,8 @@ class FixSession(Session):
         if len(hands) < 2 or not seen:
             raise RefusedError(422, f"there are no two hands in frame {frame}")
         none = TargetStart()
-        return self._put(
-            [Correction(frame, hand, seen.get(hand, none), absent=hand not in seen or ()) for hand in hands]
-        )
+        both = [Correction(frame, hand, seen.get(hand, none), absent=hand not in seen or ()) for hand in hands]
+        return self._begin(f"tracking {', '.join(hands)}", partial(self.fixer.put, both))
 
     def _confirm(self, frame: FrameNumber, target: str, part: str, stretch: StrictBool = False) -> Answer:
         """A part lies right in a frame, or in the whole `stretch` around it in which it is called lost."""
@@ -243,8 +232,7 @@ class FixSession(Session):
                 self.rows_revision += 1
                 keep(self.fixer, self._drafted(self.draft))
 
-        self.start_job(what, job)
-        return Answer({}, 202)
+        return self.start_job(what, job)
 
     def _resume(self, **options: Any) -> None:
         """Apply the corrections that the last session did not save."""
@@ -345,7 +333,7 @@ Change = tuple[str, Callable[[Tracks], Tracks]]
 class CastSession(Page):
     """The people of the run in `folder`; its clip may be elsewhere now. Nothing is written before it is saved."""
 
-    index, edits = "cast.html", "cast"
+    index = "cast.html"
 
     def __init__(self, folder: Path, elsewhere: Path | None = None, *, video: bool = True) -> None:
         super().__init__()
@@ -398,7 +386,6 @@ class CastSession(Page):
 
     def _change(
         self,
-        base: StrictInt,
         what: Literal["merge", "rename", "split", "give"],
         name: str,
         to: str | None = None,
@@ -415,24 +402,19 @@ class CastSession(Page):
         else:
             words, change = f"give {name}@{frame}f={to or ''}", partial(changes.give, name=name, frame=frame, to=to)
         with self.lock:
-            self.refuse_unless(base)
+            self.refuse_if_busy()
             self._steps.append(((words, change), change(self.tracks)))
-            self.revision += 1
             return self.state()
 
-    def _undo(self, base: StrictInt) -> Json:
+    def _undo(self) -> Json:
         with self.lock:
-            self.refuse_unless(base)
-            if self._steps:
-                self._steps.pop()
-                self.revision += 1
+            self.refuse_if_busy()
+            del self._steps[-1:]
             return self.state()
 
-    def _save(self, base: StrictInt) -> Answer:
-        with self.lock:
-            self.refuse_unless(base)
-            self.start_job("saving", self._write)
-            return Answer(self.state(), 202)
+    def _save(self) -> Answer:
+        self.start_job("saving", self._write)
+        return Answer(self.state(), 202)
 
     def left(self) -> str:
         lost = f"; not saved: {', '.join(words for (words, _), _ in self._steps)}" if self._steps else ""
@@ -449,16 +431,15 @@ class CastSession(Page):
             self.before, self._rows, self._steps = people_in(self.folder), rows_in(self.folder), []
             self._still.cache_clear()
             self.saved += len(steps)
-            self.revision += 1
             self.message = self._said()
 
     def _said(self) -> str:
         return f"{self.folder}: {self.saved} change{'s' if self.saved != 1 else ''} saved"
 
-    def _done(self, base: StrictInt) -> Json:
+    def _done(self) -> Json:
         """End the session; changes that are not saved are gone."""
         with self.lock:
-            self.refuse_unless(base)
+            self.refuse_if_busy()
             self.end([self._said()], f"facetrack people {self.folder}")
             return self.state()
 

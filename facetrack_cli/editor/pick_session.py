@@ -9,7 +9,7 @@ from typing import ClassVar, Final, Literal
 
 from facetrack_cli.core.errors import FacetrackError, OutputError, flat
 from facetrack_cli.core.types import Box, Start, TargetStart
-from facetrack_cli.editor.session import MAX_POINTS, Draft, Json, Proposer, RefusedError, Session, draft_of
+from facetrack_cli.editor.session import MAX_POINTS, Answer, Draft, Json, Proposer, RefusedError, Session, draft_of
 from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
@@ -94,14 +94,16 @@ class PickSession(Session):
         if previous.origin and box is None:
             self.message = f"taken from {previous.origin}"
 
-    def save(self, draft: Draft) -> None:
-        frames = self.frames.count if self.frames.exact else None
-        start = start_of(draft, self.frames.size, frames, self.recipe, self.previous)
-        if frames is None:
-            self.frames.read(start.frame)  # how long the clip is may be known only then
-        by = self._placed_by(draft)
-        start = replace(start, detector=by, placed=by != "")
-        self.start_job("writing the init file", lambda _: self._write(start), saves=True)
+    def save(self) -> Answer:
+        with self.lock:
+            self.refuse_if_busy()
+            frames = self.frames.count if self.frames.exact else None
+            start = start_of(self.draft, self.frames.size, frames, self.recipe, self.previous)
+            if frames is None:
+                self.frames.read(start.frame)  # how long the clip is may be known only then
+            by = self._placed_by(self.draft)
+            start = replace(start, detector=by, placed=by != "")
+            return self.start_job("writing the init file", lambda _: self._write(start))
 
     def left(self) -> str:
         kept, chosen = self._unsaved, self.draft.placed()

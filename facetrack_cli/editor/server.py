@@ -170,7 +170,7 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             answer = _encoded(self._route(self.command, body))
         except RefusedError as e:
-            answer = Answer({"error": str(e), **e.more}, e.code)
+            answer = Answer({"error": str(e)}, e.code)
         except ValidationError as e:
             first = e.errors(include_url=False)[0]
             reason = ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]]))

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeAli
 
 import cv2
 import numpy as np
-from pydantic import ConfigDict, Field, StrictInt, validate_call
+from pydantic import ConfigDict, Field, validate_call
 from pydantic_core import to_jsonable_python
 
 from facetrack_cli.core.errors import FacetrackError, InputError, flat
@@ -36,7 +36,6 @@ JPEG_QUALITY: Final = 90
 MAX_TARGETS: Final = 20
 MAX_POINTS: Final = 500
 MAX_FACES: Final = 12
-CropSide: TypeAlias = Annotated[int, Field(ge=1, le=1024)]
 Json: TypeAlias = dict[str, Any]
 Name: TypeAlias = Annotated[str, Field(pattern=f"^(?:{NAME.pattern})$")]
 
@@ -92,17 +91,6 @@ def jpeg(frames: Frames, index: int, reduce: int = 1) -> bytes:
         size = -(-image.shape[1] // reduce), -(-image.shape[0] // reduce)
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     return cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
-
-
-def crop(frames: Frames, index: int, x: int, y: int, w: int, h: int) -> bytes:
-    """The pixels x .. x+w-1, y .. y+h-1 of a frame, as far as it has them, as PNG. InputError if it has none."""
-    width, height = frames.size
-    left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width), min(y + h, height)
-    if left >= right or top >= bottom:
-        none = f"none of those of {w}x{h} from ({x}, {y}) on"
-        raise InputError(f"the frame has {width}x{height} pixels, and {none}; choose others")
-    part = frames.read(index).bgr[top:bottom, left:right]
-    return cv2.imencode(".png", part, (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes()
 
 
 class Proposer:
@@ -172,11 +160,11 @@ class Proposer:
 
 
 class RefusedError(Exception):
-    """An answer in the 400s: its code, one line for the user, and more members of the JSON."""
+    """An answer in the 400s: its code, and one line for the user."""
 
-    def __init__(self, code: int, message: str, more: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, code: int, message: str) -> None:
         super().__init__(message)
-        self.code, self.more = code, more or {}
+        self.code = code
 
 
 class Answer(NamedTuple):
@@ -206,15 +194,12 @@ class Page(ABC):
     """What a server shows, until it is saved or stopped: one job in a thread, and how it ended."""
 
     index: ClassVar[str] = "index.html"
-    edits: ClassVar[str] = "draft"  # what windows change
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
         self.stopping = threading.Event()  # a job looks at it regularly
-        self.revision = 0
         self.message: str | None = None
         self.ended: Json | None = None
-        self.saving = False
         self.first_error: Exception | None = None  # of the program itself
         self.opened: dict[str, Page] = {}  # the pages below this one, by the first part of their addresses
         self.resources = ExitStack()  # what is closed with the page
@@ -248,35 +233,25 @@ class Page(ABC):
     def state(self) -> Json:
         """What the page shows."""
         with self.lock:
-            return {"revision": self.revision, "job": self._job, "ended": self.ended, "message": self.message}
+            return {"job": self._job, "ended": self.ended, "message": self.message}
 
-    def start_job(self, what: str, work: Callable[[Report], None], *, saves: bool = False) -> None:
-        """Run `work` as the job. Its error is shown as the message. RefusedError (409) as of `refuse_if_busy`.
-
-        While a job runs that `saves`, no draft is accepted.
-        """
+    def start_job(self, what: str, work: Callable[[Report], None]) -> Answer:
+        """Run `work` as the job. Its error is shown as the message. RefusedError (409) as of `refuse_if_busy`."""
         with self.lock:
             self.refuse_if_busy()
             self._job = {"what": what, "done": 0, "total": None}
-            self.message, self.saving = None, saves
+            self.message = None
             self._worker = threading.Thread(target=self._run, args=(work,), daemon=True)
             self._worker.start()
+        return Answer({}, 202)
 
     def refuse_if_busy(self) -> None:
         """RefusedError (409) while a job runs, and after the end."""
         with self.lock:
             if self.ended is not None:
-                raise RefusedError(409, "everything is saved, and this page has ended", self.state())
+                raise RefusedError(409, "everything is saved, and this page has ended")
             if self._job is not None:
-                raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished", self.state())
-
-    def refuse_unless(self, base: int, *, idle: bool = True) -> None:
-        """RefusedError (409) with the state, for what is meant for another revision, or for a page that is `idle`."""
-        with self.lock:
-            if idle:
-                self.refuse_if_busy()
-            if base != self.revision:
-                raise RefusedError(409, f"another window has changed the {self.edits}", self.state())
+                raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished")
 
     def end(self, messages: Sequence[str], next_: str | None) -> None:
         """End the session: show the `messages`, a line each, and the command to continue with."""
@@ -318,7 +293,7 @@ class Page(ABC):
             message = self.record(e)
         finally:
             with self.lock:
-                self._job, self.saving = None, False
+                self._job = None
                 self.message = message or self.message
 
 
@@ -337,8 +312,8 @@ class Session(Page):
         self._proposer, self._about = proposer, about
 
     @abstractmethod
-    def save(self, draft: Draft) -> None:
-        """Begin the job that writes the draft and calls `end`; RefusedError (422) if something is missing."""
+    def save(self) -> Answer:
+        """Begin the job that writes the draft; RefusedError (422) if something is missing."""
 
     def check_draft(self, draft: Draft) -> None:
         """RefusedError (400) for a draft that this session cannot hold; called with the lock."""
@@ -349,10 +324,8 @@ class Session(Page):
         return self._proposer(frame)
 
     def change(self, draft: Draft) -> None:
-        """Replace the draft, for every client."""
-        with self.lock:
-            self.draft = draft
-            self.revision += 1
+        """Replace the draft."""
+        self.draft = draft
 
     def routes(self) -> Sequence[Route]:
         return (
@@ -360,9 +333,8 @@ class Session(Page):
             Route("GET", "api/state", self.state),
             Route("PUT", "api/draft", self._put_draft),
             Route("GET", "api/frame/{frame}.jpg", self._frame),
-            Route("GET", "api/crop/{frame}.png", self._crop),
             Route("GET", "api/proposals/{frame}", self.proposals),
-            Route("POST", "api/save", self._save),
+            Route("POST", "api/save", self.save),
         )
 
     def about(self) -> Json:
@@ -383,28 +355,18 @@ class Session(Page):
         if frame < self.first or (frames["exact"] and frame > frames["last"]):
             raise RefusedError(404, f"there is no frame {frame}; they go from {self.first} to {frames['last']}")
 
-    def _put_draft(self, base: StrictInt, draft: Draft) -> Json:
+    def _put_draft(self, draft: Draft) -> Json:
         with self.lock:
-            self.refuse_unless(base, idle=self.ended is not None or self.saving)
+            self.refuse_if_busy()
             self._check_frame(draft.frame)
             self.check_draft(draft)
             self.message = None
             self.change(draft)
-            return {"revision": self.revision}
-
-    def _save(self, base: StrictInt) -> Answer:
-        with self.lock:
-            self.refuse_unless(base)
-            self.save(self.draft)
-            return Answer({"job": self.state()["job"]}, 202)
+            return {}
 
     def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         self._check_frame(frame)
         return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")
-
-    def _crop(self, frame: int, x: int, y: int, w: CropSide, h: CropSide) -> Answer:
-        self._check_frame(frame)
-        return Answer(crop(self.frames, frame, x, y, w, h), kind="image/png")
 
 
 def internal_error(error: Exception) -> str:

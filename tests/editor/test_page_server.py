@@ -26,7 +26,7 @@ from facetrack_cli.editor.server import (
     assets,
     serving,
 )
-from facetrack_cli.editor.session import Answer, Draft, DraftTarget, Route, Session, crop, jpeg
+from facetrack_cli.editor.session import Answer, Draft, DraftTarget, Route, Session, jpeg
 from tests.support.page_client import Client, wait_for
 
 LARGE = b"\xff" * 40_000_000  # more than the buffers of any connection hold
@@ -59,8 +59,8 @@ class Plain(Session):
         self.go = threading.Event()
         self.fails = None
 
-    def save(self, draft):
-        self.start_job("saving", self._work, saves=True)
+    def save(self):
+        return self.start_job("saving", self._work)
 
     def _work(self, report):
         report(1, 2)
@@ -156,7 +156,7 @@ def test_a_path_outside_is_refused(shared):
         "..\\..\\etc", "assets/../server.py", "server.py", "../server.py", "__init__.py", "style.css/", "%00", "x?x",
         "api", "api/", "api/state/", "api/frame/1.png", "api/frame/-1.jpg", "api/frame/1", "api/frame/99999999999.jpg",
         "api/frame/%31.jpg", "api/frame/1.5.jpg", "api/frame/\xb2.jpg", "api/frame/12.jpg", "api/frame/7.jpg",
-        "api/proposals/12", "api/crop/12.png?x=0&y=0&w=8&h=8", "api/crop/1.png?x=83&y=0&w=8&h=8", "API/state",
+        "api/proposals/12", "API/state",
     ]:  # fmt: skip
         got = get(shared[0], f"/TOKEN/{path}")
         assert got.startswith(b"HTTP/1.1 404 ") and b"root:" not in got, path
@@ -186,26 +186,25 @@ def test_another_host_or_origin_is_refused(shared):
                  "evil.example:80", "127.0.0.1:80:80", "localhost:x", "0.0.0.0", "192.0.2.2", "[::]", "", "localhost/",
                  "127.1", "localhost\r\nHost: a"]:  # fmt: skip
         got = get(server, "/TOKEN/api/state", f"Host: {host}")
-        assert got.startswith(b"HTTP/1.1 403 ") and b"revision" not in got, host
+        assert got.startswith(b"HTTP/1.1 403 ") and b"job" not in got, host
     assert get(server, "/TOKEN/api/state", "", http="HTTP/1.0").startswith(b"HTTP/1.1 403 "), "no host at all"
     for origin in ["http://evil.example", "null", "", "https://localhost:1", "http://localhost:2", "http://localhost",
                    "file://"]:  # fmt: skip
         headers = {"Host": "localhost:1", "Origin": origin}
-        assert client.ask("PUT", "api/draft", {"base": 0, "draft": EMPTY}, headers).status == 403, origin
-        assert client.ask("POST", "api/save", {"base": 0}, headers).status == 403
-        state = client.get("api/state").json
-        assert (state["revision"], state["job"]) == (0, None)
+        assert client.ask("PUT", "api/draft", {"draft": EMPTY}, headers).status == 403, origin
+        assert client.ask("POST", "api/save", {}, headers).status == 403
+        assert client.get("api/state").json["job"] is None
 
 
 def test_a_tunnel_may_change_the_port_and_a_browser_hide_the_origin(client):
-    for base, host in enumerate(["localhost", "LOCALHOST:80", "127.0.0.1:9999", "[::1]:1", "localhost:65535"]):
+    for host in ["localhost", "LOCALHOST:80", "127.0.0.1:9999", "[::1]:1", "localhost:65535"]:
         assert client.get("api/state", Host=host).status == 200
         own = {"Host": host, "Origin": f"http://{host}"}
-        assert client.ask("PUT", "api/draft", {"base": base, "draft": EMPTY}, own).status == 200
+        assert client.ask("PUT", "api/draft", {"draft": EMPTY}, own).status == 200
     for origin, site, status in [("null", "same-site", 403), ("http://evil.example", "same-origin", 403),
                                  ("null", "same-origin", 200)]:  # fmt: skip
         headers = {"Origin": origin, "Sec-Fetch-Site": site}
-        assert client.ask("PUT", "api/draft", {"base": 5, "draft": EMPTY}, headers).status == status
+        assert client.ask("PUT", "api/draft", {"draft": EMPTY}, headers).status == status
 
 
 def test_every_answer_has_the_headers(client):
@@ -256,25 +255,12 @@ def test_a_jpeg_is_the_whole_frame_reduced_by_area_means(shared):
     assert shared[1].get("api/frame/7.jpg").json == {"error": "clip: frame 7 cannot be decoded; convert it"}
 
 
-def test_a_crop_is_lossless_and_clipped(shared):
-    for x, y, w, h in ((10, 5, 20, 8), (-5, -6, 12, 12), (80, 40, 50, 50), (-10, -10, 500, 500), (82, 45, 1, 1)):
-        got = shared[1].get(f"api/crop/3.png?x={x}&y={y}&w={w}&h={h}")
-        assert (got.status, got.headers["Content-Type"]) == (200, "image/png")
-        expected = Frames().read(3).bgr[max(y, 0) : y + h, max(x, 0) : x + w]
-        np.testing.assert_array_equal(decode(got.data), expected)
-    for region in ((83, 0, 5, 5), (0, 46, 5, 5), (-5, 0, 5, 5), (10, 10, 0, 5), (10, 10, 5, -1)):
-        with pytest.raises(InputError, match="the frame has 83x46 pixels, and none of those of"):
-            crop(Frames(), 0, *region)
-
-
 def test_numbers_of_a_query_are_checked(shared):
     reductions = ["reduce=3", "reduce=-2", "reduce=", "reduce=x", "reduce=1e1", "reduce=" + "9" * 300,
                   "reduce=1&reduce=2", "a=1"]  # fmt: skip
-    regions = ["", "x=0&y=0&w=8", "x=0&y=0&w=0&h=8", "x=0&y=0&w=5000&h=8", "x=0.5&y=0&w=8&h=8", "x=0&x=1&y=0&w=8&h=8"]
-    paths = [f"api/frame/3.jpg?{query}" for query in reductions] + [f"api/crop/3.png?{query}" for query in regions]
-    for path in paths:
-        got = shared[1].get(path)
-        assert got.status == 400 and len(got.json["error"].splitlines()) == 1, path
+    for query in reductions:
+        got = shared[1].get(f"api/frame/3.jpg?{query}")
+        assert got.status == 400 and len(got.json["error"].splitlines()) == 1, query
 
 
 # --- what it is sent -------------------------------------------------------------------------------------------------
@@ -296,10 +282,9 @@ def test_a_body_of_unknown_or_great_length_is_refused(shared):
 
 def test_a_body_that_is_no_draft_is_refused_in_one_line(shared):
     _, client = shared
-    for body in [b"", b" ", b"{", b"[1]", b"null", b'"a"', b"\xff\xfe", b'{"base": NaN}', b'{"base": -Infinity}',
-                 b"[" * 200_000, b'{"base": ' + b"9" * 10_000 + b"}"]:  # fmt: skip
+    for body in [b"", b" ", b"{", b"[1]", b"null", b'"a"', b"\xff\xfe", b'{"draft": NaN}', b"[" * 200_000,
+                 b'{"draft": ' + b"9" * 10_000 + b"}"]:  # fmt: skip
         assert client.ask("PUT", "api/draft", body).status == 400, body[:20]
-        assert client.ask("POST", "api/save", body).status == 400
     targets = [
         {"box": [1, 2, 3]}, {"box": [1, 2, 0, 4]}, {"box": [1, 2, 3, True]}, {"box": "1234"},
         {"box": [1e300, 2, 3, 4]}, {"box": [10**400, 2, 3, 4]}, {"box": [math.nan, 2, 3, 4]}, {"size": 1},
@@ -313,15 +298,15 @@ def test_a_body_that_is_no_draft_is_refused_in_one_line(shared):
         {"frame": 0, "targets": {"\ud800": {}}}, {"frame": 0, "targets": {f"t{k}": {} for k in range(21)}},
         *({"frame": 0, "targets": {"face": target}} for target in targets),
     ]:  # fmt: skip
-        got = client.ask("PUT", "api/draft", {"base": 0, "draft": draft})
+        got = client.ask("PUT", "api/draft", {"draft": draft})
         assert got.status == 400 and len(got.json["error"].splitlines()) == 1, draft
-        assert client.get("api/state").json["revision"] == 0
+        assert client.get("api/state").json["draft"] == EMPTY
 
 
 def test_a_draft_comes_back_as_it_was(client, session):
     face = {"box": [1.25, -2, 30, 40], "points": {"nose": [3, 4.125]}, "absent": ["lip"]}
     targets = {"face": face, "hand": {"absent": True}, "other": {}}
-    assert client.put_draft(5, **targets).json == {"revision": 1}
+    assert client.put_draft(5, **targets).status == 200
     nothing = {"box": None, "points": {}, "absent": []}
     expected = {"face": face, "hand": {**nothing, "absent": True}, "other": nothing}
     assert client.get("api/state").json["draft"] == {"frame": 5, "targets": expected}
@@ -330,31 +315,16 @@ def test_a_draft_comes_back_as_it_was(client, session):
     assert got.status == 404 and got.json["error"] == "there is no frame 12; they go from 0 to 11"
 
 
-# --- two windows, and jobs -------------------------------------------------------------------------------------------
-
-
-def test_the_slower_window_gets_the_whole_state(server, client):
-    other = Client(server.url)
-    assert client.put_draft(1, face={"box": [1, 2, 3, 4]}).status == 200
-    got = other.put_draft(2, base=0)
-    assert got.status == 409 and "another window" in got.json["error"]
-    assert got.json["revision"] == 1 and got.json["draft"]["frame"] == 1
-    got = other.save(base=0)
-    assert got.status == 409 and got.json["job"] is None
-    assert other.put_draft(2, base=1).json == {"revision": 2}
-    for base in (None, "1", 1.0, True):
-        assert other.ask("POST", "api/save", {"base": base}).status == 400
-    other.close()
+# --- jobs ----------------------------------------------------------------------------------------------------------
 
 
 def test_saving_is_one_job_and_then_the_session_ends(client, session):
     assert client.put_draft(3).status == 200
-    got = client.save()
-    assert got.status == 202 and got.json["job"]["what"] == "saving"
+    assert client.save().status == 202
     client.until(lambda state: state["job"] == {"what": "saving", "done": 1, "total": 2})
     assert client.save().json["error"] == "busy: saving; wait until it has finished"
-    got = client.put_draft(4)
-    assert got.status == 409 and got.json["draft"]["frame"] == 3, "what is being saved stands"
+    assert client.put_draft(4).status == 409, "what is being saved stands"
+    assert client.get("api/state").json["draft"]["frame"] == 3
     session.go.set()
     state = client.until(lambda state: state["ended"] and not state["job"])
     assert state["ended"] == {"messages": ["a: written"], "next": "facetrack run a"}

@@ -28,7 +28,7 @@ QUIET = ("--disable-gpu", "--disable-quic", "--no-first-run", "--disable-backgro
          "--disable-component-update", "--disable-sync")  # fmt: skip
 DESK = {"viewport": {"width": 1280, "height": 800}}
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
-SMALL = {"viewport": {"width": 320, "height": 568}, "has_touch": True, "is_mobile": True}
+TABLET = {"viewport": {"width": 1024, "height": 768}, "has_touch": True, "is_mobile": True}
 AT_MOST_S = 20.0
 READY = "open this page: "
 FUNCTION = re.compile(r"\([^()]*\) =>")
@@ -97,11 +97,13 @@ class Window:
         self.page, self.context = page, page.context
         self.keyboard, self.mouse = page.keyboard, page.mouse
         self.expected, self.errors = [], []
+        self.asked, self.answer = [], ""  # what the page asks, to which it is told yes, or this text
         self._fingers = None
         self._listeners = {
             "console": self._console,
             "pageerror": lambda error: self.errors.append(f"uncaught: {error}"),
             "crash": lambda _: self.errors.append("the tab crashed"),
+            "dialog": lambda dialog: (self.asked.append(dialog.message), dialog.accept(self.answer)),
         }
         for event, listener in self._listeners.items():
             page.on(event, listener)
@@ -259,7 +261,6 @@ class Window:
         """Save by the button, agree if the page asks, and end; the messages that are shown then."""
         self.click_on("save")
         if self.get("mode") == "fix":
-            self.click_on("confirm-yes")
             self.until("window.facetrack.saves || !document.getElementById('problem').hidden")
             self.click_on("done")
         self.until("window.facetrack.ended || !document.getElementById('problem').hidden")

@@ -66,14 +66,11 @@ class Client:
     def get(self, path: str, **headers: str) -> Got:
         return self.ask("GET", path, headers=headers)
 
-    def put_draft(self, frame: int, base: int | None = None, **targets: Any) -> Got:
-        """A draft, on top of what is there unless `base` says of what."""
-        base = self.get("api/state").json["revision"] if base is None else base
-        return self.ask("PUT", "api/draft", {"base": base, "draft": {"frame": frame, "targets": targets}})
+    def put_draft(self, frame: int, **targets: Any) -> Got:
+        return self.ask("PUT", "api/draft", {"draft": {"frame": frame, "targets": targets}})
 
-    def save(self, base: int | None = None) -> Got:
-        base = self.get("api/state").json["revision"] if base is None else base
-        return self.ask("POST", "api/save", {"base": base})
+    def save(self) -> Got:
+        return self.ask("POST", "api/save", {})
 
     def until(self, done, what: str = "the state") -> Any:
         """The state as soon as `done` says so of it."""

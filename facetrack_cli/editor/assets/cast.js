@@ -1,7 +1,7 @@
 // The page of a film's cast: people are merged, renamed and split, and doubts are settled.
 
 import * as api from "./api.js";
-import { $, drawn, HOME, make, showHome } from "./dom.js";
+import { $, drawn, HOME, make, say, showHome } from "./dom.js";
 
 const POLL = 1000; // ms
 let now = null; // the state that the server told last
@@ -22,18 +22,13 @@ const clock = (frame) => {
   return `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(2).padStart(5, "0")}`;
 };
 
-function say(text) {
-  $("message").textContent = text;
-}
-
-async function ask(path, body = {}) {
+async function ask(path, body) {
   try {
-    show(await api.post(path, { base: now.revision, ...body }));
+    show(await api.post(path, body));
     say(now.changes.at(-1) ?? "");
   } catch (error) {
+    render();
     say(error.message);
-    if (error.body?.people) show(error.body);
-    else render();
   }
 }
 
@@ -110,12 +105,12 @@ function showMoment() {
 async function openPoints({ person, first }) {
   if (now.changes.length) return say("Save who is who first, or undo it.");
   const clip = Number(/people-([0-9]+)/.exec(location.pathname)[1]);
-  const body = JSON.stringify({ clip, page: "fix", person, frame: first });
-  const headers = { "Content-Type": "application/json" };
-  const answer = await fetch(new URL("../api/open", document.baseURI), { method: "POST", body, headers });
-  const found = await answer.json();
-  if (answer.ok) location.href = new URL(`../${found.url}`, document.baseURI);
-  else say(found.error);
+  try {
+    const { url } = await api.post("../../api/open", { clip, page: "fix", person, frame: first });
+    location.href = new URL(`../${url}`, document.baseURI);
+  } catch (error) {
+    say(error.message, "error");
+  }
 }
 
 function showDoubt() {
@@ -170,14 +165,14 @@ function show(state) {
 }
 
 async function poll() {
+  const before = now;
   try {
     const state = await api.state();
-    const told = (one) => JSON.stringify([one.revision, one.job, one.ended, one.message]);
     // an answer that was on its way when something was changed is old
-    if (state.revision >= now.revision && told(state) !== told(now)) show(state);
+    if (now === before && JSON.stringify(state) !== JSON.stringify(now)) show(state);
   } catch (error) {
-    say(now.ended ? now.ended.messages.join("; ") : error.message);
     if (now.ended) return;
+    say(error.message, "error");
   }
   setTimeout(poll, POLL);
 }

@@ -1,12 +1,11 @@
 // The page of a project: a line for each clip, and what can be done with it.
 
 import * as api from "./api.js";
-import { $, askToConfirm, button, make, plural, readable, setText } from "./dom.js";
+import { $, button, make, plural, readable, say, setText } from "./dom.js";
 import { Look } from "./look.js";
 import { upload } from "./upload.js";
 
 const POLL = 1000; // ms
-const SHOWN = 8000; // ms of a message
 const WHAT = { face: "A face", everybody: "Everybody", signer: "A signer", box: "A box I draw" };
 const STATES = {
   ready: "",
@@ -20,13 +19,6 @@ const STATES = {
 const rows = new Map(); // id -> the parts of a line
 let now = null; // the state that the server told last
 let over = false;
-
-function say(text, kind = "info") {
-  $("message").dataset.kind = kind;
-  setText($("message"), text);
-  clearTimeout(say.timer);
-  if (kind !== "error") say.timer = setTimeout(() => setText($("message"), ""), SHOWN);
-}
 
 const clock = (s) => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
 function duration(s) {
@@ -52,14 +44,14 @@ async function open(clip, page) {
   if (found) location.href = found.url;
 }
 
-async function again(clip) {
+function again(clip) {
   const text = "The results that are there now are replaced, with what was corrected in them.";
-  if (await askToConfirm(`Track ${clip.name} from the start?`, text, "Track again")) ask("want", { clips: [clip.id], wanted: true, again: true });
+  if (confirm(`Track ${clip.name} from the start?\n\n${text}`)) ask("want", { clips: [clip.id], wanted: true, again: true });
 }
 
-async function remove(clip) {
+function remove(clip) {
   const text = "Its results are moved into the folder “removed”. The clip itself stays where it is.";
-  if (await askToConfirm(`Remove ${clip.name} from the list?`, text, "Remove")) ask("remove", { clip: clip.id });
+  if (confirm(`Remove ${clip.name} from the list?\n\n${text}`)) ask("remove", { clip: clip.id });
 }
 
 /** The files of programs, as a menu; the browser saves what is chosen. */
@@ -71,21 +63,16 @@ export function exportMenu(menu, title, programs, address) {
     menu.value = "";
     say("Writing the file …");
     try {
-      await save(new URL(`${address}?program=${program}`, document.baseURI));
+      const [blob, headers] = await api.file(`${address}?program=${program}`);
+      const name = /filename="([^"]*)"/.exec(headers.get("Content-Disposition"))[1];
+      const link = make("a", { href: URL.createObjectURL(blob), download: name });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
       say(`Saved; a copy is in ${now.folder}/exports.`);
     } catch (error) {
       say(error.message, "error");
     }
   };
-}
-
-async function save(url) {
-  const answer = await fetch(url);
-  if (!answer.ok) throw new Error((await answer.json().catch(() => null))?.error ?? `refused: ${answer.status}`);
-  const name = /filename="([^"]*)"/.exec(answer.headers.get("Content-Disposition"))?.[1] ?? "export";
-  const link = make("a", { href: URL.createObjectURL(await answer.blob()), download: name });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
 // --- a line
@@ -103,7 +90,7 @@ function line(id) {
   const state = make("p", { class: "state", "data-testid": `state-${id}` });
   const bar = make("progress", { max: 1 });
   const menu = make("select", { "data-testid": `export-${id}`, class: "small" });
-  exportMenu(menu, "Export …", Object.entries(now.programs), `api/export/${id}`);
+  exportMenu(menu, "Export …", Object.entries(now.programs), `export/${id}`);
   const actions = {
     run: named("run", "Track", (clip) => ask("want", { clips: [clip.id], wanted: true })),
     start: named("start", "", (clip) => open(clip, "start")),
@@ -222,7 +209,7 @@ async function poll() {
     show(state);
   } catch (error) {
     if (over) return;
-    if (!(error instanceof api.Unreachable || error instanceof api.Refused)) throw error;
+    if (!(error instanceof api.Failed)) throw error;
     $("offline").hidden = false;
   }
   setTimeout(poll, POLL);
@@ -236,7 +223,7 @@ function ended() {
 async function quit() {
   const active = now.clips.some((one) => one.state === "running");
   const text = active ? "What is tracked now is kept; it goes on when facetrack is started again." : "All is kept. Start facetrack again to go on.";
-  if (await askToConfirm("Quit facetrack?", text, "Quit")) {
+  if (confirm(`Quit facetrack?\n\n${text}`)) {
     await ask("quit");
     ended();
   }
@@ -252,18 +239,18 @@ function drops() {
   zone.addEventListener("drop", (event) => {
     event.preventDefault();
     over(0);
-    upload([...event.dataTransfer.files], say);
+    upload([...event.dataTransfer.files]);
   });
 }
 
-const look = new Look({ open, say, exportMenu, back: () => (location.hash = "") });
+const look = new Look({ open, exportMenu, back: () => (location.hash = "") });
 const hash = () => look.show(Number(/^#look-([0-9]+)$/.exec(location.hash)?.[1] ?? 0), now);
 
 async function start() {
   show(await api.state());
   $("quit").addEventListener("click", quit);
   $("files").addEventListener("change", () => {
-    upload([...$("files").files], say);
+    upload([...$("files").files]);
     $("files").value = "";
   });
   $("by-path").addEventListener("submit", async (event) => {
@@ -280,7 +267,7 @@ async function start() {
     ask("choose", { clips: open.map((one) => one.id), what: $("same").value });
     $("same").value = "";
   });
-  exportMenu($("export-all"), "Export all …", Object.entries(now.programs).filter(([, one]) => one.many), "api/export");
+  exportMenu($("export-all"), "Export all …", Object.entries(now.programs).filter(([, one]) => one.many), "export");
   drops();
   window.addEventListener("hashchange", hash);
   hash();
@@ -290,5 +277,5 @@ async function start() {
 
 start().catch((error) => {
   $("offline").hidden = false;
-  if (!(error instanceof api.Unreachable || error instanceof api.Refused)) throw error;
+  if (!(error instanceof api.Failed)) throw error;
 });

@@ -4,7 +4,7 @@ import { $, plural } from "./dom.js";
 import { diamondPath } from "./draw.js";
 import { clamp } from "./geometry.js";
 
-const SLIDER = 11; // CSS pixels from its end to the middle of its thumb: the frames are below it
+const SLIDER = 8; // CSS pixels from its end to the middle of its thumb: the frames are below it
 const STRIP = 5; // CSS pixels below the curve: lost and absent
 const HEAD = 11; // above it: corrections
 const RESIZED = 150; // ms after the last change of size
