@@ -202,18 +202,24 @@ class FixSession(Session):
             corrections.append(merged(new, before, self._parts[target]))
         return self._begin(f"confirming {target}", partial(self.fixer.put, corrections))
 
+    @property
+    def _kept(self) -> Path | None:
+        """The file with which the next session goes on, if there is something in it."""
+        kept = self.fixer.run.folder / UNSAVED
+        some = self.fixer.changed or self._resumed or not self.draft.empty
+        return kept if some and kept.is_file() else None
+
     def _done(self) -> Json:
         """End the session; what is not saved is kept for the next one."""
         self.refuse_if_busy()
-        folder = self.fixer.run.folder
-        left = [f"{folder / UNSAVED}: corrections that are not saved; {self.fixer.run.fixed_by} goes on with them"]
+        folder, by = self.fixer.run.folder, self.fixer.run.fixed_by
+        left = [f"{self._kept}: corrections that are not saved; {by} goes on with them"] if self._kept else []
         nothing = [f"{folder}: nothing was corrected, all is as it was"]
-        self.end(self.saved + left * (folder / UNSAVED).is_file() or nothing, f"facetrack report {folder} --overwrite")
+        self.end(self.saved + left or nothing, f"facetrack report {folder} --overwrite")
         return self.state()
 
     def left(self) -> str:
-        kept = self.fixer.run.folder / UNSAVED
-        if kept.is_file():
+        if kept := self._kept:
             goes_on = f"all else is as it was; {self.fixer.run.fixed_by} goes on with them"
             return f"the corrections are kept in {kept}, {goes_on}"
         return "what was saved stays" if self.saves else super().left()

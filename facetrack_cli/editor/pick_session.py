@@ -1,6 +1,6 @@
 """Choosing the start of a track on the page: which parts a recipe requires, and whether a draft has them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from difflib import get_close_matches
@@ -9,11 +9,10 @@ from typing import ClassVar, Final, Literal
 
 from facetrack_cli.core.errors import FacetrackError, OutputError, flat
 from facetrack_cli.core.types import Box, Start, TargetStart
-from facetrack_cli.editor.session import MAX_POINTS, Answer, Draft, Json, Proposer, RefusedError, Session, draft_of
+from facetrack_cli.editor.session import Answer, Draft, Json, Proposer, RefusedError, Session, draft_of
 from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
-from facetrack_cli.report.story import names as listed
 from facetrack_cli.start.assembly import build_tracker, check_windows, name_targets
 from facetrack_cli.start.init_file import (
     KEYS,
@@ -170,11 +169,16 @@ def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
 def start_of(draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, previous: Start) -> Start:
     """The start of a draft, to 0.01 px, as a run accepts it, with windows and corrections `carried` from `previous`.
 
-    `frames` is the number of frames where it is certain. Raises RefusedError (422) that names all missing parts.
+    `frames` is the number of frames where it is certain. Raises RefusedError (422) that names what is missing.
     """
     left_out = () if recipe is None else recipe.left_out
     chosen = {name: target for name, target in draft.placed().items() if name not in left_out}
-    _check_complete(chosen, requirements(recipe), free=recipe is None or not recipe.followed)
+    if not chosen:
+        raise RefusedError(422, "nothing is chosen yet; take a face that was found, or choose a part")
+    for asked in requirements(recipe) if recipe is not None and recipe.followed else ():
+        name, needs_box = asked["target"], asked["box"] == "needed"
+        if (needs_box and chosen.get(name, TargetStart()).box is None) or (asked["points"] and name not in chosen):
+            raise RefusedError(422, f"still to choose: {'the box of ' * needs_box}{name}")
     for name in chosen:
         if get_close_matches(name, _RESERVED, n=1, cutoff=0.7):
             raise RefusedError(422, f"a target cannot be called {name}, too like a key of init files; rename it")
@@ -212,26 +216,6 @@ def carried(start: Start, previous: Start) -> Start:
         targets[name] = replace(target, windows={p: w for p, w in before.windows.items() if p in target.points})
     kept = tuple(fix for fix in previous.corrections if fix.target in targets and fix.frame > start.frame)
     return replace(start, targets=targets, corrections=kept)
-
-
-def _check_complete(chosen: Mapping[str, TargetStart], required: Sequence[Json], *, free: bool) -> None:
-    """RefusedError that names all missing parts, by target."""
-    if not chosen:
-        first = listed(_missing(TargetStart(), required[0]), MAX_POINTS)
-        raise RefusedError(422, f"nothing is chosen yet; choose {first}")
-    by_name = dict.fromkeys(chosen, required[0]) if free else {asked["target"]: asked for asked in required}
-    unknown = [name for name in chosen if name not in by_name]
-    if unknown:
-        raise RefusedError(422, f"the recipe follows {', '.join(by_name)}, and no {', '.join(unknown)}; remove it")
-    missing = {name: _missing(chosen.get(name, TargetStart()), asked) for name, asked in by_name.items()}
-    if any(missing.values()):
-        open_ = "; ".join(f"{listed(parts, MAX_POINTS)} of {name}" for name, parts in missing.items() if parts)
-        raise RefusedError(422, f"still to choose: {open_}")
-
-
-def _missing(target: TargetStart, required: Json) -> list[str]:
-    box = ["the box"] if required["box"] == "needed" and target.box is None else []
-    return [*box, *(part for part in required["points"] if part not in target.points)]
 
 
 def _check_build(start: Start, size: tuple[int, int], recipe: Recipe) -> None:

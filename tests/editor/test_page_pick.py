@@ -138,19 +138,19 @@ def test_hands_are_proposed_with_the_head(clips):
 
 def test_what_a_draft_lacks_is_said_in_one_line(clips, tmp_path):
     cases = [
-        (None, {}, "nothing is chosen yet; choose nose, mouth_left, mouth_right, lip_upper and lip_lower"),
-        (None, {"face": {"box": [112, 79, 98, 98]}}, "still to choose: nose, mouth_left, mouth_right, lip_"),
+        (None, {}, "nothing is chosen yet; take a face that was found, or choose a part"),
+        (None, {"face": {"box": [112, 79, 98, 98]}}, "no point for nose, mouth_left, mouth_right, lip_upper, lip_"),
         (None, {"face": {"points": {**POINTS, "nose": [400, 20]}}}, "nose of face at [400, 20] is outside the"),
-        (None, {"face": FACE, "b": {"points": {"nose": [9, 9]}}}, "still to choose: mouth_left, mouth_right, lip"),
+        (None, {"face": FACE, "b": {"points": {"nose": [9, 9]}}}, "no point for mouth_left, mouth_right, lip_upper, lip"),
         (None, {"face": FACE, "boxes": FACE}, "a target cannot be called boxes, too like a key of"),
         (None, {"face": {**FACE, "box": [112, 79, 5, 98]}}, "the box of face is smaller than 6x6 pixels; give a"),
         ("factorized", {"face": {"points": {part: [100, 100] for part in PARTS}}}, "in one place"),
-        ("contour_histogram", {"face": {"points": POINTS}}, "still to choose: the box of face"),
+        ("contour_histogram", {"face": {"points": POINTS}}, "face has no box, which the recipe follows"),
         ("contour_histogram", {"face": {"box": [-900, 79, 98, 98]}}, "the centre of the box [-900, 79, 98, 98] of"),
         ("contour_histogram", {"face": {"box": [-90, 0, 400, 200]}}, "400x200 pixels, is larger than the frame"),
-        ("head_hands", {}, "nothing is chosen yet; choose the box"),
-        ("head_hands", {"head": HANDS["head"]}, "still to choose: the box of left_hand; the box of right_hand"),
-        ("head_hands", {**HANDS, "foot": FACE}, "the recipe follows head, left_hand, right_hand, and no foot; "),
+        ("head_hands", {}, "nothing is chosen yet"),
+        ("head_hands", {"head": HANDS["head"]}, "still to choose: the box of left_hand"),
+        ("head_hands", {**HANDS, "foot": FACE}, "has foot, which the recipe does not know; it follows head, left_hand, right_hand"),
     ]
     for config in dict.fromkeys(case[0] for case in cases):
         with picking(clips / "face", tmp_path / "a.init.yaml", config) as (client, session):

@@ -21,7 +21,6 @@ from facetrack_cli.editor.server import (
     HEAD,
     HEADERS,
     MAX_BODY_BYTES,
-    MAX_REFUSED_BYTES,
     Server,
     assets,
     serving,
@@ -146,8 +145,6 @@ def test_a_request_without_the_token_gets_nothing(shared):
         got = get(server, path, "Host: localhost\r\nContent-Length: 0", method)
         assert got.startswith(b"HTTP/1.1 403 ") and token.encode() not in got, (method, path)
         assert b'"error":"the address lacks its token' in got
-    moved = client.get(f"/{token}")
-    assert (moved.status, moved.headers["Location"]) == (308, f"/{token}/")
 
 
 def test_a_path_outside_is_refused(shared):
@@ -268,10 +265,8 @@ def test_numbers_of_a_query_are_checked(shared):
 
 def test_a_body_of_unknown_or_great_length_is_refused(shared):
     server, client = shared
-    got = client.ask("PUT", "api/draft", b" " * (MAX_BODY_BYTES + 1))
-    assert got.status == 413 and str(MAX_BODY_BYTES) in got.json["error"]
-    assert client.get("api/state").status == 200, "the connection continues with the next request"
-    head = f"PUT /TOKEN/api/draft HTTP/1.1\r\nHost: localhost\r\nContent-Length: {MAX_REFUSED_BYTES + 1}\r\n\r\n"
+    assert client.ask("PUT", "api/draft", b" " * MAX_BODY_BYTES).status == 400
+    head = f"PUT /TOKEN/api/draft HTTP/1.1\r\nHost: localhost\r\nContent-Length: {MAX_BODY_BYTES + 1}\r\n\r\n"
     assert raw(server, head.encode(), end=False).startswith(b"HTTP/1.1 413 "), "without waiting for all of it"
     for length in ["Content-Length: -5", "Content-Length: x", "Content-Length: 2\r\nContent-Length: 3",
                    "Transfer-Encoding: chunked", f"Content-Length: {'9' * 30}", "Content-Length: \xb2"]:  # fmt: skip
