@@ -7,9 +7,9 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
-from facetrack_cli.core.errors import FacetrackError, OutputError, flat
+from facetrack_cli.core.errors import FacetrackError, OutputError, UsageError, flat
 from facetrack_cli.core.types import Box, Start, TargetStart
-from facetrack_cli.editor.session import Answer, Draft, Json, Proposer, RefusedError, Session, draft_of
+from facetrack_cli.editor.session import Answer, Draft, Json, Proposer, Session, draft_of
 from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
@@ -83,17 +83,22 @@ class PickSession(Session):
         self._unchanged = draft if box is None else None
         with ExitStack() as stack:
             frames = stack.enter_context(Frames(clip))
-            proposer = Proposer(frames, recipe, required[0]["points"])
+            self._proposer = Proposer(frames, recipe, required[0]["points"])
             image = frames.read(shown)  # raises InputError before anything is served
             if box is not None:
-                draft = proposer.in_box(image, box, str(clip))
+                draft = self._proposer.in_box(image, box, str(clip))
                 self._placed.append((draft, detector().name))
-            super().__init__(frames, proposer, draft, about)
+            super().__init__(frames, draft, about)
             self.resources = stack.pop_all()
         if previous.origin and box is None:
             self.message = f"taken from {previous.origin}"
 
-    def save(self) -> Answer:
+    def get_proposals(self, frame: int) -> Json:
+        """{"frame", "proposals", "note"} of a frame."""
+        self._check_frame(frame)
+        return self._proposer(frame)
+
+    def post_save(self) -> Answer:
         with self.lock:
             self.refuse_if_busy()
             frames = self.frames.count if self.frames.exact else None
@@ -169,19 +174,19 @@ def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
 def start_of(draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, previous: Start) -> Start:
     """The start of a draft, to 0.01 px, as a run accepts it, with windows and corrections `carried` from `previous`.
 
-    `frames` is the number of frames where it is certain. Raises RefusedError (422) that names what is missing.
+    `frames` is the number of frames where it is certain. Raises UsageError that names what is missing.
     """
     left_out = () if recipe is None else recipe.left_out
     chosen = {name: target for name, target in draft.placed().items() if name not in left_out}
     if not chosen:
-        raise RefusedError(422, "nothing is chosen yet; take a face that was found, or choose a part")
+        raise UsageError("nothing is chosen yet; take a face that was found, or choose a part")
     for asked in requirements(recipe) if recipe is not None and recipe.followed else ():
         name, needs_box = asked["target"], asked["box"] == "needed"
         if (needs_box and chosen.get(name, TargetStart()).box is None) or (asked["points"] and name not in chosen):
-            raise RefusedError(422, f"still to choose: {'the box of ' * needs_box}{name}")
+            raise UsageError(f"still to choose: {'the box of ' * needs_box}{name}")
     for name in chosen:
         if get_close_matches(name, _RESERVED, n=1, cutoff=0.7):
-            raise RefusedError(422, f"a target cannot be called {name}, too like a key of init files; rename it")
+            raise UsageError(f"a target cannot be called {name}, too like a key of init files; rename it")
     start = carried(Start(draft.frame, chosen, ORIGIN), previous)
     try:
         if recipe is not None:
@@ -192,7 +197,7 @@ def start_of(draft: Draft, size: tuple[int, int], frames: int | None, recipe: Re
                 check_size(ORIGIN, name, target.box)
         _check_build(start, size, recipe if recipe is not None else load_recipe(DEFAULT))
     except FacetrackError as e:
-        raise RefusedError(422, flat(str(e)).removeprefix(f"{ORIGIN}: ")) from None
+        raise UsageError(flat(str(e)).removeprefix(f"{ORIGIN}: ")) from None
     return start
 
 

@@ -23,8 +23,8 @@ from urllib.parse import parse_qs
 
 from pydantic import TypeAdapter, ValidationError
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
-from facetrack_cli.editor.session import Answer, Page, RefusedError, internal_error
+from facetrack_cli.core.errors import FacetrackError, UsageError, flat
+from facetrack_cli.editor.session import Answer, Page, internal_error
 
 ADDRESS: Final = "127.0.0.1"
 MAX_BODY_BYTES: Final = 1024 * 1024  # the largest draft has fewer, and so has a piece of a file that is dropped
@@ -167,15 +167,12 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         self._page = self.server.session
         try:
-            answer = _encoded(self._route(self._read()))
-        except RefusedError as e:
-            answer = _refusal(e.code, str(e))
+            answer = _encoded(self._route())
         except ValidationError as e:
             first = e.errors(include_url=False)[0]
             answer = _refusal(400, ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]])))
         except FacetrackError as e:
-            missing = self.command == "GET" and isinstance(e, InputError)  # as a frame that cannot be decoded
-            answer = _refusal(404 if missing else 422, str(e))
+            answer = _refusal(422, str(e))
         except (ConnectionError, TimeoutError):  # the page has gone
             raise
         except Exception as e:
@@ -189,49 +186,42 @@ class _Handler(BaseHTTPRequestHandler):
 
     do_PUT = do_POST = do_GET  # noqa: N815
 
-    def _read(self) -> bytes:
-        """The body, which is read in any case: what is left of it would be taken for the next request."""
+    def _route(self) -> Any:
         lengths = self.headers.get_all("Content-Length", ["0"])
         known = len(lengths) == 1 and "Transfer-Encoding" not in self.headers
         if not (known and re.fullmatch("[0-9]{1,15}", text := lengths[0].strip())):
             self.close_connection = True
-            raise RefusedError(411, "the length of the body must be given, once")
+            return _refusal(411, "the length of the body must be given, once")
         if (length := int(text)) > MAX_BODY_BYTES:
             self.close_connection = True
-            raise RefusedError(413, f"{length} bytes are too many; at most {MAX_BODY_BYTES} are accepted")
-        data = self.rfile.read(length)
+            return _refusal(413, f"{length} bytes are too many; at most {MAX_BODY_BYTES} are accepted")
+        data = self.rfile.read(length)  # in any case, or it would be taken for the next request
         if len(data) != length:
             raise ConnectionResetError
-        return data
-
-    def _route(self, data: bytes) -> Any:
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or not _HOST.fullmatch(hosts[0].strip()):
             only = "this page is for localhost and 127.0.0.1 alone"
-            raise RefusedError(403, f"{only}; open the address that facetrack printed")
+            return _refusal(403, f"{only}; open the address that facetrack printed")
         if not self._same_origin(hosts[0].strip().lower()):
-            raise RefusedError(403, "requested by a page of another origin")
+            return _refusal(403, "requested by a page of another origin")
         path, _, query = self.path.partition("?")
         begin, token, below = (*path.split("/", 2), "", "")[:3]
         known = hmac.compare_digest(token.encode(), self.server.token.encode())
         if begin or not known or path.count("/") < 2:
-            raise RefusedError(403, "the address lacks its token; open the whole address that facetrack printed")
+            return _refusal(403, "the address lacks its token; open the whole address that facetrack printed")
         self._page, below = self.server.session.page_at(below)
         asset = assets().get(below or self._page.index)
         if asset is not None and self.command == "GET":
             return asset
-        candidates = [(route, pattern.fullmatch(below), handler) for route, pattern, handler in self._page.table]
-        matches = {route.method: (route, match, handler) for route, match, handler in candidates if match is not None}
-        if asset is None and not matches:
-            raise RefusedError(404, "there is nothing at this address")
-        if self.command not in matches:
-            raise RefusedError(405, f"{self.command} is not for this address")
-        route, match, handler = matches[self.command]
+        name = re.fullmatch("api/([a-z]+)", below)
+        handler = name and self._page.handler(f"{self.command.lower()}_{name[1]}")
+        if not handler:
+            return _refusal(404, "there is nothing at this address")
         fields: dict[str, Any] = parse_qs(query, keep_blank_values=True)
-        once = {name: values[0] if len(values) == 1 else values for name, values in fields.items()}
+        given = {name: values[0] if len(values) == 1 else values for name, values in fields.items()}
         if self.command != "GET":
-            once |= {"data": data} if route.raw else _BODY.validate_json(data or b"{}")
-        return handler(**{**once, **match.groupdict()})
+            given |= {"data": data} if self.command == "PUT" else _BODY.validate_json(data or b"{}")
+        return handler(**given)
 
     def _same_origin(self, host: str) -> bool:
         """Whether the origin, if there is one, is that of this page, also through a tunnel."""

@@ -2,14 +2,11 @@
 
 All methods are thread-safe."""
 
-import re
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeAlias
 
 import cv2
@@ -17,7 +14,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, validate_call
 from pydantic_core import to_jsonable_python
 
-from facetrack_cli.core.errors import FacetrackError, InputError, flat
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
 from facetrack_cli.core.geometry import inside
 from facetrack_cli.core.types import Box, Frame, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
@@ -159,16 +156,8 @@ class Proposer:
             return alone, flat(str(e))
 
 
-class RefusedError(Exception):
-    """An answer in the 400s: its code, and one line for the user."""
-
-    def __init__(self, code: int, message: str) -> None:
-        super().__init__(message)
-        self.code = code
-
-
 class Answer(NamedTuple):
-    """What a route returns if it is not JSON with code 200: `body` is JSON's value, or bytes or a file of a `kind`."""
+    """What a handler returns if it is not JSON with code 200: the `body` is JSON's value, or bytes or a file."""
 
     body: Any
     code: int = 200
@@ -176,22 +165,13 @@ class Answer(NamedTuple):
     headers: tuple[tuple[str, str], ...] = ()
 
 
-class Route(NamedTuple):
-    """An address below the token; {name} in the `path` stands for a whole number, as in api/frame/{frame}.jpg.
+class Page:
+    """What a server shows, until it is saved or stopped: one job in a thread, and how it ended.
 
-    The handler takes the numbers of the path, the fields of the query and the members of the JSON body by name, as its
-    annotations allow (pydantic; else 400), and returns an Answer or the value of its JSON. It may raise RefusedError;
-    an InputError becomes 404 of a GET, any other FacetrackError 422. A `raw` body comes as the bytes `data`.
+    GET api/state is answered by the method `get_state`, POST api/draft by `post_draft`, and so on: it takes the fields
+    of the query and the members of the JSON body by name, as its annotations allow (pydantic), and returns an Answer or
+    the value of its JSON. PUT comes with the bytes `data`. A FacetrackError is shown on the page.
     """
-
-    method: Literal["GET", "PUT", "POST"]
-    path: str
-    handler: Callable[..., Any]
-    raw: bool = False
-
-
-class Page(ABC):
-    """What a server shows, until it is saved or stopped: one job in a thread, and how it ended."""
 
     index: ClassVar[str] = "index.html"
 
@@ -203,18 +183,16 @@ class Page(ABC):
         self.first_error: Exception | None = None  # of the program itself
         self.opened: dict[str, Page] = {}  # the pages below this one, by the first part of their addresses
         self.resources = ExitStack()  # what is closed with the page
+        self._handlers: dict[str, Callable[..., Any]] = {}
         self._job: Json | None = None
         self._worker: threading.Thread | None = None
         self._ended_at = 0.0
 
-    @cached_property
-    def table(self) -> list[tuple[Route, re.Pattern[str], Callable[..., Any]]]:
-        """The routes, with the pattern of their path, and a handler that checks what it is given."""
-        number = r"(?P<\1>[0-9]{1,9})"
-        patterns = [re.compile(re.sub(r"\\{(\w+)\\}", number, re.escape(each.path))) for each in self.routes()]
-        return [
-            (each, pattern, validate_call(each.handler)) for each, pattern in zip(self.routes(), patterns, strict=True)
-        ]
+    def handler(self, name: str) -> Callable[..., Any] | None:
+        """The method, as get_state, that checks what it is given; None if there is none."""
+        if name not in self._handlers and hasattr(self, name):
+            self._handlers[name] = validate_call(getattr(self, name))
+        return self._handlers.get(name)
 
     def page_at(self, below: str) -> tuple["Page", str]:
         """Who serves an address below the token: this page, or one that is opened from it; and the rest of it."""
@@ -222,21 +200,17 @@ class Page(ABC):
         page = self.opened.get(name) if slash else None
         return (self, below) if page is None else (page, rest)
 
-    @abstractmethod
-    def routes(self) -> Sequence[Route]:
-        """The addresses of the page."""
-
     def left(self) -> str:
         """What becomes of what was not saved, where the page is stopped; it may be written for the next time."""
         return "nothing was written"
 
-    def state(self) -> Json:
+    def get_state(self) -> Json:
         """What the page shows."""
         with self.lock:
             return {"job": self._job, "ended": self.ended, "message": self.message}
 
     def start_job(self, what: str, work: Callable[[Report], None]) -> Answer:
-        """Run `work` as the job. Its error is shown as the message. RefusedError (409) as of `refuse_if_busy`."""
+        """Run `work` as the job. Its error is shown as the message. UsageError as of `refuse_if_busy`."""
         with self.lock:
             self.refuse_if_busy()
             self._job = {"what": what, "done": 0, "total": None}
@@ -246,12 +220,12 @@ class Page(ABC):
         return Answer({}, 202)
 
     def refuse_if_busy(self) -> None:
-        """RefusedError (409) while a job runs, and after the end."""
+        """UsageError while a job runs, and after the end."""
         with self.lock:
             if self.ended is not None:
-                raise RefusedError(409, "everything is saved, and this page has ended")
+                raise UsageError("everything is saved, and this page has ended")
             if self._job is not None:
-                raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished")
+                raise UsageError(f"busy: {self._job['what']}; wait until it has finished")
 
     def end(self, messages: Sequence[str], next_: str | None) -> None:
         """End the session: show the `messages`, a line each, and the command to continue with."""
@@ -298,53 +272,31 @@ class Page(ABC):
 
 
 class Session(Page):
-    """A page of picking or fixing. `about`: {"clip", "recipe", "requirements", "free", "saves_to"} and more,
-    for the page. Frames go from `first` to `last`, None for the clip's last one.
+    """A page of picking or fixing; `post_save` of a subclass begins the job that writes the draft.
+
+    `about`: {"clip", "recipe", "requirements", "free", "saves_to"} and more, for the page. Frames go from `first` to
+    `last`, None for the clip's last one.
     """
 
     mode: ClassVar[Literal["pick", "fix"]]
 
-    def __init__(
-        self, frames: Frames, proposer: Proposer, draft: Draft, about: Json, *, first: int = 0, last: int | None = None
-    ) -> None:
+    def __init__(self, frames: Frames, draft: Draft, about: Json, *, first: int = 0, last: int | None = None) -> None:
         super().__init__()
         self.frames, self.draft, self.first, self.last = frames, draft, first, last
-        self._proposer, self._about = proposer, about
-
-    @abstractmethod
-    def save(self) -> Answer:
-        """Begin the job that writes the draft; RefusedError (422) if something is missing."""
-
-    def check_draft(self, draft: Draft) -> None:
-        """RefusedError (400) for a draft that this session cannot hold; called with the lock."""
-
-    def proposals(self, frame: int) -> Json:
-        """{"frame", "proposals", "note"} of a frame."""
-        self._check_frame(frame)
-        return self._proposer(frame)
+        self._about = about
 
     def change(self, draft: Draft) -> None:
-        """Replace the draft."""
+        """Replace the draft. Raises UsageError for one that this session cannot hold."""
         self.draft = draft
 
-    def routes(self) -> Sequence[Route]:
-        return (
-            Route("GET", "api/session", self.about),
-            Route("GET", "api/state", self.state),
-            Route("PUT", "api/draft", self._put_draft),
-            Route("GET", "api/frame/{frame}.jpg", self._frame),
-            Route("GET", "api/proposals/{frame}", self.proposals),
-            Route("POST", "api/save", self.save),
-        )
-
-    def about(self) -> Json:
+    def get_session(self) -> Json:
         """What does not change while the page is open, but that the clip's last frame may become known later."""
         clip = {"size": self.frames.size, "fps": float(self.frames.fps), "frames": self._range()}
         return {"mode": self.mode, **self._about, **clip}
 
-    def state(self) -> Json:
+    def get_state(self) -> Json:
         with self.lock:
-            return {**super().state(), "draft": to_jsonable_python(self.draft), "frames": self._range()}
+            return {**super().get_state(), "draft": to_jsonable_python(self.draft), "frames": self._range()}
 
     def _range(self) -> Json:
         last = max(self.frames.count - 1, self.first) if self.last is None else self.last
@@ -353,18 +305,17 @@ class Session(Page):
     def _check_frame(self, frame: int) -> None:
         frames = self._range()
         if frame < self.first or (frames["exact"] and frame > frames["last"]):
-            raise RefusedError(404, f"there is no frame {frame}; they go from {self.first} to {frames['last']}")
+            raise UsageError(f"there is no frame {frame}; they go from {self.first} to {frames['last']}")
 
-    def _put_draft(self, draft: Draft) -> Json:
+    def post_draft(self, draft: Draft) -> Json:
         with self.lock:
             self.refuse_if_busy()
             self._check_frame(draft.frame)
-            self.check_draft(draft)
             self.message = None
             self.change(draft)
             return {}
 
-    def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
+    def get_frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         self._check_frame(frame)
         return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")
 

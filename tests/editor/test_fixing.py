@@ -400,7 +400,7 @@ def test_the_init_file_of_the_run_itself_changes_nothing(fixed):
     assert not one.fixer.changed and "nothing was corrected" in save(one.fixer)[0]
     # a frame is tracked once more, to see where the parts are that a new correction leaves open; rows before it stay
     one.fixer.apply((nose(5, 159, 140),))
-    assert [(track.first, track.place is None) for track in one.fixer._step.tracks["face"]] == [(0, True), (5, False)]
+    assert one.read == [*range(6), 0, *range(5, 12)]
     recorded, corrected = ([*csv_frames(rows.between(0, 5))] for rows in (one.run.rows, one.fixer.rows))
     assert corrected == recorded
     assert kept.given != one.fixer.corrections[0].given and one.fixer.find(5, "face").kept["lip_lower"][1] > 160
@@ -481,7 +481,7 @@ def test_hands_are_tracked_again_as_a_whole(how, tmp_path, monkeypatch):
         np.testing.assert_array_equal(ours.confidence, theirs.confidence)
     assert saved.find("right_hand", "box").x[6] == pytest.approx(224.5, abs=2)
     with fixing(Path("out")) as (session, _):
-        assert session.about()["again"]
+        assert session.get_session()["again"]
         session.fixer.put([Correction(9, "right_hand", absent=True)])
         save(session.fixer)
         left, files = (rows.find("left_hand", "box") for rows in (session.fixer.rows, read_trajectory(Path("out"))))

@@ -142,7 +142,7 @@ def test_every_change_is_undone_and_redone(clips, page):
         assert window.get("draft") == draft
     assert window.here("redo").is_disabled()
     window.until_sent()
-    assert session.state()["draft"] == drafts[-1]
+    assert session.get_state()["draft"] == drafts[-1]
 
 
 def name(window, button, text):

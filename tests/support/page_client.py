@@ -67,7 +67,7 @@ class Client:
         return self.ask("GET", path, headers=headers)
 
     def put_draft(self, frame: int, **targets: Any) -> Got:
-        return self.ask("PUT", "api/draft", {"draft": {"frame": frame, "targets": targets}})
+        return self.ask("POST", "api/draft", {"draft": {"frame": frame, "targets": targets}})
 
     def save(self) -> Got:
         return self.ask("POST", "api/save", {})

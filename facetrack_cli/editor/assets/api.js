@@ -30,11 +30,10 @@ const json = (path, options) => request(path, (answer) => answer.json(), options
 
 export const session = () => json("session");
 export const state = () => json("state");
-export const proposals = (frame) => json(`proposals/${frame}`);
+export const proposals = (frame) => json(`proposals?frame=${frame}`);
 export const rows = (first, last) => json(`rows?first=${first}&last=${last}`);
-export const look = (clip) => json(`look/${clip}`);
+export const look = (clip) => json(`look?clip=${clip}`);
 export const overview = (bins) => json(`overview?bins=${bins}`);
-export const putDraft = (draft) => json("draft", { method: "PUT", body: JSON.stringify({ draft }) });
 export const putPiece = (query, body) => json(`upload?${query}`, { method: "PUT", body });
 export const post = (path, body = {}) => json(path, { method: "POST", body: JSON.stringify(body) });
 export const file = (path) => request(path, (answer) => answer.blob().then((blob) => [blob, answer.headers]), { atMost: 1e7 });

@@ -9,7 +9,7 @@ let chosen = null; // {name, frame} on the timeline
 let doubt = 0; // index of the doubt that is shown
 
 const still = (track) =>
-  `api/still/${track.first}/${track.stop}.jpg?person=${encodeURIComponent(track.person)}`;
+  `api/still?first=${track.first}&stop=${track.stop}&person=${encodeURIComponent(track.person)}`;
 const longest = (name) =>
   now.tracks.filter((one) => one.person === name).reduce((a, b) => (b.stop - b.first > a.stop - a.first ? b : a));
 const clock = (frame) => {
@@ -32,7 +32,7 @@ async function ask(path, body) {
   }
 }
 
-const change = (what, name, more) => ask("change", { what, name, ...more });
+const change = (what, name, more) => ask(what, { name, ...more });
 
 /** A person may be dragged onto another: both are one. */
 function draggable(part, name) {
@@ -91,7 +91,7 @@ function row(person) {
 function showMoment() {
   $("moment").hidden = !chosen;
   if (!chosen) return;
-  $("frame").src = `api/frame/${chosen.frame}.jpg?reduce=2`;
+  $("frame").src = `api/frame?frame=${chosen.frame}&reduce=2`;
   $("frame").alt = `Frame ${chosen.frame}`;
   $("where").textContent = `Frame ${chosen.frame}, ${clock(chosen.frame)}`;
   $("split").textContent = `From here ${chosen.name} is somebody else`;

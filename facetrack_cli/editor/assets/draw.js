@@ -157,11 +157,11 @@ export function draftLayer(store, hovered) {
   };
 }
 
-/** The proposals of the frame, dashed; beside a draft, or a track, only the one that is `previewed`. */
+/** The proposals of the frame, dashed; beside a draft only the one that is `previewed`. */
 export function proposalLayer(store, previewed) {
   return (context, stage) => {
     if (!store.isHere() || store.ended) return;
-    const all = store.mode === "pick" && store.isEmpty();
+    const all = store.isEmpty();
     const shown = all ? store.proposals : store.proposals.filter((one) => one === previewed());
     for (const proposal of shown) {
       for (const [target, given] of Object.entries(proposal.targets)) {

@@ -20,14 +20,7 @@ export class Fix extends Mode {
   over = "Done";
 
   constructor({ store, stage, sync, hovered, overview }) {
-    super(
-      { store, stage, sync },
-      {
-        // proposals may improve what is uncertain, and what was moved already
-        wanted: () => !store.busy && !this.play.on && anyPart(store, (one) => isUncertain(one) || isChanged(one)),
-        ontaken: ({ label }) => say(`Took ${label}. Check it, then track from here.`),
-      },
-    );
+    super({ store, stage, sync });
     this.canUndo = this.unsaved = false;
     this.shown = true; // the tracks over the image
     this.revision = null; // of the rows
@@ -302,8 +295,6 @@ function partName(store, { target, part }) {
   return store.layout.length > 1 ? `${readable(part)} of ${readable(target)}` : readable(part);
 }
 
-const isChanged = ({ kind }) => ["moved", "marked", "absent"].includes(kind);
-const anyPart = (store, test) => store.allParts().some((slot) => test(store.report(slot)));
 
 // [title, text] for the frame, or for the slot that is chosen in it
 function hint(store, slot) {
@@ -319,7 +310,7 @@ function hint(store, slot) {
   if (!store.isEmpty() && store.isHere()) {
     return [`${plural(store.changed(), "part")} changed`, "If all of this frame is right now, track from here."];
   }
-  const uncertain = anyPart(store, isUncertain);
+  const uncertain = store.allParts().some((slot) => isUncertain(store.report(slot)));
   return [frame, uncertain ? "Drag what is wrong, or set it absent." : "Nothing is uncertain. Drag what is wrong."];
 }
 

@@ -5,7 +5,7 @@ import * as api from "./api.js";
 const MOST_BYTES = 48e6; // of JPEGs kept
 const NEIGHBOURS = [1, -1, 2, -2];
 
-const path = ({ index, reduce }) => `frame/${index}.jpg?reduce=${reduce}`;
+const path = ({ index, reduce }) => `frame?frame=${index}&reduce=${reduce}`;
 
 /** Calls `onimage({bitmap, index, reduce})` with the latest wanted image, and with those on the way to it. */
 export class Frames {

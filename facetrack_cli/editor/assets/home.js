@@ -63,7 +63,7 @@ export function exportMenu(menu, title, programs, address) {
     menu.value = "";
     say("Writing the file …");
     try {
-      const [blob, headers] = await api.file(`${address}?program=${program}`);
+      const [blob, headers] = await api.file(`${address}&program=${program}`);
       const name = /filename="([^"]*)"/.exec(headers.get("Content-Disposition"))[1];
       const link = make("a", { href: URL.createObjectURL(blob), download: name });
       link.click();
@@ -90,7 +90,7 @@ function line(id) {
   const state = make("p", { class: "state", "data-testid": `state-${id}` });
   const bar = make("progress", { max: 1 });
   const menu = make("select", { "data-testid": `export-${id}`, class: "small" });
-  exportMenu(menu, "Export …", Object.entries(now.programs), `export/${id}`);
+  exportMenu(menu, "Export …", Object.entries(now.programs), `export?clip=${id}`);
   const actions = {
     run: named("run", "Track", (clip) => ask("want", { clips: [clip.id], wanted: true })),
     start: named("start", "", (clip) => open(clip, "start")),
@@ -114,7 +114,7 @@ function showLine(row, clip) {
   row.name.title = clip.path;
   const size = clip.size ? `${clock(clip.seconds)}, ${clip.size.join(" × ")}` : clip.error ? "" : "looking at it …";
   setText(row.about, size);
-  if (clip.size && row.picture.getAttribute("src") === "data:,") row.picture.src = `api/thumb/${clip.id}.jpg`;
+  if (clip.size && row.picture.getAttribute("src") === "data:,") row.picture.src = `api/thumb?clip=${clip.id}`;
   const active = ["queued", "running", "paused"].includes(state);
   const made = ["done", "stopped"].includes(state);
   row.what.disabled = active || !clip.size;
@@ -267,7 +267,7 @@ async function start() {
     ask("choose", { clips: open.map((one) => one.id), what: $("same").value });
     $("same").value = "";
   });
-  exportMenu($("export-all"), "Export all …", Object.entries(now.programs).filter(([, one]) => one.many), "export");
+  exportMenu($("export-all"), "Export all …", Object.entries(now.programs).filter(([, one]) => one.many), "export?");
   drops();
   window.addEventListener("hashchange", hash);
   hash();

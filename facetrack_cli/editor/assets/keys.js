@@ -27,7 +27,6 @@ export function keyTable({ store, stage, clip, list, gestures, magnifier, mode, 
     ["[ and ]", "previous and next part", "[ ]", (event) => actions.step(event.key === "]" ? 1 : -1)],
     ["Delete", `${fixes ? "the selected part as it was tracked" : "remove the selected mark"}`, "Delete Backspace", remove],
     ["Esc", "select nothing; stop drawing", "Escape", () => actions.escape()],
-    ["1 … 9", "take what was found: face 1, face 2", "digit", (event) => mode.proposals.take(Number(event.key) - 1)],
     ["M", "magnifier on or off", "m", () => say(`Magnifier ${magnifier.toggle() ? "on" : "off"}.`)],
   ];
   const review = [
@@ -49,6 +48,7 @@ export function keyTable({ store, stage, clip, list, gestures, magnifier, mode, 
   const place = [
     ["Enter", "in the list: place the part in the middle; on the image: go to the next part", "Enter", () => actions.enter()],
     ...marks,
+    ["1 … 9", "take what was found: face 1, face 2", "digit", (event) => mode.proposals.take(Number(event.key) - 1)],
     ["B", "begin here: the marks are of this frame", "b", () => mode.beginHere()],
   ];
   return [

@@ -30,9 +30,9 @@ export class Look {
     document.title = `${clip.name} – facetrack`;
     setText($("look-note"), readable(clip.look ?? ""));
     $("movie").hidden = !clip.movie;
-    if (clip.movie) $("movie").src = `api/video/${id}.mp4?v=${encodeURIComponent(clip.movie)}`;
+    if (clip.movie) $("movie").src = `api/video?clip=${id}&v=${encodeURIComponent(clip.movie)}`;
     const menu = make("select", { "data-testid": "look-export", "aria-label": `Export ${clip.name}` });
-    this.exportMenu(menu, "Export …", Object.entries(state.programs), `export/${id}`);
+    this.exportMenu(menu, "Export …", Object.entries(state.programs), `export?clip=${id}`);
     const correct = button("look-correct", { class: "primary", click: () => this.open(clip, "correct") }, "Correct");
     correct.hidden = clip.state !== "done";
     $("look-actions").replaceChildren(correct, menu);

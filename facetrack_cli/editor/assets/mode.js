@@ -1,9 +1,8 @@
-// What choosing a start and correcting a run have in common: proposals, a hint, a draft of another frame, jobs, the end.
+// What choosing a start and correcting a run have in common: a hint, a draft of another frame, jobs, the end.
 
 import { $, HOME, make, say, setText, TOUCH } from "./dom.js";
 import { colour } from "./draw.js";
 import { around, markScale } from "./geometry.js";
-import { Proposals } from "./proposals.js";
 
 const SMALL = 0.6; // marks of less than this share of their size are hard to tell apart
 
@@ -15,9 +14,8 @@ export function showProblem(text) {
 
 /** A subclass has `reasonAgainst`, why marks cannot be changed, `update`, which calls `showHint`, and `over`, a title. */
 export class Mode {
-  constructor({ store, stage, sync }, proposals) {
+  constructor({ store, stage, sync }) {
     Object.assign(this, { store, stage, sync, running: false });
-    this.proposals = new Proposals(store, stage, { canEdit: (explain) => this.canEdit(explain), ...proposals });
     for (const name of ["frame", "draft"]) store.addEventListener(name, () => this.update());
     TOUCH.addEventListener("change", () => this.update());
     $("go-back").addEventListener("click", () => store.showDraftFrame());
@@ -81,7 +79,6 @@ export class Mode {
     $("elsewhere").hidden = store.isHere() || store.ended || store.busy;
     setText($("elsewhere-text"), elsewhere);
     setText($("go-back"), `Back to ${store.draft.frame}`);
-    this.proposals.update();
     this.stage.draw();
   }
 

@@ -2,6 +2,7 @@
 
 import { $, capitalized, readable, say, TOUCH } from "./dom.js";
 import { Mode } from "./mode.js";
+import { Proposals } from "./proposals.js";
 import { BOX } from "./store.js";
 
 // by mouse and by finger
@@ -20,12 +21,8 @@ export class Pick extends Mode {
   over = "Saved";
 
   constructor(options) {
-    super(options, {
-      ontaken: ({ label }) => {
-        const { done, of } = this.store.progress();
-        say(`Took ${label}.${done === of ? " Check that every mark is right, then save." : ""}`);
-      },
-    });
+    super(options);
+    this.proposals = new Proposals(this.store, this.stage, (explain) => this.canEdit(explain));
     $("begin-here").addEventListener("click", () => this.beginHere());
     this.update();
   }
@@ -63,6 +60,7 @@ export class Pick extends Mode {
     const { store } = this;
     const elsewhere = `The marks are of frame ${store.draft.frame}; this is frame ${store.frame}.`;
     this.showHint(hint(store), store.current, elsewhere);
+    this.proposals.update();
   }
 }
 

@@ -1,16 +1,16 @@
 // Faces that were found in the frame, to be taken as they are.
 
 import * as api from "./api.js";
-import { $, button, make, setText, swatch } from "./dom.js";
+import { $, button, make, say, setText, swatch } from "./dom.js";
 import { colour, proposalLayer } from "./draw.js";
 
 const REST = 400; // ms that a frame is shown before its faces are looked for
 const RETRY = 2000; // ms after a request failed
 
-/** `canEdit(explain)` says whether marks may be changed, `wanted()` whether proposals are of use. */
+/** `canEdit(explain)` says whether marks may be changed. */
 export class Proposals {
-  constructor(store, stage, { canEdit, ontaken, wanted = () => true }) {
-    Object.assign(this, { store, stage, canEdit, ontaken, wanted });
+  constructor(store, stage, canEdit) {
+    Object.assign(this, { store, stage, canEdit });
     this.known = new Map(); // frame -> answer
     this.requested = null; // a frame
     this.previewed = null; // the proposal whose button has the pointer or the focus
@@ -30,7 +30,7 @@ export class Proposals {
   async #request() {
     const { store } = this;
     const frame = store.frame;
-    if (this.requested !== null || this.known.has(frame) || store.ended || !this.wanted()) return;
+    if (this.requested !== null || this.known.has(frame) || store.ended) return;
     this.requested = frame;
     this.update();
     try {
@@ -51,7 +51,8 @@ export class Proposals {
     const proposal = store.proposals[index];
     if (!proposal || !this.canEdit(true)) return false;
     store.take(proposal, as);
-    this.ontaken(proposal);
+    const { done, of } = store.progress();
+    say(`Took ${proposal.label}.${done === of ? " Check that every mark is right, then save." : ""}`);
     return true;
   }
 
@@ -59,14 +60,13 @@ export class Proposals {
     const { store } = this;
     const known = this.known.get(store.frame);
     const empty = store.isEmpty();
-    const shown = store.isHere() && !store.ended && this.wanted();
+    const shown = store.isHere() && !store.ended;
     const list = shown ? store.proposals : [];
     const taken = list.map((proposal) => this.#isTaken(proposal));
     const shape = JSON.stringify([store.frame, known, this.requested, empty, shown, taken, store.layout]);
     if (shape !== this.shape) {
       this.shape = shape;
-      const fixes = store.mode === "fix";
-      const noNote = fixes || (!!known && !known.note);
+      const noNote = !!known && !known.note;
       $("proposals").hidden = !shown || (taken.every(Boolean) && noNote);
       setText($("proposals-note"), known ? (known.note ?? "") : "Looking for faces …");
       $("proposals-note").hidden = noNote;

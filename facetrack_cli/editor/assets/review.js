@@ -71,7 +71,8 @@ export class Review {
   }
 
   #showCorrection(one) {
-    this.store.jump(one.frame, one.parts.length ? { target: one.target, part: one.parts[0] } : null);
+    const [part] = placed(one);
+    this.store.jump(one.frame, part ? { target: one.target, part } : null);
     say(`Frame ${one.frame}: ${readable(one.target)}, ${describe(one)}`, "quiet");
   }
 
@@ -155,13 +156,15 @@ export class Review {
 
 const isLost = ({ parts }) => parts.some(({ status }) => status === "lost");
 
+const placed = ({ given }) => (given.box ? ["box"] : Object.keys(given.points));
+
 // a correction in a few words
-function describe({ target, parts, absent, confirmed }) {
-  if (confirmed === true || confirmed?.[0] === "box") return "confirmed";
-  if (confirmed) return `${confirmed.map(readable).join(", ")} confirmed`;
+function describe(one) {
+  const { target, absent, confirmed } = one;
   const names = (list) => list.map(readable).join(", ");
-  const moved = parts[0] === "box" ? "box by hand" : `${names(parts)} by hand`;
-  const marked = absent === true ? "absent" : `${names(absent)} absent`;
-  const texts = [...(parts.length ? [moved] : []), ...(absent === true || absent.length ? [marked] : [])];
-  return texts.join("; ") || `${readable(target)} begins again`;
+  if (confirmed === true || confirmed[0] === "box") return "confirmed";
+  if (confirmed.length) return `${names(confirmed)} confirmed`;
+  const moved = placed(one);
+  const marked = absent === true ? "absent" : absent.length && `${names(absent)} absent`;
+  return [moved.length && `${names(moved)} by hand`, marked].filter(Boolean).join("; ") || `${readable(target)} begins again`;
 }

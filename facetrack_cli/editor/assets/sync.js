@@ -32,7 +32,7 @@ export class Sync {
     while (this.dirty && !this.store.ended) {
       this.dirty = false;
       try {
-        await api.putDraft(this.store.draft);
+        await api.post("draft", { draft: this.store.draft });
         this.#setOffline(false);
       } catch (error) {
         this.dirty = true;
