@@ -16,10 +16,10 @@ from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, fl
 from facetrack_cli.core.files import make_folder, write_new, writing
 from facetrack_cli.core.types import Array, checked_name
 from facetrack_cli.editor.fix_session import CastSession, FixSession
-from facetrack_cli.editor.pick_session import NOTHING, PickSession
+from facetrack_cli.editor.pick_session import NOTHING, PickSession, Proposer
 from facetrack_cli.editor.project import RECIPES, Clip, Project, What, free
 from facetrack_cli.editor.save import open_track
-from facetrack_cli.editor.session import Answer, Json, Page, Proposer, jpeg
+from facetrack_cli.editor.session import Answer, Json, Page, jpeg
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.finished import open_run, stamp
 from facetrack_cli.run_folder.manifest import NAME as MANIFEST
@@ -302,9 +302,9 @@ def likely_in(frames: Frames) -> What:
     last = min(max(frames.count - 1, 0), LOOKS_WITHIN)
     for at in sorted({last * k // (LOOKS - 1) for k in range(LOOKS)}):
         with suppress(InputError):
-            proposals = [proposal["targets"] for proposal in proposer(at)["proposals"]]
-            faces, several = faces + bool(proposals), several + (len(proposals) > 1)
-            hands += len(proposals) == 1 and len(proposals[0]) > 1
+            starts, _ = proposer(at)
+            faces, several = faces + bool(starts), several + (len(starts) > 1)
+            hands += len(starts) == 1 and len(starts[0].targets) > 1
     return "box" if not faces else "everybody" if several else "signer" if 2 * hands > LOOKS else "face"
 
 

@@ -1,5 +1,6 @@
 """Choosing the start of a track on the page: which parts a recipe requires, and whether a draft has them."""
 
+import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -7,9 +8,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
-from facetrack_cli.core.errors import FacetrackError, OutputError, UsageError, flat
-from facetrack_cli.core.types import Box, Start, TargetStart
-from facetrack_cli.editor.session import Answer, Draft, Json, Proposer, Session, draft_of
+from pydantic_core import to_jsonable_python
+
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError, flat
+from facetrack_cli.core.geometry import inside
+from facetrack_cli.core.types import Box, Frame, Start, TargetStart
+from facetrack_cli.editor.session import Answer, Draft, Json, Session, draft_of
 from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
@@ -23,12 +27,15 @@ from facetrack_cli.start.init_file import (
     check_start,
     write_init,
 )
-from facetrack_cli.trackers.face.detectors import PARTS, detector
+from facetrack_cli.start.search import box_start
+from facetrack_cli.trackers.face.closer import righted
+from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named
 from facetrack_cli.trackers.skin.settings import SkinCloudSettings
 from facetrack_cli.video.overlay import write_preview
 from facetrack_cli.video.seek import Frames
 
 ORIGIN: Final = "the page"
+MAX_FACES: Final = 12
 NOTHING: Final = Start(0, {}, "")  # of no file
 DEFAULT: Final = "factorized"  # the recipe of `facetrack run` without --config
 _RESERVED: Final = (*OF_FILES, *KEYS, *OF_CORRECTIONS)
@@ -37,6 +44,59 @@ _ABOUT_BOXES: Final = {
     "head": "the face of this head, from the brows to the chin",
     "face": "from the brows to the chin, as wide as the face",
 }
+
+
+class Proposer:
+    """The faces of a frame as starts, which is searched once; one frame at a time. `points`: of the first target."""
+
+    def __init__(self, frames: Frames, recipe: Recipe | None, points: Sequence[str]) -> None:
+        self._frames, self._recipe = frames, recipe
+        self._points = [part for part in points if part in PARTS]
+        self._by_hand = [part for part in points if part not in PARTS]
+        self._looking = threading.Lock()
+        self.found: dict[int, tuple[list[Start], str]] = {}
+
+    def __call__(self, index: int) -> tuple[list[Start], str]:
+        """A start for each face, and what is to be said of them. Raises InputError if there is no such frame."""
+        with self._looking:
+            if index not in self.found:
+                self.found[index] = self._find(self._frames.read(index))
+            return self.found[index]
+
+    def in_box(self, frame: Frame, box: Box, clip: str) -> Start:
+        """The face in a given box. Raises InputError as `box_start` does."""
+        return self._complete(frame, box_start(frame, box, self._points, clip=clip))[0]
+
+    def _find(self, frame: Frame) -> tuple[list[Start], str]:
+        faces, starts, notes = detector(), list[Start](), list[str]()
+        for seen in faces.find(frame)[:MAX_FACES]:
+            face = righted(faces, frame, seen)
+            placed = named(face.placed(frame))
+            points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
+            visible = {part: at for part, at in points.items() if inside(at, frame.size)}
+            start, note = self._complete(frame, Start(frame.index, {TARGET: TargetStart(face.box, visible)}, ORIGIN))
+            starts.append(start)
+            notes.append(note)
+        if not starts:
+            notes.append("no face is found in this frame; draw a box, or look at another frame")
+        elif self._by_hand:
+            notes.append(f"{', '.join(self._by_hand)}: only by hand")
+        return starts, "; ".join(dict.fromkeys(filter(None, notes)))
+
+    def _complete(self, frame: Frame, start: Start) -> tuple[Start, str]:
+        """With the other targets that the recipe names, if they are found; else the first one alone, and why."""
+        recipe = self._recipe
+        if recipe is None or not recipe.followed:
+            return start, ""
+        first, *others = recipe.followed
+        [face] = start.targets.values()
+        alone = replace(start, targets={first: face})
+        try:
+            return name_targets(alone, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later), ""
+        except NotHereError:
+            return alone, f"{', '.join(others)}: not found by the colour of the skin; draw the boxes"
+        except InputError as e:
+            return alone, flat(str(e))
 
 
 class PickSession(Session):
@@ -86,7 +146,7 @@ class PickSession(Session):
             self._proposer = Proposer(frames, recipe, required[0]["points"])
             image = frames.read(shown)  # raises InputError before anything is served
             if box is not None:
-                draft = self._proposer.in_box(image, box, str(clip))
+                draft = draft_of(image.index, self._proposer.in_box(image, box, str(clip)).targets)
                 self._placed.append((draft, detector().name))
             super().__init__(frames, draft, about)
             self.resources = stack.pop_all()
@@ -96,7 +156,12 @@ class PickSession(Session):
     def get_proposals(self, frame: int) -> Json:
         """{"frame", "proposals", "note"} of a frame."""
         self._check_frame(frame)
-        return self._proposer(frame)
+        starts, note = self._proposer(frame)
+        proposals = [
+            {"label": f"face {n}", "targets": to_jsonable_python(draft_of(frame, start.targets).targets)}
+            for n, start in enumerate(starts, start=1)
+        ]
+        return {"frame": frame, "proposals": proposals, "note": note or None}
 
     def post_save(self) -> Answer:
         with self.lock:
@@ -122,7 +187,8 @@ class PickSession(Session):
 
     def _placed_by(self, chosen: Draft) -> str:
         """The detector that has placed all chosen parts; "" if the user has moved or drawn one of them."""
-        drafts = [*self._placed, *((draft, detector().name) for draft in self._proposer.proposed(chosen.frame))]
+        starts, _ = self._proposer.found.get(chosen.frame, ((), ""))
+        drafts = [*self._placed, *((draft_of(chosen.frame, start.targets), detector().name) for start in starts)]
         same = chosen.frame, chosen.placed()
         return max((by for draft, by in drafts if (draft.frame, draft.placed()) == same), default="")
 

@@ -1,4 +1,4 @@
-"""What pages have in common: one job in a thread; of picking and fixing one draft, its frames and the proposed faces.
+"""What pages have in common: one job in a thread; of picking and fixing one draft and its frames.
 
 All methods are thread-safe."""
 
@@ -14,17 +14,11 @@ import numpy as np
 from pydantic import ConfigDict, Field, validate_call
 from pydantic_core import to_jsonable_python
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
-from facetrack_cli.core.geometry import inside
-from facetrack_cli.core.types import Box, Frame, Start, TargetStart
-from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.core.errors import FacetrackError, UsageError, flat
+from facetrack_cli.core.types import TargetStart
 from facetrack_cli.runs.plan import Report
 from facetrack_cli.runs.signals import StoppedError
-from facetrack_cli.start.assembly import name_targets
-from facetrack_cli.start.init_file import NAME, TARGET
-from facetrack_cli.start.search import box_start
-from facetrack_cli.trackers.face.closer import righted
-from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named
+from facetrack_cli.start.init_file import NAME
 from facetrack_cli.trajectory.reader import FrameNumber, Pixels, Side
 from facetrack_cli.video.seek import Frames
 
@@ -32,7 +26,6 @@ LINGER_S: Final = 3.0  # the server goes on so long after the end: each page ask
 JPEG_QUALITY: Final = 90
 MAX_TARGETS: Final = 20
 MAX_POINTS: Final = 500
-MAX_FACES: Final = 12
 Json: TypeAlias = dict[str, Any]
 Name: TypeAlias = Annotated[str, Field(pattern=f"^(?:{NAME.pattern})$")]
 
@@ -88,72 +81,6 @@ def jpeg(frames: Frames, index: int, reduce: int = 1) -> bytes:
         size = -(-image.shape[1] // reduce), -(-image.shape[0] // reduce)
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     return cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
-
-
-class Proposer:
-    """Proposes the faces of a frame, which is searched once; one frame at a time.
-
-    `points` are the points of the first target.
-    """
-
-    def __init__(self, frames: Frames, recipe: Recipe | None, points: Sequence[str]) -> None:
-        self._frames, self._recipe = frames, recipe
-        self._points = [part for part in points if part in PARTS]
-        self._by_hand = [part for part in points if part not in PARTS]
-        self._looking = threading.Lock()
-        self._found: dict[int, Json] = {}
-
-    def __call__(self, index: int) -> Json:
-        """{"frame", "proposals": [{"label", "targets"}], "note"}. Raises InputError if there is no such frame."""
-        with self._looking:
-            if index not in self._found:
-                self._found[index] = self._find(index)
-            return self._found[index]
-
-    def proposed(self, index: int) -> list[Draft]:
-        """The drafts that were proposed for a frame; none if nobody asked for proposals there."""
-        each = (proposal["targets"].items() for proposal in self._found.get(index, {}).get("proposals", ()))
-        return [Draft(index, {name: DraftTarget(**target) for name, target in targets}) for targets in each]
-
-    def in_box(self, frame: Frame, box: Box, clip: str) -> Draft:
-        """The draft of the face in a given box. Raises InputError as `box_start` does."""
-        start = box_start(frame, box, self._points, clip=clip)
-        return draft_of(frame.index, self._complete(frame, start)[0].targets)
-
-    def _find(self, index: int) -> Json:
-        frame, faces = self._frames.read(index), detector()
-        notes, proposals = [], []
-        for number, seen in enumerate(faces.find(frame)[:MAX_FACES], start=1):
-            face = righted(faces, frame, seen)
-            placed = named(face.placed(frame))
-            points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
-            visible = {part: at for part, at in points.items() if inside(at, frame.size)}
-            start = Start(index, {TARGET: TargetStart(face.box, visible)}, "the face found")
-            start, note = self._complete(frame, start)
-            targets = {name: {"box": target.box, "points": target.points} for name, target in start.targets.items()}
-            proposals.append({"label": f"face {number}", "targets": targets})
-            notes.append(note)
-        if not proposals:
-            notes.append("no face is found in this frame; draw a box, or look at another frame")
-        elif self._by_hand:
-            notes.append(f"{', '.join(self._by_hand)}: only by hand")
-        note = "; ".join(dict.fromkeys(filter(None, notes)))
-        return {"frame": index, "proposals": proposals, "note": note or None}
-
-    def _complete(self, frame: Frame, start: Start) -> tuple[Start, str]:
-        """With the other targets that the recipe names, if they are found; else the first one alone, and why."""
-        recipe = self._recipe
-        if recipe is None or not recipe.followed:
-            return start, ""
-        first, *others = recipe.followed
-        [face] = start.targets.values()
-        alone = Start(start.frame, {first: face}, start.origin)
-        try:
-            return name_targets(alone, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later), ""
-        except NotHereError:
-            return alone, f"{', '.join(others)}: not found by the colour of the skin; draw the boxes"
-        except InputError as e:
-            return alone, flat(str(e))
 
 
 class Answer(NamedTuple):

@@ -86,7 +86,7 @@ def test_what_a_recipe_requires(clips):
 
 def looking(monkeypatch, find):
     """The page finds faces so."""
-    monkeypatch.setattr("facetrack_cli.editor.session.detector", lambda: SimpleNamespace(find=find))
+    monkeypatch.setattr("facetrack_cli.editor.pick_session.detector", lambda: SimpleNamespace(find=find))
 
 
 def test_the_faces_of_a_frame_are_proposed_once(clips, monkeypatch):

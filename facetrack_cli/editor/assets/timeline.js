@@ -82,8 +82,13 @@ export class Timeline {
   #paint() {
     const { context, width, height, ratio, store } = this;
     if (!width) return;
-    const style = getComputedStyle(this.canvas);
-    const ink = (name) => style.getPropertyValue(`--${name}`).trim();
+    const known = new Map(); // colours of the scheme, which only a style resolves
+    const ink = (name) => {
+      if (known.has(name)) return known.get(name);
+      this.canvas.style.color = `var(--${name})`;
+      known.set(name, getComputedStyle(this.canvas).color);
+      return known.get(name);
+    };
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, width, height);
     const [top, bottom] = [HEAD, height - STRIP - 1];
