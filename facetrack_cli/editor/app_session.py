@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field
@@ -24,6 +24,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.finished import open_run, stamp
 from facetrack_cli.run_folder.manifest import NAME as MANIFEST
 from facetrack_cli.run_folder.manifest import VIDEO, read_run
+from facetrack_cli.run_folder.status import ClipStatus
 from facetrack_cli.runs.batch import expand
 from facetrack_cli.runs.export import content, encoded, named
 from facetrack_cli.start.init_file import read_init
@@ -82,44 +83,37 @@ class AppSession(Page):
         project = self.project
         with project.lock:
             clips = [self._shown(clip) for clip in project.clips.values()]
-            rate = next((row["rate"] for row in clips if row.get("rate")), None)
-            left = sum(max(row["frames"] - row["done"], 0) for row in clips if row["state"] in ("queued", "running"))
             return {
                 "folder": str(project.folder),
                 "clips": clips,
                 "paused": project.paused,
                 "running": None if project.running is None else project.running.id,
-                "left_s": round(left / rate) if rate else None,
                 "programs": {form: {"name": name, "many": form in OF_MANY} for form, name in PROGRAMS.items()},
                 "ended": self.ended,
             }
 
     def _shown(self, clip: Clip) -> Json:
         """A clip as the page shows it."""
-        project, error, done, more = self.project, clip.error, 0, dict[str, Any]()
+        project, progress, rate = self.project, self.project.progress, None
         try:
             status = project.status(clip)
-            state, done, more["look"] = str(status.state), status.frames, status.look
-            error = error or status.error
         except FacetrackError as e:
-            state, error = "failed", str(e)
+            status = ClipStatus(clip.name, clip.name, "failed", error=str(e))
+        state, done, error = str(status.state), status.frames, clip.error or status.error
         start = project.start_of(clip).is_file()
         if clip is project.running:
-            progress = project.progress
-            tracks = progress.get("doing") == ""  # else it does something before or after
-            state, done = "running", int(progress.get("done") or 0) * tracks
-            rate = progress.get("frames_per_s") if tracks else None
-            more |= {"doing": progress.get("doing", "starting"), "rate": rate}
+            state, done = "running", 0
+            if progress.get("doing") == "":  # else it does something before or after
+                done, rate = int(progress.get("done") or 0), progress.get("frames_per_s")
         elif clip.wanted and state != "running":
             state = "paused" if project.paused else "queued"
         elif error:
             state = "failed"
-        elif state == "interrupted":
-            state = "stopped"
         elif state == "not begun":
             state = "needs box" if clip.what == "box" and not start else "ready"
+        more = {"doing": progress.get("doing", "starting"), "rate": rate, "look": status.look}
         movie = stamp(project.run_of(clip) / VIDEO)
-        more["movie"] = None if movie is None else str(movie)  # changes when it is drawn again
+        more |= {"movie": movie and str(movie)}  # changes when it is drawn again
         more |= {"state": state, "done": done, "error": error, "start": start}
         shown = clip.model_dump(include={"id", "what", "likely", "size", "seconds", "frames"})
         return {**shown, "name": project.place(clip).name, "path": str(project.place(clip)), **more}

@@ -273,10 +273,10 @@ class _Handler(BaseHTTPRequestHandler):
 
 def _encoded(answer: Any) -> Answer:
     """What a handler returned, its JSON as bytes."""
-    answer = answer if isinstance(answer, Answer) else Answer(answer)
-    if isinstance(answer.body, bytes | Path):
-        return answer
-    return answer._replace(body=json.dumps(answer.body, separators=(",", ":"), allow_nan=False).encode())
+    whole: Answer = answer if isinstance(answer, Answer) else Answer(answer)
+    if isinstance(whole.body, bytes | Path):
+        return whole
+    return whole._replace(body=json.dumps(whole.body, separators=(",", ":"), allow_nan=False).encode())
 
 
 def _refusal(code: int, reason: str) -> Answer:

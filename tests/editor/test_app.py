@@ -285,7 +285,7 @@ def test_after_a_kill_the_queue_goes_on_and_is_paused_and_stopped(app, clips, co
     running(one)
     one.post("want", clips=[1], wanted=False)
     stopped, done = one.rest()
-    assert (stopped["state"], done["state"]) == ("stopped", "done") and 40 <= stopped["done"] < 400
+    assert (stopped["state"], done["state"]) == ("interrupted", "done") and 40 <= stopped["done"] < 400
     assert one.client.get("api/look?clip=1").status == 200, "what was tracked may be looked at"
     one.post("want", clips=[1], wanted=True)
     assert one.rest()[0]["state"] == "done"

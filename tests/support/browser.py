@@ -41,30 +41,6 @@ const sooner = {250: 30, 300: 50, 1000: 150};
 window.setTimeout = (call, ms, ...given) => wait(call, sooner[ms] ?? ms, ...given);
 performance.setResourceTimingBufferSize(10_000);
 """
-# the middle of an element, as soon as it is visible and enabled and a click there reaches it; if the element then moves
-# away, nothing receives the click, and `hit` is false
-AIM = """(id) => {
-  const element = document.querySelector(`[data-testid="${id}"]`);
-  if (!element || element.disabled || !element.checkVisibility({visibilityProperty: true})) return null;
-  element.scrollIntoViewIfNeeded();
-  const {x, y, width, height} = element.getBoundingClientRect();
-  const at = [x + width / 2, y + height / 2];
-  if (!element.contains(document.elementFromPoint(...at))) return null;
-  const events = ["pointerdown", "mousedown", "pointerup", "mouseup", "click"];
-  let hit = true;
-  const guard = (event) => {
-    if (element.contains(event.target)) return;
-    hit = false;
-    event.stopImmediatePropagation();
-    event.preventDefault();
-  };
-  for (const name of events) window.addEventListener(name, guard, true);
-  window.hit = () => {
-    for (const name of events) window.removeEventListener(name, guard, true);
-    return hit;
-  };
-  return at;
-}"""
 # in the page, since every look from outside is slow
 UNTIL = """([given, atMost]) => new Promise((done, fail) => {
   const check = %s;
@@ -99,14 +75,10 @@ class Window:
         self.expected, self.errors = [], []
         self.asked, self.answer = [], ""  # what the page asks, to which it is told yes, or this text
         self._fingers = None
-        self._listeners = {
-            "console": self._console,
-            "pageerror": lambda error: self.errors.append(f"uncaught: {error}"),
-            "crash": lambda _: self.errors.append("the tab crashed"),
-            "dialog": lambda dialog: (self.asked.append(dialog.message), dialog.accept(self.answer)),
-        }
-        for event, listener in self._listeners.items():
-            page.on(event, listener)
+        page.on("console", self._console)
+        page.on("pageerror", lambda error: self.errors.append(f"uncaught: {error}"))
+        page.on("crash", lambda _: self.errors.append("the tab crashed"))
+        page.on("dialog", lambda dialog: (self.asked.append(dialog.message), dialog.accept(self.answer)))
 
     def _console(self, message):
         if message.type in ("error", "warning", "assert"):
@@ -117,15 +89,12 @@ class Window:
         self.until("!!window.facetrack?.image")
         return self
 
-    def release(self):
-        """What went wrong in it; its page may be used again afterwards."""
-        for event, listener in self._listeners.items():
-            self.page.remove_listener(event, listener)
+    def close(self):
+        """What went wrong in it."""
         if not self.page.is_closed():
             others = [one for one in self.requests() if urlsplit(one).hostname not in ("127.0.0.1", None)]
             self.errors += [f"requested from another machine: {one}" for one in others]
-            if self._fingers is not None:
-                self._fingers.detach()
+        self.context.close()
         return [one for one in self.errors if not any(re.search(known, one) for known in self.expected)]
 
     # what there is
@@ -221,13 +190,8 @@ class Window:
         self.mouse.click(*self.at(x, y))
 
     def click_on(self, name):
-        """In the middle of the element of a data-testid, once the mouse reaches it."""
-
-        def hit():
-            self.mouse.click(*self.until(AIM, name))
-            return self.evaluate("window.hit()")
-
-        until(hit, f"a click on {name}")
+        """On the element of a data-testid, once a click reaches it."""
+        self.here(name).click()
 
     def drag(self, *places, drop=True):
         """Press at the first place of the frame, go by the others, and let go at the last."""
@@ -277,53 +241,22 @@ def until(look, what, pause=lambda ms: time.sleep(ms / 1000)):
     return found
 
 
-class Pages:
-    """Pages of one browser, by their options; a page that was given back is used again: to start one is slow."""
-
-    def __init__(self, browser):
-        self._browser, self._free = browser, {}
-
-    def take(self, options):
-        free = self._free.setdefault(json.dumps(options, sort_keys=True), [])
-        if free:
-            return free.pop()
-        context = self._browser.new_context(**options)
-        context.set_default_timeout(AT_MOST_S * 1000)
-        page = context.new_page()
-        page.add_init_script(PREPARE)
-        return page
-
-    def give_back(self, page, options):
-        try:
-            page.unroute_all()
-            page.mouse.up()
-            page.goto("about:blank")
-            page.emulate_media(color_scheme="null", reduced_motion="null")
-            page.set_viewport_size(options["viewport"])
-        except Exception:  # it was closed by its test, or does not want to leave
-            page.context.close()
-        else:
-            self._free[json.dumps(options, sort_keys=True)].append(page)
-
-
 class Windows:
     """Opens windows; at the end they are closed, and what went wrong in any of them fails the test."""
 
-    def __init__(self, pages):
-        self.pages, self.open = pages, []
+    def __init__(self, browser):
+        self.browser, self.open = browser, []
 
     def __call__(self, url=None, **options):
-        options = {**DESK, **options}
-        window = Window(self.pages.take(options))
-        self.open.append((window, options))
-        return window if url is None else window.go(url)
+        context = self.browser.new_context(**{**DESK, **options})
+        context.set_default_timeout(AT_MOST_S * 1000)
+        page = context.new_page()
+        page.add_init_script(PREPARE)
+        self.open.append(Window(page))
+        return self.open[-1] if url is None else self.open[-1].go(url)
 
     def close(self):
-        errors = []
-        for window, options in self.open:
-            errors += window.release()
-            self.pages.give_back(window.page, options)
-        self.open = []
+        errors = [error for window in self.open for error in window.close()]
         assert not errors, "\n".join(errors)
 
 
@@ -368,8 +301,8 @@ class Command:
 
 
 @pytest.fixture(scope="session")
-def pages():
-    """The pages of one browser for all tests."""
+def browser():
+    """One browser for all tests."""
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as e:
@@ -382,11 +315,11 @@ def pages():
         try:
             driver = stack.enter_context(sync_playwright())
             arguments = [*QUIET, *(["--no-sandbox"] if root else [])]
-            browser = driver.chromium.launch(executable_path=program, args=arguments)
+            opened = driver.chromium.launch(executable_path=program, args=arguments)
         except Exception as e:
             pytest.skip(f"{program} cannot be started: {(str(e).splitlines() or [repr(e)])[0]}")
-        yield Pages(browser)
-        browser.close()
+        yield opened
+        opened.close()
 
 
 @pytest.fixture
@@ -397,9 +330,9 @@ def served():
 
 
 @pytest.fixture
-def windows(pages, served):
+def windows(browser, served):
     """Opens a window, by default at a desk: windows(url, **options of playwright's new_context)."""
-    opener = Windows(pages)
+    opener = Windows(browser)
     yield opener
     opener.close()
 

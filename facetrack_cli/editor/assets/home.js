@@ -12,7 +12,7 @@ const STATES = {
   "needs box": "Draw the box first",
   queued: "Waits for its turn",
   paused: "Paused",
-  stopped: "Stopped",
+  interrupted: "Stopped",
   done: "Done",
   failed: "Failed",
 };
@@ -116,7 +116,7 @@ function showLine(row, clip) {
   setText(row.about, size);
   if (clip.size && row.picture.getAttribute("src") === "data:,") row.picture.src = `api/thumb?clip=${clip.id}`;
   const active = ["queued", "running", "paused"].includes(state);
-  const made = ["done", "stopped"].includes(state);
+  const made = ["done", "interrupted"].includes(state);
   row.what.disabled = active || !clip.size;
   row.what.setAttribute("aria-label", `What to track in ${clip.name}`);
   if (row.likely !== clip.likely || !row.what.length) {
@@ -129,8 +129,8 @@ function showLine(row, clip) {
   row.bar.hidden = state !== "running";
   if (clip.done && clip.frames) row.bar.value = Math.min(clip.done / clip.frames, 1);
   else row.bar.removeAttribute("value");
-  row.run.hidden = !["ready", "stopped", "failed"].includes(state) || !clip.size;
-  setText(row.run, state === "stopped" ? "Go on" : state === "failed" ? "Try again" : "Track");
+  row.run.hidden = !["ready", "interrupted", "failed"].includes(state) || !clip.size;
+  setText(row.run, state === "interrupted" ? "Go on" : state === "failed" ? "Try again" : "Track");
   row.stop.hidden = !active;
   setText(row.stop, state === "running" ? "Stop" : "Not now");
   row.look.hidden = row.menu.hidden = !made || !clip.done;
@@ -148,7 +148,7 @@ function describe(clip) {
   const { state, done, frames, rate } = clip;
   if (state === "failed") return `Failed: ${clip.error}`;
   if (state === "done") return clip.look ? `Done. Look at: ${readable(clip.look)}` : "Done";
-  if (state === "stopped") return `Stopped after ${plural(done, "frame")}, which are kept`;
+  if (state === "interrupted") return `Stopped after ${plural(done, "frame")}, which are kept`;
   if (state !== "running") return STATES[state];
   if (!done) return `${readable(clip.doing || "starting").replace(/^./, (c) => c.toUpperCase())} …`;
   const left = rate ? `, about ${duration(Math.max(frames - done, 0) / rate)} left` : "";
@@ -174,18 +174,21 @@ function show(state) {
     showLine(rows.get(clip.id), clip);
   }
   const count = (...states) => state.clips.filter((one) => states.includes(one.state)).length;
-  const ready = state.clips.filter((one) => one.size && ["ready", "stopped"].includes(one.state));
+  const ready = state.clips.filter((one) => one.size && ["ready", "interrupted"].includes(one.state));
   const [done, waiting] = [count("done"), count("queued", "running", "paused")];
   document.body.classList.toggle("empty", !state.clips.length);
   $("work").hidden = !state.clips.length;
-  const left = state.left_s && !state.paused ? `about ${duration(state.left_s)} left` : "";
+  const rate = state.clips.find((one) => one.rate)?.rate;
+  const sum = (key, ...states) =>
+    state.clips.reduce((total, one) => total + (states.includes(one.state) ? Math.min(one[key], one.frames) : 0), 0);
+  const frames = sum("frames", "queued", "running") - sum("done", "queued", "running");
+  const left = rate ? `about ${duration(frames / rate)} left` : "";
   const failed = count("failed");
   const told = [`${done} of ${plural(state.clips.length, "clip")} done`, failed && `${failed} failed`, state.paused && waiting && "paused", left];
   setText($("overall-text"), told.filter(Boolean).join(", "));
   $("overall-bar").hidden = !waiting;
-  const frames = state.clips.filter((one) => ["queued", "running", "paused", "done"].includes(one.state));
-  const sum = (key) => frames.reduce((total, one) => total + Math.min(one[key], one.frames), 0);
-  $("overall-bar").value = sum("done") / Math.max(sum("frames"), 1);
+  const all = ["queued", "running", "paused", "done"];
+  $("overall-bar").value = sum("done", ...all) / Math.max(sum("frames", ...all), 1);
   $("run-all").hidden = !ready.length;
   setText($("run-all"), ready.length === 1 ? "Track 1 clip" : `Track all ${ready.length}`);
   $("run-all").onclick = () => ask("want", { clips: ready.map((one) => one.id), wanted: true });
