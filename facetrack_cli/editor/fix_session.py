@@ -129,7 +129,7 @@ class FixSession(Session):
                 raise UsageError(f"{name} has no {unknown[0]}; it has {', '.join(self._parts[name])}")
         super().change(draft)
         try:
-            keep(self.fixer, (*self._resumed, *self._drafted(draft)))
+            keep(self.fixer, self._drafted(draft))
         except OutputError as e:
             self.message = flat(str(e))
 
@@ -211,10 +211,10 @@ class FixSession(Session):
         try:
             self.fixer.apply(self._resumed, **options)
         except FacetrackError as e:
-            raise InputError(f"the corrections of the last session were left out: {e}") from e
-        finally:
             self._resumed = ()
+            raise InputError(f"the corrections of the last session were left out: {e}") from e
         with self.lock:
+            self._resumed = ()
             self.message = "the corrections of the last session, which were not saved, are applied; undo removes them"
 
     def _write(self, report: Report) -> None:

@@ -19,6 +19,7 @@ from facetrack_cli.editor.fix_session import doubtful, overview
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.run_folder.manifest import write_rows
+from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.trajectory import Collector
@@ -321,16 +322,18 @@ def test_the_overview_tells_where_a_run_is_least_certain():
 # --- the command -----------------------------------------------------------------------------------------------------
 
 
-def test_an_init_file_is_applied_without_a_page(facetrack, out):
+def test_an_init_file_with_gaps_gives_what_a_run_from_it_gives(facetrack, out):
     Path("c.yaml").write_text(
-        f"{INIT}corrections:\n- {{frame: 6, points: {{nose: [150, 130]}}}}\n- {{frame: 9, confirmed: true}}\n"
+        f"{INIT}corrections:\n- {{frame: 15, absent: [lip_upper]}}\n- {{frame: 6, points: {{nose: [150, 130]}}}}\n"
+        "- {frame: 9, confirmed: true}\n- {frame: 17, points: {mouth_left: [140, 150]}}\n"
     )
     code, said, err = facetrack("fix", out, "--init", "c.yaml")
     assert (code, said) == (0, "") and f"{out / 'trajectory.csv'}: written" in err.splitlines()
-    assert facetrack("run", CLIP, "--init", out / CORRECTED, "-o", "again", *MADE, "--no-video")[0] == 0
-    assert Path("again/trajectory.csv").read_bytes() == (out / "trajectory.csv").read_bytes()
+    for init in (out / CORRECTED, "c.yaml"):
+        assert facetrack("run", CLIP, "--init", init, "-o", "again", *MADE, "--no-video", "--overwrite")[0] == 0
+        assert Path("again/trajectory.csv").read_bytes() == (out / "trajectory.csv").read_bytes()
     rows = open_run(out).rows
-    assert rows.find("face", "lip_upper").by_hand.nonzero()[0].tolist() == [9]
+    assert rows.find("face", "lip_upper").by_hand.nonzero()[0].tolist() == [9, 15, 17]
     assert rows.find("face", "nose").by_hand.nonzero()[0].tolist() == [6, 9]
     code, said, err = facetrack("fix", out, "--init", "c.yaml")
     assert (code, err.splitlines()[-1]) == (0, f"{out}: nothing was corrected, all is as it was")
@@ -369,11 +372,16 @@ def test_interrupted_without_a_page_leaves_the_run_as_it_was(facetrack, out, mon
     assert (out / CORRECTED).is_file()
 
 
-def test_what_is_not_saved_is_kept_and_gone_on_with(page, out):
+def test_what_is_not_saved_is_kept_and_gone_on_with(page, out, monkeypatch):
     one, kept = page(), out / UNSAVED
     one.track(8, face=NOSE)
     on = f"all else is as it was; facetrack fix {out} goes on with them"
     assert one.session.left() == f"the corrections are kept in {kept}, {on}"
+    with monkeypatch.context() as patch:  # it is stopped before they are tracked
+        patch.setattr(Fixer, "apply", lambda *_, **__: (_ for _ in ()).throw(StoppedError))
+        stopped = page()
+        stopped.idle()
+        assert stopped.session.left() == f"the corrections are kept in {kept}, {on}" and kept.is_file()
     again = page()
     state = again.client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
     assert state["message"].startswith("the corrections of the last session, which were not saved, are applied")

@@ -17,6 +17,7 @@ from functools import cached_property
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import cv2
 import numpy as np
 import pytest
 
@@ -56,14 +57,6 @@ UNTIL = """([given, atMost]) => new Promise((done, fail) => {
   };
   look();
 })"""
-# from a copy, since a canvas that is read often is drawn differently
-PIXELS = """([id, places]) => {
-  const canvas = document.getElementById(id);
-  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", {willReadFrequently: true});
-  copy.drawImage(canvas, 0, 0);
-  const {data} = copy.getImageData(0, 0, canvas.width, canvas.height);
-  return places.map(([x, y]) => [2, 1, 0].map((c) => data[4 * (Math.floor(y) * canvas.width + Math.floor(x)) + c]));
-}"""
 
 
 class Window:
@@ -92,7 +85,8 @@ class Window:
     def close(self):
         """What went wrong in it."""
         if not self.page.is_closed():
-            others = [one for one in self.requests() if urlsplit(one).hostname not in ("127.0.0.1", None)]
+            asked = self.evaluate("performance.getEntriesByType('resource').map((one) => one.name)")
+            others = [one for one in asked if urlsplit(one).hostname not in ("127.0.0.1", None)]
             self.errors += [f"requested from another machine: {one}" for one in others]
         self.context.close()
         return [one for one in self.errors if not any(re.search(known, one) for known in self.expected)]
@@ -109,15 +103,11 @@ class Window:
         """A property of window.facetrack, as in draft.targets.face.box."""
         return self.evaluate(f"window.facetrack.{what}")
 
-    def requests(self):
-        """The addresses that were requested since the page was loaded."""
-        return self.evaluate("performance.getEntriesByType('resource').map((one) => one.name)")
-
     def until(self, script, given=None):
         """The first true value of the expression, or of the function of `given`."""
         check = script if FUNCTION.match(script) else f"() => ({script})"
         found = self.evaluate(UNTIL % check, [given, AT_MOST_S * 1000])
-        assert found, f"waited in vain for {script}; the page says {self.messages()}, errors: {self.errors}"
+        assert found, f"waited in vain for {script}; the page says {self.text('message')}, errors: {self.errors}"
         return found
 
     def until_sent(self):
@@ -143,10 +133,6 @@ class Window:
     def visible(self, name):
         return self.here(name).is_visible()
 
-    def messages(self):
-        """Everything that the page says: that the server is away, a problem, the last action."""
-        return [self.text(name) for name in ("offline", "problem", "message") if self.visible(name) and self.text(name)]
-
     def face(self, target="face"):
         return self.get(f"draft.targets.{target}")
 
@@ -166,17 +152,12 @@ class Window:
         (left, _), (right, _) = self.on_screen((0, 0), (1, 0))
         return right - left
 
-    def pixels(self, canvas, places):
-        """(n, 3) BGR of a canvas at places in its own pixels."""
-        return np.array(self.evaluate(PIXELS, [canvas, [list(map(float, one)) for one in places]]), int)
-
     def image(self, xs, ys):
         """(len(ys), len(xs), 3) BGR of the frame as it is shown, at places of the frame."""
-        corner, box, scale = self.at(0, 0), self.here("stage").bounding_box(), self.scale()
-        ratio = self.evaluate("devicePixelRatio")
-        left, top = corner[0] - box["x"], corner[1] - box["y"]
-        places = [((left + x * scale) * ratio, (top + y * scale) * ratio) for y in ys for x in xs]
-        return self.pixels("stage", places).reshape(len(ys), len(xs), 3)
+        shown = cv2.imdecode(np.frombuffer(self.here("stage").screenshot(), np.uint8), cv2.IMREAD_COLOR)
+        (left, top), scale, box = self.at(0, 0), self.scale(), self.here("stage").bounding_box()
+        columns, rows = (left - box["x"] + np.array(xs) * scale).astype(int), top - box["y"] + np.array(ys) * scale
+        return shown[rows.astype(int)[:, None], columns].astype(int)
 
     def number(self):
         """The number in the image: of clips whose frames are `numbered`."""
