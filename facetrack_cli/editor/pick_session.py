@@ -15,8 +15,8 @@ from facetrack_cli.core.geometry import inside
 from facetrack_cli.core.types import Box, Frame, Start, TargetStart
 from facetrack_cli.editor.session import Answer, Draft, Json, Session, draft_of
 from facetrack_cli.engine.spaces import check_size
-from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
+from facetrack_cli.recipe.load import load_recipe, wants_gallery
+from facetrack_cli.recipe.model import ParticlesRecipe, Recipe
 from facetrack_cli.start.assembly import build_tracker, check_windows, name_targets
 from facetrack_cli.start.init_file import (
     KEYS,
@@ -261,7 +261,9 @@ def start_of(draft: Draft, size: tuple[int, int], frames: int | None, recipe: Re
         for name, target in start.targets.items():
             if target.box is not None:
                 check_size(ORIGIN, name, target.box)
-        _check_build(start, size, recipe if recipe is not None else load_recipe(DEFAULT))
+        runs = recipe or load_recipe(DEFAULT)
+        if not wants_gallery(runs):
+            check_windows(runs, build_tracker(runs, start), size, ORIGIN)
     except FacetrackError as e:
         raise UsageError(flat(str(e)).removeprefix(f"{ORIGIN}: ")) from None
     return start
@@ -287,14 +289,3 @@ def carried(start: Start, previous: Start) -> Start:
         targets[name] = replace(target, windows={p: w for p, w in before.windows.items() if p in target.points})
     kept = tuple(fix for fix in previous.corrections if fix.target in targets and fix.frame > start.frame)
     return replace(start, targets=targets, corrections=kept)
-
-
-def _check_build(start: Start, size: tuple[int, int], recipe: Recipe) -> None:
-    """Raises what the run would: build_tracker, and check_windows. Recognition is left out: it needs a gallery."""
-    nobody = {"recognition": None}
-    if isinstance(recipe, ParticleRecipe):
-        recipe = recipe.model_copy(update=nobody)
-    elif isinstance(recipe, ParticlesRecipe):
-        targets = {name: target and target.model_copy(update=nobody) for name, target in recipe.targets.items()}
-        recipe = recipe.model_copy(update={"targets": targets})
-    check_windows(recipe, build_tracker(recipe, start), size, start.origin)

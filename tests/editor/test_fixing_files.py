@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import itertools
 import json
 import re
 import shutil
@@ -161,19 +160,14 @@ def test_where_nothing_is_corrected_any_more_the_files_do_not_speak_of_correctio
 
 
 def test_every_recipe_is_read_back_from_the_header_as_it_was(tmp_path):
+    def text(recipe):  # with the names of files, wherever these are
+        return re.sub(r'"[^"]*/([^"/]+[.](npz|json))"', r'"\1"', json.dumps(to_dict(recipe)))
+
     for path in shipped_recipes():
-        wanted = to_dict(load_recipe(path.stem))
-        header = json.loads(json.dumps({"name": path.stem, **wanted}))
+        wanted = load_recipe(path.stem)
+        header = json.loads(json.dumps({"name": path.stem, **to_dict(wanted)}))
         found = recipe_of(tmp_path / "trajectory.json", header, [tmp_path])
-        assert found.name == path.stem
-        got = to_dict(found)
-        both = zip((got, *got.get("targets", {}).values()), (wanted, *wanted.get("targets", {}).values()), strict=True)
-        for (mine, theirs), (section, key) in itertools.product(
-            both, (("prior", "file"), ("confidence", "calibration"))
-        ):
-            if (theirs.get(section) or {}).get(key):
-                assert Path(mine[section].pop(key)).samefile(path.parent / theirs[section].pop(key))
-        assert got == wanted
+        assert (found.name, text(found)) == (path.stem, text(wanted))
 
 
 def test_files_that_a_recipe_names_are_found_again_or_missed_in_one_line(tmp_path):

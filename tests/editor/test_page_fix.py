@@ -50,34 +50,32 @@ def out(clips, tmp_path):
     return shutil.copytree(clips / "out", tmp_path / "out")
 
 
-class Page:
+class Page(Client):
     """A run's page and one window of it."""
 
     def __init__(self, folder, stack):
         self.session, url = stack.enter_context(fixing(folder))
-        self.client = stack.enter_context(contextlib.closing(Client(url)))
+        super().__init__(url)
+        stack.callback(self.close)
         self.fixer, self.frames = self.session.fixer, self.session.frames
 
-    def post(self, path, **body):
+    def post(self, path, /, **body):
         """What is answered, once the job that it begins is done."""
-        got = self.client.ask("POST", f"api/{path}", body)
+        got = super().post(path, **body)
         if got.status == 202:
             self.idle()
         return got
 
     def track(self, frame, learn=None, **targets):
         """Drag, and have it tracked."""
-        assert self.client.put_draft(frame, **targets).status == 200
+        assert self.put_draft(frame, **targets).status == 200
         return self.post("track", **(learn or {}))
 
-    def state(self):
-        return self.client.get("api/state").json
-
     def idle(self):
-        return self.client.until(lambda state: state["job"] is None)
+        return self.until(lambda state: state["job"] is None)
 
     def rows(self, first=0, last=STOP - 1):
-        return self.client.get(f"api/rows?first={first}&last={last}").json["frames"]
+        return self.get(f"api/rows?first={first}&last={last}").json["frames"]
 
 
 @pytest.fixture
@@ -117,20 +115,20 @@ def test_two_hands_change_their_names_from_a_frame_on_and_a_box_is_confirmed_who
 
 def test_what_the_page_receives_of_the_run(page, out):
     one = page()
-    about = one.client.get("api/session").json
+    about = one.get("api/session").json
     assert (about["mode"], about["clip"], about["recipe"], about["learns"]) == ("fix", CLIP.name, "factorized", True)
     assert about["size"] == [320, 240] and about["saves_to"] == str(out) and not about["free"]
     assert about["frames"] == {"first": 0, "last": STOP - 1, "exact": True}
     [required] = about["requirements"]
     assert (required["target"], required["box"], required["points"][0]) == ("face", "optional", "nose")
     assert required["about"]["nose"] == "the tip of the nose"
-    assert one.client.get("api/frame?frame=19").status == 200 and one.client.get("api/frame?frame=20").status == 422
-    got = one.client.get("api/rows?first=5&last=9999").json
+    assert one.get("api/frame?frame=19").status == 200 and one.get("api/frame?frame=20").status == 422
+    got = one.get("api/rows?first=5&last=9999").json
     assert got["first"] == 5 and len(got["frames"]) == STOP - 5 and got["parts"][0] == ["face", "nose"]
     row = results.file_rows(out / "trajectory.csv")[5 * 5]
     assert got["frames"][0][0] == [row.x, row.y, row.w, row.h, None, row.confidence, "tracked", False, None]
-    assert [one.client.get(f"api/rows?first={query}").status for query in ("a&last=9", "1")] == [400, 400]
-    found = one.client.get("api/overview?bins=7").json
+    assert [one.get(f"api/rows?first={query}").status for query in ("a&last=9", "1")] == [400, 400]
+    found = one.get("api/overview?bins=7").json
     assert (len(found["least"]), found["last"], found["corrections"]) == (7, STOP - 1, [])
 
 
@@ -146,7 +144,7 @@ def test_what_is_dragged_is_tracked_undone_and_removed(page):
     nose, corner = after[8][:2]
     assert (nose[:2], nose[6:8]) == ([150.0, 130.5], ["init", True])
     assert (corner[:2], corner[7]) == (before[8][1][:2], False)
-    [correction] = one.client.get("api/overview").json["corrections"]
+    [correction] = one.get("api/overview").json["corrections"]
     assert (correction["frame"], correction["target"]) == (8, "face")
     assert correction["given"]["points"] == {"nose": [150.0, 130.5]} and correction["absent"] == []
     assert one.track(8, face={"absent": ["lip_upper"]}).status == 202  # over what is there
@@ -163,7 +161,7 @@ def test_what_is_dragged_is_tracked_undone_and_removed(page):
     assert refused.status == 400 and refused.json["error"].startswith("learn.")
     for frame, target, status in ((8, "ben", 422), ("8", "face", 400), (8, "face", 202)):
         assert one.post("remove", frame=frame, target=target).status == status
-    assert one.rows() == before and one.client.get("api/overview").json["corrections"] == []
+    assert one.rows() == before and one.get("api/overview").json["corrections"] == []
 
 
 def test_what_cannot_be_tracked_is_refused_in_one_line(page):
@@ -181,7 +179,7 @@ def test_what_cannot_be_tracked_is_refused_in_one_line(page):
         (5, {"face": {"points": {"chin": [1, 1]}}}, "face has no chin; it has nose"),
         (5, {"face": {"absent": ["chin"]}}, "face has no chin"),
     ):
-        got = one.client.put_draft(frame, **targets)
+        got = one.put_draft(frame, **targets)
         assert got.status == 422 and said in got.json["error"]
     assert one.state()["rows_revision"] == 0
 
@@ -196,12 +194,12 @@ def test_while_a_job_runs_nothing_else_is_begun_and_an_error_leaves_all_as_it_wa
     assert (state["rows_revision"], state["can_undo"]) == (0, False) and one.rows() == before
     monkeypatch.setattr(one.fixer, "_read", read)
     monkeypatch.setattr(Fixer, "_track", lambda *args: go.wait(60) and whole(*args))
-    assert one.client.ask("POST", "api/track", {}).status == 202
+    assert one.ask("POST", "api/track", {}).status == 202
     assert one.state()["job"]["what"] == "tracking face"
     for path in ("track", "undo", "save"):
         assert one.post(path).status == 422
     assert len(one.rows(0, 3)) == 4
-    assert one.client.put_draft(9, face={"points": {"nose": [151, 131]}}).status == 422
+    assert one.put_draft(9, face={"points": {"nose": [151, 131]}}).status == 422
     go.set()
     one.idle()
     assert one.state()["draft"] == {"frame": 8, "targets": {}} and one.state()["rows_revision"] == 1
@@ -211,23 +209,23 @@ def test_save_writes_the_run_and_goes_on_until_done(page, out, monkeypatch):
     one = page()
 
     def saved(times):
-        assert one.client.save().status == 202
-        return one.client.until(lambda state: state["saves"] == times and not state["job"])
+        assert one.save().status == 202
+        return one.until(lambda state: state["saves"] == times and not state["job"])
 
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     one.track(8, face=NOSE)
     assert (out / UNSAVED).is_file()
     assert {p.name: p.read_bytes() for p in out.iterdir() if p.name != UNSAVED} == before
     for nose, kept in (([950.0, 1.0], [8]), ([150.0, 130.5], [8, 9])):  # what was dragged is kept before it is tracked
-        one.client.put_draft(9, face={"points": {"nose": nose}})
+        one.put_draft(9, face={"points": {"nose": nose}})
         assert [each.frame for each in read_init(out / UNSAVED).corrections] == kept
-    got = one.client.save()
+    got = one.save()
     assert got.status == 422 and "what was moved in frame 9 is not tracked yet" in got.json["error"]
-    one.client.put_draft(9)
+    one.put_draft(9)
     assert [each.frame for each in read_init(out / UNSAVED).corrections] == [8]
     with monkeypatch.context() as patch:
         patch.setattr(saving, "as_yaml", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "No space left")))
-        assert one.client.save().status == 202
+        assert one.save().status == 202
         state = one.idle()
     assert "No space left; free some space, and save again" in state["message"] and state["ended"] is None
     state = saved(1)
@@ -278,9 +276,9 @@ def test_what_is_called_lost_and_lies_right_is_confirmed(page, out):
     assert [c.frame for c in one.fixer.corrections] == [7]
     confirm(6, stretch=True)
     confirm(7, "lip_upper")
-    assert one.client.get("api/overview").json["corrections"][1]["confirmed"] == ["nose", "lip_upper"]
-    one.client.save()
-    one.client.until(lambda state: state["saves"] == 1 and not state["job"])
+    assert one.get("api/overview").json["corrections"][1]["confirmed"] == ["nose", "lip_upper"]
+    one.save()
+    one.until(lambda state: state["saves"] == 1 and not state["job"])
     said = read_init(out / CORRECTED).corrections
     assert [(c.frame, c.confirmed) for c in said] == [(6, ("nose",)), (7, ("nose", "lip_upper"))]
     assert "it lies right there, whatever the tracker says" in (out / CORRECTED).read_text()
@@ -303,12 +301,13 @@ def test_the_overview_tells_where_a_run_is_least_certain():
     status = ["init", *["tracked"] * 4, "lost", "tracked", "absent", "tracked", "tracked"]
     collected = Collector()
     for frame, (one, how) in enumerate(zip(sure, status, strict=True)):
-        parts = results.part("box", 1, 1, 1, 1, how, one), results.part("odd", 1, 1, 1, 1, "tracked")
+        odd = results.part("odd", 1, 1, 1, 1, "absent" if frame in (7, 9) else "tracked")
+        parts = results.part("box", 1, 1, 1, 1, how, one), odd
         collected.add(results.result(frame + 5, [results.target("a", parts, 1)]).rows)
     rows = collected.trajectory()
     found = overview(rows, 5, (Correction(8, "a", absent=True),), {"a": 0.5})
     assert (found["first"], found["last"], found["least"]) == (5, 14, [0.9, 0.2, 0.6, 0.1, 0.1])
-    assert found["lost"] == [False, False, True, False, False] and found["absent"] == [0, 0, 0, 1, 0]
+    assert found["lost"] == [False, False, True, False, False] and found["absent"] == [0, 0, 0, 2, 1]
     assert [(one["frame"], one["absent"]) for one in found["corrections"]] == [(8, True)]
     # frames 2 and 3, 5 and 6 (lost, then doubtful), and the last two, of which the last begins no other
     told = [(one["frame"], one["confidence"], one["status"]) for one in found["doubtful"]]
@@ -383,7 +382,7 @@ def test_what_is_not_saved_is_kept_and_gone_on_with(page, out, monkeypatch):
         stopped.idle()
         assert stopped.session.left() == f"the corrections are kept in {kept}, {on}" and kept.is_file()
     again = page()
-    state = again.client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
+    state = again.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
     assert state["message"].startswith("the corrections of the last session, which were not saved, are applied")
     assert again.rows(8, 8)[0][0][:2] == [150.0, 130.5]
     again.post("undo")

@@ -159,7 +159,7 @@ def test_what_a_draft_lacks_is_said_in_one_line(clips, tmp_path):
                 got = client.save()
                 assert got.status == 422 and said in got.json["error"], got.json
                 assert "the page:" not in got.json["error"] and len(got.json["error"].splitlines()) == 1
-                state = client.get("api/state").json
+                state = client.state()
                 assert state["job"] is None and state["ended"] is None
         assert session.first_error is None and not list(tmp_path.iterdir())
 
@@ -221,7 +221,7 @@ def test_windows_and_corrections_of_the_file_before_are_kept(clips, tmp_path):
     )  # fmt: skip
     out = tmp_path / "a.init.yaml"
     with picking(clips / "face", out, previous=begun) as (client, _):
-        state = client.get("api/state").json
+        state = client.state()
         assert state["draft"]["targets"]["face"]["points"]["nose"] == POINTS["nose"]
         assert state["message"] == "taken from old.yaml"
         client.put_draft(1, face=FACE)
@@ -237,16 +237,16 @@ def test_what_the_page_begins_with(clips, tmp_path):
     for names in (["face"], ["head", "foot"]):  # a file of another recipe is fitted to this one
         begun = Start(0, {name: TargetStart(box=(10, 10, 40, 40)) for name in names}, "old.yaml")
         with picking(clips / "face", config="head_hands", previous=begun) as (client, _):
-            assert list(client.get("api/state").json["draft"]["targets"]) == ["head"]
+            assert list(client.state()["draft"]["targets"]) == ["head"]
     with picking(clips / "face", frame=1, box=(112, 79, 98, 98), unsaved=tmp_path / "u.yaml") as (
         client,
         session,
     ):  # a box has its points
-        draft = client.get("api/state").json["draft"]
+        draft = client.state()["draft"]
         assert draft["frame"] == 1 and set(draft["targets"]["face"]["points"]) == set(PARTS)
         assert session.left().startswith("what was chosen is kept in")
     with picking(clips / "sign", config="head_hands", frame=0, box=(135, 44, 50, 50)) as (client, _):
-        assert set(client.get("api/state").json["draft"]["targets"]) == set(HANDS)
+        assert set(client.state()["draft"]["targets"]) == set(HANDS)
     with pytest.raises(InputError, match="not in the frame"), picking(clips / "face", box=(900, 79, 98, 98)):
         pass
 
@@ -256,7 +256,7 @@ def test_the_file_says_which_detector_has_placed_what_nobody_moved(clips, tmp_pa
         out = tmp_path / "a.init.yaml"
         out.unlink(missing_ok=True)
         with picking(clips / "face", out, **more) as (client, _):
-            targets = client.get("api/state").json["draft"]["targets"]
+            targets = client.state()["draft"]["targets"]
             if not more:
                 targets = client.get("api/proposals?frame=1").json["proposals"][0]["targets"]
             if change == "point":
@@ -364,7 +364,7 @@ def test_what_is_wrong_is_said_before_anything_is_served(facetrack, monkeypatch,
 
 def test_overwrite_begins_with_the_file(tmp_path, monkeypatch, facetrack):
     out, seen = tmp_path / "a.yaml", []
-    drive(monkeypatch, tmp_path, lambda client: (seen.append(client.get("api/state").json["draft"]), choose(client)))
+    drive(monkeypatch, tmp_path, lambda client: (seen.append(client.state()["draft"]), choose(client)))
     out.write_text("frame: 2\nface: {points: {nose: [1, 2]}, windows: {nose: [9, 9]}}\n")
     code, printed, err = facetrack("init", "IN/face", "--pick", "--open", "--overwrite", "-o", out)
     assert (code, printed) == (0, "") and "no browser can be opened from here" in err
@@ -385,7 +385,7 @@ def test_what_was_not_saved_is_continued_and_an_internal_error_reported_at_the_e
         raise ZeroDivisionError("odd")
 
     def act(client):
-        assert client.get("api/state").json["message"] == f"taken from {kept}"
+        assert client.state()["message"] == f"taken from {kept}"
         assert client.get("api/proposals?frame=0").status == 500
         client.save()
         client.until(lambda state: state["ended"])

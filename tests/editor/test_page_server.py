@@ -170,7 +170,7 @@ def test_another_host_or_origin_is_refused(server, client):
         headers = {"Host": "localhost:1", "Origin": origin}
         assert client.ask("POST", "api/draft", {"draft": EMPTY}, headers).status == 403, origin
         assert client.ask("POST", "api/save", {}, headers).status == 403
-        assert client.get("api/state").json["job"] is None
+        assert client.state()["job"] is None
 
 
 def test_a_tunnel_may_change_the_port_and_a_browser_hide_the_origin(client):
@@ -272,7 +272,7 @@ def test_a_body_that_is_no_draft_is_refused_in_one_line(client):
     ]:  # fmt: skip
         got = client.ask("POST", "api/draft", {"draft": draft})
         assert got.status == 400 and len(got.json["error"].splitlines()) == 1, draft
-        assert client.get("api/state").json["draft"] == EMPTY
+        assert client.state()["draft"] == EMPTY
 
 
 def test_a_draft_comes_back_as_it_was(client, session):
@@ -281,7 +281,7 @@ def test_a_draft_comes_back_as_it_was(client, session):
     assert client.put_draft(5, **targets).status == 200
     nothing = {"box": None, "points": {}, "absent": []}
     expected = {"face": face, "hand": {**nothing, "absent": True}, "other": nothing}
-    assert client.get("api/state").json["draft"] == {"frame": 5, "targets": expected}
+    assert client.state()["draft"] == {"frame": 5, "targets": expected}
     assert session.draft.targets["face"] == DraftTarget((1.25, -2, 30, 40), {"nose": (3, 4.125)}, ("lip",))
     got = client.put_draft(12, **targets)
     assert got.status == 422 and got.json["error"] == "there is no frame 12; they go from 0 to 11"
@@ -296,7 +296,7 @@ def test_saving_is_one_job_and_then_the_session_ends(client, session):
     client.until(lambda state: state["job"] == {"what": "saving", "done": 1, "total": 2})
     assert client.save().json["error"] == "busy: saving; wait until it has finished"
     assert client.put_draft(4).status == 422, "what is being saved stands"
-    assert client.get("api/state").json["draft"]["frame"] == 3
+    assert client.state()["draft"]["frame"] == 3
     session.go.set()
     state = client.until(lambda state: state["ended"] and not state["job"])
     assert state["ended"] == {"messages": ["a: written"], "next": "facetrack run a"}
