@@ -157,7 +157,7 @@ class Page:
     def end(self, messages: Sequence[str], next_: str | None) -> None:
         """End the session: show the `messages`, a line each, and the command to continue with."""
         with self.lock:
-            self.ended = {"messages": list(messages), "next": next_}
+            self.ended, self.message = {"messages": list(messages), "next": next_}, None
             self._ended_at = time.monotonic()
 
     def over(self) -> bool:

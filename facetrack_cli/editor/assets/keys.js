@@ -19,13 +19,18 @@ export function keyTable({ store, stage, clip, list, gestures, magnifier, mode, 
   const fixes = store.mode === "fix";
   const direction = (event) => (event.shiftKey ? -1 : 1);
   const remove = (event) => (fixes && event.shiftKey ? mode.discard() : actions.remove());
+  const back = (event) => (event.shiftKey ? redo() : undo());
+  const page = (event) => clip.by(event.key === "PageUp" ? -LONG_STEP : LONG_STEP);
+  const end = (event) => store.show(store.bounds[event.key === "Home" ? "first" : "last"]);
+  const pan = (event) => event.target === stage.canvas && (gestures.panning = true);
+  const confirm = (event) => void mode.confirm(event.shiftKey);
   const focusNumber = () => $("frame-number").select() ?? $("frame-number").focus();
   const marks = [
     ["← ↑ ↓ →", "move the selected mark by 1 pixel", "Arrow", (event) => actions.arrow(event)],
     ["Shift or Alt and arrows", "by 10 pixels, or by a quarter of a pixel"],
     ["Ctrl and arrows", "move the right and bottom edges of a box"],
     ["[ and ]", "previous and next part", "[ ]", (event) => actions.step(event.key === "]" ? 1 : -1)],
-    ["Delete", `${fixes ? "the selected part as it was tracked" : "remove the selected mark"}`, "Delete Backspace", remove],
+    ["Delete", fixes ? "the selected part as it was tracked" : "remove the selected mark", "Delete Backspace", remove],
     ["Esc", "select nothing; stop drawing", "Escape", () => actions.escape()],
     ["M", "magnifier on or off", "m", () => say(`Magnifier ${magnifier.toggle() ? "on" : "off"}.`)],
   ];
@@ -40,7 +45,7 @@ export function keyTable({ store, stage, clip, list, gestures, magnifier, mode, 
     ["Enter", "in the list: choose the part; on the image: select the uncertain part", "Enter", () => actions.enter()],
     ["T or Ctrl+Enter", "track from here", "t Ctrl+Enter", () => void mode.track()],
     ["X", "the part is absent, or present (Shift: the whole target)", "x", (event) => mode.toggleAbsent(event.shiftKey)],
-    ["Y", "it lies right, though it is called lost (Shift: in all frames around)", "y", (event) => void mode.confirm(event.shiftKey)],
+    ["Y", "it lies right, though it is called lost (Shift: in all frames around)", "y", confirm],
     ["E", "the two hands change their names from here on", "e", () => void mode.exchange()],
     ...marks,
     ["Shift+Delete", "discard what was moved"],
@@ -56,8 +61,8 @@ export function keyTable({ store, stage, clip, list, gestures, magnifier, mode, 
     ["Clip", [
       ["← or →", `one frame, while no mark is selected (Shift: ${LONG_STEP})`],
       [", and .", "one frame back or forward, always", ", .", (event) => clip.by(event.key === "," ? -1 : 1)],
-      ["Page_Up and Page_Down", `${LONG_STEP} frames back or forward`, "PageUp PageDown", (event) => clip.by(event.key === "PageUp" ? -LONG_STEP : LONG_STEP)],
-      ["Home and End", "first and last frame", "Home End", (event) => store.show(store.bounds[event.key === "Home" ? "first" : "last"])],
+      ["Page_Up and Page_Down", `${LONG_STEP} frames back or forward`, "PageUp PageDown", page],
+      ["Home and End", "first and last frame", "Home End", end],
       ["F", "type the number of a frame", "f", focusNumber],
       ["G", `go back to the frame of the ${fixes ? "moved parts" : "marks"}`, "g", () => store.showDraftFrame()],
     ]],
@@ -66,14 +71,14 @@ export function keyTable({ store, stage, clip, list, gestures, magnifier, mode, 
       ["", "", "- −", () => zoom(0.8)],
       ["0", "the whole frame", "0", () => stage.toFit()],
       ["Z", "the targets, or the whole frame", "z", () => mode.showTargets()],
-      ["Space and drag", "move the image; also the middle button, or two fingers", "Space", (event) => event.target === stage.canvas && (gestures.panning = true)],
+      ["Space and drag", "move the image; also the middle button, or two fingers", "Space", pan],
       ["L", "go to the list of parts", "l", () => (fixes ? mode.tabs.open(0) : list.focus())],
       ...(fixes ? [["D", "go to the list of frames to review", "d", () => mode.focusReview()]] : []),
       ["P", "go to the image", "p", () => stage.canvas.focus()],
       ["?", "this help", "?", () => !$("help").open && $("help").showModal()],
     ]],
     ["General", [
-      ["Ctrl+Z", fixes ? "undo what was moved, then the last correction" : "undo", "Ctrl+z", (event) => (event.shiftKey ? redo() : undo())],
+      ["Ctrl+Z", fixes ? "undo what was moved, then the last correction" : "undo", "Ctrl+z", back],
       ["Ctrl+Shift+Z", `redo${fixes ? " what was moved" : ""}; also Ctrl+Y`, "Ctrl+y", redo],
       ["Ctrl+S", "save", "Ctrl+s", () => void mode.save()],
     ]],
