@@ -5,7 +5,6 @@ editor by its conftest.py; they skip where there is no playwright or no Chromium
 """
 
 import contextlib
-import json
 import os
 import re
 import shutil
@@ -32,7 +31,6 @@ PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobil
 TABLET = {"viewport": {"width": 1024, "height": 768}, "has_touch": True, "is_mobile": True}
 AT_MOST_S = 20.0
 READY = "open this page: "
-FUNCTION = re.compile(r"\([^()]*\) =>")
 
 # the page asks and sends more often than for users
 PREPARE = """
@@ -42,21 +40,6 @@ const sooner = {250: 30, 300: 50, 1000: 150};
 window.setTimeout = (call, ms, ...given) => wait(call, sooner[ms] ?? ms, ...given);
 performance.setResourceTimingBufferSize(10_000);
 """
-# in the page, since every look from outside is slow
-UNTIL = """([given, atMost]) => new Promise((done, fail) => {
-  const check = %s;
-  const ends = performance.now() + atMost;
-  const look = () => {
-    try {
-      const found = check(given);
-      if (found || performance.now() > ends) done(found);
-      else window.setTimeout(look, 5);
-    } catch (error) {
-      fail(error);
-    }
-  };
-  look();
-})"""
 
 
 class Window:
@@ -94,10 +77,8 @@ class Window:
     # what there is
 
     def evaluate(self, script, given=None):
-        """The value of the expression, or of the function of `given`; as JSON, since playwright's own form is slow."""
-        value = f"({script})(JSON.parse(given))" if FUNCTION.match(script) else f"({script})"
-        call = f"async (given) => JSON.stringify((await {value}) ?? null)"
-        return json.loads(self.page.evaluate(call, json.dumps(given)))
+        """The value of the expression, or of the function of `given`."""
+        return self.page.evaluate(script, given)
 
     def get(self, what):
         """A property of window.facetrack, as in draft.targets.face.box."""
@@ -105,10 +86,7 @@ class Window:
 
     def until(self, script, given=None):
         """The first true value of the expression, or of the function of `given`."""
-        check = script if FUNCTION.match(script) else f"() => ({script})"
-        found = self.evaluate(UNTIL % check, [given, AT_MOST_S * 1000])
-        assert found, f"waited in vain for {script}; the page says {self.text('message')}, errors: {self.errors}"
-        return found
+        return until(lambda: self.evaluate(script, given), script, self.page.wait_for_timeout)
 
     def until_sent(self):
         """The server has the draft of this window."""
@@ -218,7 +196,7 @@ def until(look, what, pause=lambda ms: time.sleep(ms / 1000)):
     ends = time.monotonic() + AT_MOST_S
     while not (found := look()):
         assert time.monotonic() < ends, f"waited in vain for {what}"
-        pause(10)
+        pause(25)
     return found
 
 
