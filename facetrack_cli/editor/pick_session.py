@@ -246,8 +246,11 @@ def start_of(draft: Draft, size: tuple[int, int], frames: int | None, recipe: Re
     chosen = {name: target for name, target in draft.placed().items() if name not in left_out}
     if not chosen:
         raise UsageError("nothing is chosen yet; take a face that was found, or choose a part")
-    for asked in requirements(recipe) if recipe is not None and recipe.followed else ():
-        name, needs_box = asked["target"], asked["box"] == "needed"
+    required = {asked["target"]: asked for asked in requirements(recipe)}
+    if recipe is None or not recipe.followed:  # whatever they are called
+        required = dict.fromkeys(chosen, *required.values())
+    for name, asked in required.items():
+        needs_box = asked["box"] == "needed"
         if (needs_box and chosen.get(name, TargetStart()).box is None) or (asked["points"] and name not in chosen):
             raise UsageError(f"still to choose: {'the box of ' * needs_box}{name}")
     for name in chosen:

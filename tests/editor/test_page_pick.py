@@ -145,7 +145,7 @@ def test_what_a_draft_lacks_is_said_in_one_line(clips, tmp_path):
         (None, {"face": FACE, "boxes": FACE}, "a target cannot be called boxes, too like a key of"),
         (None, {"face": {**FACE, "box": [112, 79, 5, 98]}}, "the box of face is smaller than 6x6 pixels; give a"),
         ("factorized", {"face": {"points": {part: [100, 100] for part in PARTS}}}, "in one place"),
-        ("contour_histogram", {"face": {"points": POINTS}}, "face has no box, which the recipe follows"),
+        ("contour_histogram", {"face": {"points": POINTS}}, "still to choose: the box of face"),
         ("contour_histogram", {"face": {"box": [-900, 79, 98, 98]}}, "the centre of the box [-900, 79, 98, 98] of"),
         ("contour_histogram", {"face": {"box": [-90, 0, 400, 200]}}, "400x200 pixels, is larger than the frame"),
         ("head_hands", {}, "nothing is chosen yet"),
