@@ -119,8 +119,7 @@ class AppSession(Page):
         return {**shown, "name": project.place(clip).name, "path": str(project.place(clip)), **more}
 
     def post_quit(self) -> Json:
-        self.end([], None)
-        return {}
+        return self.end([], None)
 
     # adding
 

@@ -78,7 +78,7 @@ class FixSession(Session):
         if self._resumed:
             self._begin("tracking the corrections of the last session", self._resume)
 
-    def post_save(self) -> Answer:
+    def post_save(self) -> Json:
         if not self.draft.empty:
             frame = self.draft.frame
             raise UsageError(f"what was moved in frame {frame} is not tracked yet; track it, or discard it")
@@ -97,7 +97,7 @@ class FixSession(Session):
         corrections, rows = self.fixer.now
         return overview(rows, bins, corrections, self._about["lost_below"])
 
-    def post_track(self, learn: StrictBool | Literal["keep"] | None = "keep") -> Answer:
+    def post_track(self, learn: StrictBool | Literal["keep"] | None = "keep") -> Json:
         """Make the draft a correction of its frame. `learn` as of Correction; "keep" leaves that as it is."""
         frame, corrections = self.draft.frame, self._drafted(self.draft)
         if not corrections:
@@ -133,12 +133,12 @@ class FixSession(Session):
         except OutputError as e:
             self.message = flat(str(e))
 
-    def post_remove(self, frame: FrameNumber, target: str) -> Answer:
+    def post_remove(self, frame: FrameNumber, target: str) -> Json:
         if self.fixer.find(frame, target) is None:
             raise UsageError("there is no such correction")
         return self._begin(f"tracking {target}", partial(self.fixer.remove, frame, target))
 
-    def post_exchange(self, frame: FrameNumber) -> Answer:
+    def post_exchange(self, frame: FrameNumber) -> Json:
         """From a frame on each of two hands is where the other is: a correction of both."""
         hands, rows = [name for name in HANDS if name in self._parts], self.fixer.rows.at(frame)
         boxes = {name: choose(rows, other).boxes[0] for name, other in zip(hands, hands[::-1], strict=True)}
@@ -151,7 +151,7 @@ class FixSession(Session):
         both = [Correction(frame, hand, seen.get(hand, none), absent=hand not in seen or ()) for hand in hands]
         return self._begin(f"tracking {', '.join(hands)}", partial(self.fixer.put, both))
 
-    def post_confirm(self, frame: FrameNumber, target: str, part: str, stretch: StrictBool = False) -> Answer:
+    def post_confirm(self, frame: FrameNumber, target: str, part: str, stretch: StrictBool = False) -> Json:
         """A part lies right in a frame, or in the whole `stretch` around it in which it is called lost."""
         row = self.fixer.rows.find(target, part)
         at = None if row is None else row.row(frame)
@@ -181,8 +181,7 @@ class FixSession(Session):
         folder, by = self.fixer.run.folder, self.fixer.run.fixed_by
         left = [f"{self._kept}: corrections that are not saved; {by} goes on with them"] if self._kept else []
         nothing = [f"{folder}: nothing was corrected, all is as it was"]
-        self.end(self.saved + left or nothing, f"facetrack report {folder} --overwrite")
-        return self.get_state()
+        return self.end(self.saved + left or nothing, f"facetrack report {folder} --overwrite")
 
     def left(self) -> str:
         if kept := self._kept:
@@ -190,12 +189,12 @@ class FixSession(Session):
             return f"the corrections are kept in {kept}, {goes_on}"
         return "what was saved stays" if self.saves else super().left()
 
-    def post_undo(self) -> Answer:
+    def post_undo(self) -> Json:
         if not self.fixer.can_undo:
             raise UsageError("there is nothing to undo")
         return self._begin("undoing", lambda **_: self.fixer.undo())
 
-    def _begin(self, what: str, work: Callable[..., None]) -> Answer:
+    def _begin(self, what: str, work: Callable[..., None]) -> Json:
         """Begin the job `work`, which takes `report` and `stop` and changes the corrections; these are then kept."""
 
         def job(report: Report) -> None:
@@ -361,9 +360,9 @@ class CastSession(Page):
             del self._steps[-1:]
             return self.get_state()
 
-    def post_save(self) -> Answer:
+    def post_save(self) -> Json:
         self.start_job("saving", self._write)
-        return Answer(self.get_state(), 202)
+        return self.get_state()
 
     def left(self) -> str:
         lost = f"; not saved: {', '.join(words for (words, _), _ in self._steps)}" if self._steps else ""

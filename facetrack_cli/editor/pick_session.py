@@ -13,7 +13,7 @@ from pydantic_core import to_jsonable_python
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError, flat
 from facetrack_cli.core.geometry import inside
 from facetrack_cli.core.types import Box, Frame, Start, TargetStart
-from facetrack_cli.editor.session import Answer, Draft, Json, Session, draft_of
+from facetrack_cli.editor.session import Draft, Json, Session, draft_of
 from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import load_recipe, wants_gallery
 from facetrack_cli.recipe.model import ParticlesRecipe, Recipe
@@ -163,7 +163,7 @@ class PickSession(Session):
         ]
         return {"frame": frame, "proposals": proposals, "note": note or None}
 
-    def post_save(self) -> Answer:
+    def post_save(self) -> Json:
         with self.lock:
             self.refuse_if_busy()
             frames = self.frames.count if self.frames.exact else None

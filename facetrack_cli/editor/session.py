@@ -136,7 +136,7 @@ class Page:
         with self.lock:
             return {"job": self._job, "ended": self.ended, "message": self.message}
 
-    def start_job(self, what: str, work: Callable[[Report], None]) -> Answer:
+    def start_job(self, what: str, work: Callable[[Report], None]) -> Json:
         """Run `work` as the job. Its error is shown as the message. UsageError as of `refuse_if_busy`."""
         with self.lock:
             self.refuse_if_busy()
@@ -144,7 +144,7 @@ class Page:
             self.message = None
             self._worker = threading.Thread(target=self._run, args=(work,), daemon=True)
             self._worker.start()
-        return Answer({}, 202)
+        return {}
 
     def refuse_if_busy(self) -> None:
         """UsageError while a job runs, and after the end."""
@@ -154,11 +154,12 @@ class Page:
             if self._job is not None:
                 raise UsageError(f"busy: {self._job['what']}; wait until it has finished")
 
-    def end(self, messages: Sequence[str], next_: str | None) -> None:
+    def end(self, messages: Sequence[str], next_: str | None) -> Json:
         """End the session: show the `messages`, a line each, and the command to continue with."""
         with self.lock:
             self.ended, self.message = {"messages": list(messages), "next": next_}, None
             self._ended_at = time.monotonic()
+        return {}
 
     def over(self) -> bool:
         """Whether the server may stop: the session has ended, and the pages had time to learn of it."""

@@ -183,7 +183,7 @@ def test_what_is_saved_is_what_was_chosen(clips, tmp_path, config, targets, suff
     out = tmp_path / f"a.init{suffix}"
     with picking(clips / "face", out, config, next_="facetrack run x") as (client, session):
         assert client.put_draft(1, **targets).status == 200
-        assert client.save().status == 202
+        assert client.save().status == 200
         state = client.until(lambda state: state["ended"])
         assert state["ended"] == {"messages": [f"{out}: written"], "next": "facetrack run x"}
         wait_for(session.over, "the end")
@@ -202,12 +202,12 @@ def test_a_file_that_appears_meanwhile_is_not_replaced(clips, tmp_path):
     with picking(clips / "face", out) as (client, _):
         client.put_draft(1, face=FACE)
         out.write_text("mine")
-        assert client.save().status == 202
+        assert client.save().status == 200
         state = client.until(lambda state: state["message"])
         assert "exists already" in state["message"] and state["ended"] is None
         assert out.read_text() == "mine"
         out.unlink()
-        assert client.save().status == 202
+        assert client.save().status == 200
         client.until(lambda state: state["ended"])
     assert read_init(out).frame == 1
 
@@ -264,7 +264,7 @@ def test_the_file_says_which_detector_has_placed_what_nobody_moved(clips, tmp_pa
             elif change == "box":
                 targets["face"]["box"][2] += 1
             assert client.put_draft(1, **targets).status == 200
-            assert client.save().status == 202
+            assert client.save().status == 200
             client.until(lambda state: state["ended"])
         return read_init(out)
 
