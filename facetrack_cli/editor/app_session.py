@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field
@@ -16,14 +16,15 @@ from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, fl
 from facetrack_cli.core.files import make_folder, write_new, writing
 from facetrack_cli.core.types import Array, checked_name
 from facetrack_cli.editor.fix_session import CastSession, FixSession
-from facetrack_cli.editor.pick_session import NOTHING, PickSession
+from facetrack_cli.editor.pick_session import NOTHING, PickSession, Proposer
 from facetrack_cli.editor.project import RECIPES, Clip, Project, What, free
 from facetrack_cli.editor.save import open_track
-from facetrack_cli.editor.session import Answer, Json, Page, Proposer, RefusedError, Route, jpeg
+from facetrack_cli.editor.session import Answer, Json, Page, jpeg
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.finished import open_run, stamp
 from facetrack_cli.run_folder.manifest import NAME as MANIFEST
 from facetrack_cli.run_folder.manifest import VIDEO, read_run
+from facetrack_cli.run_folder.status import ClipStatus
 from facetrack_cli.runs.batch import expand
 from facetrack_cli.runs.export import content, encoded, named
 from facetrack_cli.start.init_file import read_init
@@ -70,24 +71,6 @@ class AppSession(Page):
         self._looks = ThreadPoolExecutor(1, "looks")  # at clips, as they come
         self._look_at([clip for clip in project.clips.values() if not clip.frames])
 
-    def routes(self) -> Sequence[Route]:
-        return (
-            Route("GET", "api/state", self.state),
-            Route("PUT", "api/upload", self._upload, raw=True),
-            Route("POST", "api/add", self._add),
-            Route("POST", "api/choose", self._choose),
-            Route("POST", "api/want", self._want),
-            Route("POST", "api/pause", self._pause),
-            Route("POST", "api/remove", self._remove),
-            Route("POST", "api/open", self._open_page),
-            Route("POST", "api/quit", lambda: self.end([], None)),
-            Route("GET", "api/thumb/{clip}.jpg", lambda clip: Answer(self._thumb(clip), kind="image/jpeg")),
-            Route("GET", "api/video/{clip}.mp4", self._video),
-            Route("GET", "api/look/{clip}", self._looked),
-            Route("GET", "api/export/{clip}", self._export),
-            Route("GET", "api/export", self._export),
-        )
-
     def close(self) -> None:
         super().close()
         self.project.close()
@@ -95,67 +78,63 @@ class AppSession(Page):
         for page in [*self.opened.values()]:
             page.close()  # what was corrected and not saved is kept beside the run
 
-    def state(self) -> Json:
+    def get_state(self) -> Json:
         self._shut_of()
         project = self.project
         with project.lock:
             clips = [self._shown(clip) for clip in project.clips.values()]
-            rate = next((row["rate"] for row in clips if row.get("rate")), None)
-            left = sum(max(row["frames"] - row["done"], 0) for row in clips if row["state"] in ("queued", "running"))
             return {
                 "folder": str(project.folder),
                 "clips": clips,
                 "paused": project.paused,
                 "running": None if project.running is None else project.running.id,
-                "left_s": round(left / rate) if rate else None,
                 "programs": {form: {"name": name, "many": form in OF_MANY} for form, name in PROGRAMS.items()},
                 "ended": self.ended,
             }
 
     def _shown(self, clip: Clip) -> Json:
         """A clip as the page shows it."""
-        project, error, done, more = self.project, clip.error, 0, dict[str, Any]()
+        project, progress, rate = self.project, self.project.progress, None
         try:
             status = project.status(clip)
-            state, done, more["look"] = str(status.state), status.frames, status.look
-            error = error or status.error
         except FacetrackError as e:
-            state, error = "failed", str(e)
+            status = ClipStatus(clip.name, clip.name, "failed", error=str(e))
+        state, done, error = str(status.state), status.frames, clip.error or status.error
         start = project.start_of(clip).is_file()
         if clip is project.running:
-            progress = project.progress
-            tracks = progress.get("doing") == ""  # else it does something before or after
-            state, done = "running", int(progress.get("done") or 0) * tracks
-            rate = progress.get("frames_per_s") if tracks else None
-            more |= {"doing": progress.get("doing", "starting"), "rate": rate}
+            state, done = "running", 0
+            if progress.get("doing") == "":  # else it does something before or after
+                done, rate = int(progress.get("done") or 0), progress.get("frames_per_s")
         elif clip.wanted and state != "running":
             state = "paused" if project.paused else "queued"
         elif error:
             state = "failed"
-        elif state == "interrupted":
-            state = "stopped"
         elif state == "not begun":
             state = "needs box" if clip.what == "box" and not start else "ready"
+        more = {"doing": progress.get("doing", "starting"), "rate": rate, "look": status.look}
         movie = stamp(project.run_of(clip) / VIDEO)
-        more["movie"] = None if movie is None else str(movie)  # changes when it is drawn again
+        more |= {"movie": movie and str(movie)}  # changes when it is drawn again
         more |= {"state": state, "done": done, "error": error, "start": start}
         shown = clip.model_dump(include={"id", "what", "likely", "size", "seconds", "frames"})
         return {**shown, "name": project.place(clip).name, "path": str(project.place(clip)), **more}
 
+    def post_quit(self) -> Json:
+        return self.end([], None)
+
     # adding
 
-    def _upload(self, data: bytes, name: str, offset: int, total: int) -> Json:
+    def put_upload(self, data: bytes, name: str, offset: int, total: int) -> Json:
         """A piece of a file that is dropped; the last one adds it."""
         try:
             name = re.sub(r'[<>:"|?*]', "_", checked_name(name.strip(" ."), "file"))
         except ValueError as e:
-            raise RefusedError(400, str(e)) from None
+            raise UsageError(str(e)) from None
         folder = self.project.folder / "clips"
         make_folder(folder, "name another folder")
         part = folder / f".{name}.part"
         with writing(part, "free some space"), part.open("r+b" if offset and part.exists() else "wb") as file:
             if file.seek(0, 2) < offset:
-                raise RefusedError(409, f"{name}: a piece is missing; drop the file again")
+                raise UsageError(f"{name}: a piece is missing; drop the file again")
             file.seek(offset)
             file.write(data)
             file.truncate()
@@ -166,15 +145,15 @@ class AppSession(Page):
             part.rename(path := folder / name)
         return self._added([path])
 
-    def _add(self, path: str) -> Json:
+    def post_add(self, path: str) -> Json:
         """The clips that a path names: a file, or a folder of clips or images."""
         if not path.strip() or path.startswith("@"):
-            raise RefusedError(400, "name a video, or a folder with videos or images")
+            raise UsageError("name a video, or a folder with videos or images")
         place = Path(path.strip().strip("\"'")).expanduser()
         if not place.is_absolute():
-            raise RefusedError(400, f"{place}: give the whole path, as {Path.home() / 'clips'}")
+            raise UsageError(f"{place}: give the whole path, as {Path.home() / 'clips'}")
         if not place.exists():
-            raise RefusedError(422, f"{place}: there is nothing of this name")
+            raise UsageError(f"{place}: there is nothing of this name")
         return self._added(expand([place])[0])
 
     def _added(self, paths: Sequence[Path]) -> Json:
@@ -204,48 +183,51 @@ class AppSession(Page):
         for clip in clips:
             self._looks.submit(look, clip)
 
+    def get_thumb(self, clip: int) -> Answer:
+        return Answer(self._thumb(clip), kind="image/jpeg")
+
     def _thumb(self, clip: int) -> Path:
         return self.project.folder / "thumbs" / f"{clip}.jpg"
 
     # running
 
-    def _choose(self, clips: Ids, what: What) -> Json:
+    def post_choose(self, clips: Ids, what: What) -> Json:
         with self.project.lock:
             for clip in map(self.project.find, clips):
                 if clip.wanted:
-                    raise RefusedError(409, f"{clip.name} is being tracked; stop it first")
+                    raise UsageError(f"{clip.name} is being tracked; stop it first")
                 clip.what, clip.error = what, None
             self.project.save()
-        return self.state()
+        return self.get_state()
 
-    def _want(self, clips: Ids, wanted: bool, again: bool = False) -> Json:
+    def post_want(self, clips: Ids, wanted: bool, again: bool = False) -> Json:
         """Have clips tracked, `again` from the start, or stop them."""
         for clip in clips if wanted else ():
             self._shut_of(clip)
         self.project.want([*map(self.project.find, clips)], wanted, again=again)
-        return self.state()
+        return self.get_state()
 
-    def _pause(self, paused: bool) -> Json:
+    def post_pause(self, paused: bool) -> Json:
         self.project.pause(paused)
-        return self.state()
+        return self.get_state()
 
-    def _remove(self, clip: int) -> Json:
+    def post_remove(self, clip: int) -> Json:
         self._shut_of(clip)
         self.project.remove(self.project.find(clip))
-        return self.state()
+        return self.get_state()
 
     # looking
 
-    def _video(self, clip: int, v: str = "") -> Answer:
+    def get_video(self, clip: int, v: str = "") -> Answer:
         return Answer(self.project.run_of(self.project.find(clip)) / VIDEO, kind="video/mp4")
 
-    def _looked(self, clip: int) -> Json:
+    def get_look(self, clip: int) -> Json:
         folder = self.project.run_of(self.project.find(clip))
         return self._look(folder, str(stamp(folder / MANIFEST)))
 
     # correcting
 
-    def _open_page(
+    def post_open(
         self, clip: int, page: Literal["fix", "people", "start"], person: str | None = None, frame: int = 0
     ) -> Json:
         """Open the page that corrects a run, or a `person` of a film, or who is who in it, or that chooses a start."""
@@ -254,7 +236,7 @@ class AppSession(Page):
             self._shut_of()
             chosen = self.project.find(clip)
             if chosen.wanted:
-                raise RefusedError(409, f"{chosen.name} is being tracked; stop it first")
+                raise UsageError(f"{chosen.name} is being tracked; stop it first")
             if name not in self.opened:
                 folder = self.project.run_of(chosen)
                 if page == "start":
@@ -280,11 +262,11 @@ class AppSession(Page):
 
     # exporting
 
-    def _export(self, program: str, clip: int | None = None) -> Answer:
+    def get_export(self, program: str, clip: int | None = None) -> Answer:
         """A file for a program, of one clip or of all; it stays in exports/."""
         known = OF_MANY if clip is None else (*PROGRAMS,)
         if program not in known:
-            raise RefusedError(400, f"{program}: choose among {', '.join(known)}")
+            raise UsageError(f"{program}: choose among {', '.join(known)}")
         project = self.project
         name, runs = project.folder.name, sorted({path.parent for path in project.folder.glob("runs/*/trajectory.*")})
         if clip is not None:
@@ -292,16 +274,13 @@ class AppSession(Page):
             name, runs = chosen.name, [project.run_of(chosen)]
         path = project.folder / "exports" / f"{name}.{EXPORTS[program].ending}"
         make_folder(path.parent, "free some space")
-        try:
-            clips = []
-            for run in runs:
-                with suppress(InputError) if clip is None else nullcontext():  # of many, those that can be read
-                    clips.append(named(read_run(run), drop_lost=False))
-            if not clips:
-                raise InputError("no run can be read yet")
-            data = encoded(content(clips, program, path, box="points", many=clip is None))
-        except FacetrackError as e:
-            raise UsageError(flat(str(e))) from None  # 422: the page says why
+        clips = []
+        for run in runs:
+            with suppress(InputError) if clip is None else nullcontext():  # of many, those that can be read
+                clips.append(named(read_run(run), drop_lost=False))
+        if not clips:
+            raise InputError("no run can be read yet")
+        data = encoded(content(clips, program, path, box="points", many=clip is None))
         with self._exporting, writing(path, "close what uses it"):
             path.write_bytes(BOM * PROGRAMS[program].startswith("Excel") + data)
         saved_as = re.sub(r'[^ -~]|["\\]', "_", path.name)
@@ -316,9 +295,9 @@ def likely_in(frames: Frames) -> What:
     last = min(max(frames.count - 1, 0), LOOKS_WITHIN)
     for at in sorted({last * k // (LOOKS - 1) for k in range(LOOKS)}):
         with suppress(InputError):
-            proposals = [proposal["targets"] for proposal in proposer(at)["proposals"]]
-            faces, several = faces + bool(proposals), several + (len(proposals) > 1)
-            hands += len(proposals) == 1 and len(proposals[0]) > 1
+            starts, _ = proposer(at)
+            faces, several = faces + bool(starts), several + (len(starts) > 1)
+            hands += len(starts) == 1 and len(starts[0].targets) > 1
     return "box" if not faces else "everybody" if several else "signer" if 2 * hands > LOOKS else "face"
 
 

@@ -14,6 +14,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field, StrictBool, StrictInt
+from pydantic_core import to_jsonable_python
 
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError, flat
 from facetrack_cli.core.face_points import HANDS
@@ -22,7 +23,7 @@ from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.editor.history import corrections_of, fixing, merged
 from facetrack_cli.editor.pick_session import requirement
 from facetrack_cli.editor.save import is_tracked_again, keep, save
-from facetrack_cli.editor.session import Answer, Draft, Json, Page, Proposer, RefusedError, Route, Session, jpeg
+from facetrack_cli.editor.session import Answer, Draft, Json, Page, Session, jpeg
 from facetrack_cli.engine.corrected import correctable_parts
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.run_folder.finished import Run
@@ -68,8 +69,7 @@ class FixSession(Session):
         }
         with ExitStack() as stack:
             self.fixer, frames = stack.enter_context(fixing(run))
-            proposer = Proposer(frames, run.recipe, run.recipe.points)
-            super().__init__(frames, proposer, Draft(run.first, {}), about, first=run.first, last=run.last)
+            super().__init__(frames, Draft(run.first, {}), about, first=run.first, last=run.last)
             self.resources = stack.pop_all()
         self._resumed: Sequence[Correction] = ()  # until they are applied
         try:
@@ -79,76 +79,40 @@ class FixSession(Session):
         if self._resumed:
             self._begin("tracking the corrections of the last session", self._resume)
 
-    def routes(self) -> Sequence[Route]:
-        return (
-            *super().routes(),
-            Route("GET", "api/rows", self._rows),
-            Route("GET", "api/overview", self._overview),
-            Route("POST", "api/track", self._track),
-            Route("POST", "api/remove", self._remove),
-            Route("POST", "api/exchange", self._exchange),
-            Route("POST", "api/confirm", self._confirm),
-            Route("POST", "api/done", self._done),
-            Route("POST", "api/undo", self._undo),
-        )
+    def post_save(self) -> Json:
+        if not self.draft.empty:
+            frame = self.draft.frame
+            raise UsageError(f"what was moved in frame {frame} is not tracked yet; track it, or discard it")
+        return self.start_job("saving", self._write)
 
-    def proposals(self, frame: int) -> Json:
-        """Proposals for the targets of the run. Where the recipe names no targets, a face may be any of them."""
-        answer = super().proposals(frame)
-        proposals = []
-        for proposal in answer["proposals"]:
-            label, targets = proposal["label"], proposal["targets"]
-            if self.fixer.run.recipe.followed:
-                faces = {label: {name: target for name, target in targets.items() if name in self._parts}}
-            else:
-                [face] = targets.values()
-                faces = {f"{label}: {name}" if len(self._parts) > 1 else label: {name: face} for name in self._parts}
-            for text, each in faces.items():
-                fitted = {}
-                for name, target in each.items():  # the points of a target, if it follows any, else the box
-                    placed = {} if self._parts[name] == (BOX,) else target["points"]
-                    fitted[name] = {"box": None if placed else target["box"], "points": placed}
-                proposals.append({"label": text, "targets": fitted})
-        return {**answer, "proposals": proposals}
-
-    def check_draft(self, draft: Draft) -> None:
-        for name, target in draft.targets.items():
-            if name not in self._parts:
-                raise RefusedError(400, f"the run has no {name}; it has {', '.join(self._parts)}")
-            named = [*target.points, *(() if target.absent is True else target.absent)]
-            if unknown := [part for part in named if part not in self._parts[name]]:
-                raise RefusedError(400, f"{name} has no {unknown[0]}; it has {', '.join(self._parts[name])}")
-
-    def save(self, draft: Draft) -> None:
-        if not draft.empty:
-            frame = draft.frame
-            raise RefusedError(422, f"what was moved in frame {frame} is not tracked yet; track it, or discard it")
-        self.start_job("saving", self._write, saves=True)
-
-    def _rows(self, first: int, last: int) -> Json:
+    def get_rows(self, first: int, last: int) -> Json:
         """The rows of frames `first` to `last`, both included."""
         run = self.fixer.run
         first, last = max(first, run.first), min(last, run.last)
         if last - first > MAX_ROWS:
-            raise RefusedError(400, f"{last - first + 1} frames are too many; at most {MAX_ROWS} are sent")
+            raise UsageError(f"{last - first + 1} frames are too many; at most {MAX_ROWS} are sent")
         parts = [(name, part) for name, parts in self._parts.items() for part in parts]
         return {"first": first, "parts": parts, "frames": cells(self.fixer.rows, first, last + 1)}
 
-    def _overview(self, bins: Annotated[int, Field(ge=1, le=4000)] = 400) -> Json:
+    def get_overview(self, bins: Annotated[int, Field(ge=1, le=4000)] = 400) -> Json:
         corrections, rows = self.fixer.now
         return overview(rows, bins, corrections, self._about["lost_below"])
 
-    def _track(self, base: StrictInt, learn: StrictBool | Literal["keep"] | None = "keep") -> Answer:
+    def post_track(self, learn: StrictBool | Literal["keep"] | None = "keep") -> Json:
         """Make the draft a correction of its frame. `learn` as of Correction; "keep" leaves that as it is."""
-        with self.lock:
-            self.refuse_unless(base)
-            draft = self.draft
-        corrections = self._drafted(draft)
+        frame, corrections = self.draft.frame, self._drafted(self.draft)
         if not corrections:
-            raise RefusedError(422, f"nothing is corrected in frame {draft.frame}; move a part, or mark it as absent")
-        return self._put(
-            corrections if learn == "keep" else [replace(correction, learn=learn) for correction in corrections], draft
-        )
+            raise UsageError(f"nothing is corrected in frame {frame}; move a part, or mark it as absent")
+        if learn != "keep":
+            corrections = [replace(correction, learn=learn) for correction in corrections]
+        for correction in corrections:
+            self.fixer.check(correction)
+
+        def work(**options: Any) -> None:
+            self.fixer.put(corrections, **options)
+            self.draft = Draft(frame, {})  # it is a correction now
+
+        return self._begin(f"tracking {', '.join(correction.target for correction in corrections)}", work)
 
     def _drafted(self, draft: Draft) -> list[Correction]:
         """What the draft says, over what is corrected there already."""
@@ -158,32 +122,24 @@ class FixSession(Session):
 
     def change(self, draft: Draft) -> None:
         """Also keeps what it says, as if it were tracked already."""
-        with self.lock:
-            super().change(draft)
-            try:
-                keep(self.fixer, (*self._resumed, *self._drafted(draft)))
-            except OutputError as e:
-                self.message = flat(str(e))
+        for name, target in draft.targets.items():
+            if name not in self._parts:
+                raise UsageError(f"the run has no {name}; it has {', '.join(self._parts)}")
+            named = [*target.points, *(() if target.absent is True else target.absent)]
+            if unknown := [part for part in named if part not in self._parts[name]]:
+                raise UsageError(f"{name} has no {unknown[0]}; it has {', '.join(self._parts[name])}")
+        super().change(draft)
+        try:
+            keep(self.fixer, self._drafted(draft))
+        except OutputError as e:
+            self.message = flat(str(e))
 
-    def _put(self, corrections: Sequence[Correction], draft: Draft | None = None) -> Answer:
-        """Have corrections tracked; the draft that they are made of becomes empty."""
-        for correction in corrections:
-            self.fixer.check(correction)
-
-        def work(**options: Any) -> None:
-            self.fixer.put(corrections, **options)
-            with self.lock:
-                if draft is not None and self.draft is draft:  # else somebody continues with another one
-                    self.change(Draft(draft.frame, {}))
-
-        return self._begin(f"tracking {', '.join(correction.target for correction in corrections)}", work)
-
-    def _remove(self, frame: FrameNumber, target: str) -> Answer:
+    def post_remove(self, frame: FrameNumber, target: str) -> Json:
         if self.fixer.find(frame, target) is None:
-            raise RefusedError(422, "there is no such correction")
+            raise UsageError("there is no such correction")
         return self._begin(f"tracking {target}", partial(self.fixer.remove, frame, target))
 
-    def _exchange(self, frame: FrameNumber) -> Answer:
+    def post_exchange(self, frame: FrameNumber) -> Json:
         """From a frame on each of two hands is where the other is: a correction of both."""
         hands, rows = [name for name in HANDS if name in self._parts], self.fixer.rows.at(frame)
         boxes = {name: choose(rows, other).boxes[0] for name, other in zip(hands, hands[::-1], strict=True)}
@@ -191,51 +147,55 @@ class FixSession(Session):
             name: TargetStart(tuple(box.round(2).tolist())) for name, box in boxes.items() if np.isfinite(box).all()
         }
         if len(hands) < 2 or not seen:
-            raise RefusedError(422, f"there are no two hands in frame {frame}")
+            raise UsageError(f"there are no two hands in frame {frame}")
         none = TargetStart()
-        return self._put(
-            [Correction(frame, hand, seen.get(hand, none), absent=hand not in seen or ()) for hand in hands]
-        )
+        both = [Correction(frame, hand, seen.get(hand, none), absent=hand not in seen or ()) for hand in hands]
+        return self._begin(f"tracking {', '.join(hands)}", partial(self.fixer.put, both))
 
-    def _confirm(self, frame: FrameNumber, target: str, part: str, stretch: StrictBool = False) -> Answer:
+    def post_confirm(self, frame: FrameNumber, target: str, part: str, stretch: StrictBool = False) -> Json:
         """A part lies right in a frame, or in the whole `stretch` around it in which it is called lost."""
         row = self.fixer.rows.find(target, part)
         at = None if row is None else row.row(frame)
         if row is None or at is None or not np.isfinite(row.x[at]) or row.status[at] == "absent":
-            raise RefusedError(422, f"{target} {part} has no place in frame {frame}; give it one")
+            raise UsageError(f"{target} {part} has no place in frame {frame}; give it one")
         lost = next((span for span in spans(row.status == "lost") if span[0] <= at < span[1]), (at, at + 1))
         first, stop = lost if stretch else (at, at + 1)
         corrections = []
         for index in row.frame[first:stop][:MAX_ROWS].tolist():
             before = self.fixer.find(index, target)
             if before is not None and not before.confirmed:
-                raise RefusedError(422, f"{target} is corrected in frame {index} already; place {part} there")
+                raise UsageError(f"{target} is corrected in frame {index} already; place {part} there")
             new = Correction(index, target, confirmed=(part,))
             corrections.append(merged(new, before, self._parts[target]))
         return self._begin(f"confirming {target}", partial(self.fixer.put, corrections))
 
-    def _done(self) -> Json:
+    @property
+    def _kept(self) -> Path | None:
+        """The file with which the next session goes on, if there is something in it."""
+        kept = self.fixer.run.folder / UNSAVED
+        some = self.fixer.changed or self._resumed or not self.draft.empty
+        return kept if some and kept.is_file() else None
+
+    def post_done(self) -> Json:
         """End the session; what is not saved is kept for the next one."""
         self.refuse_if_busy()
-        folder = self.fixer.run.folder
-        left = [f"{folder / UNSAVED}: corrections that are not saved; {self.fixer.run.fixed_by} goes on with them"]
+        folder, by = self.fixer.run.folder, self.fixer.run.fixed_by
+        left = [f"{self._kept}: corrections that are not saved; {by} goes on with them"] if self._kept else []
         nothing = [f"{folder}: nothing was corrected, all is as it was"]
-        self.end(self.saved + left * (folder / UNSAVED).is_file() or nothing, f"facetrack report {folder} --overwrite")
-        return self.state()
+        return self.end(self.saved + left or nothing, f"facetrack report {folder} --overwrite")
 
     def left(self) -> str:
-        kept = self.fixer.run.folder / UNSAVED
-        if kept.is_file():
+        if kept := self._kept:
             goes_on = f"all else is as it was; {self.fixer.run.fixed_by} goes on with them"
             return f"the corrections are kept in {kept}, {goes_on}"
         return "what was saved stays" if self.saves else super().left()
 
-    def _undo(self) -> Answer:
+    def post_undo(self) -> Json:
         if not self.fixer.can_undo:
-            raise RefusedError(422, "there is nothing to undo")
+            raise UsageError("there is nothing to undo")
         return self._begin("undoing", lambda **_: self.fixer.undo())
 
-    def _begin(self, what: str, work: Callable[..., None]) -> Answer:
+    def _begin(self, what: str, work: Callable[..., None]) -> Json:
         """Begin the job `work`, which takes `report` and `stop` and changes the corrections; these are then kept."""
 
         def job(report: Report) -> None:
@@ -244,18 +204,17 @@ class FixSession(Session):
                 self.rows_revision += 1
                 keep(self.fixer, self._drafted(self.draft))
 
-        self.start_job(what, job)
-        return Answer({}, 202)
+        return self.start_job(what, job)
 
     def _resume(self, **options: Any) -> None:
         """Apply the corrections that the last session did not save."""
         try:
             self.fixer.apply(self._resumed, **options)
         except FacetrackError as e:
-            raise InputError(f"the corrections of the last session were left out: {e}") from e
-        finally:
             self._resumed = ()
+            raise InputError(f"the corrections of the last session were left out: {e}") from e
         with self.lock:
+            self._resumed = ()
             self.message = "the corrections of the last session, which were not saved, are applied; undo removes them"
 
     def _write(self, report: Report) -> None:
@@ -263,11 +222,11 @@ class FixSession(Session):
         with self.lock:
             self.saved, self.saves, self.rows_revision = messages, self.saves + 1, self.rows_revision + 1
 
-    def state(self) -> Json:
+    def get_state(self) -> Json:
         with self.lock:
             undo = {"can_undo": self.fixer.can_undo, "rows_revision": self.rows_revision}
             saved = {"saves": self.saves, "saved": self.saved, "unsaved": self.fixer.changed}
-            return {**super().state(), **undo, **saved}
+            return {**super().get_state(), **undo, **saved}
 
 
 def _requirement(target: str, parts: tuple[str, ...]) -> Json:
@@ -278,35 +237,26 @@ def _requirement(target: str, parts: tuple[str, ...]) -> Json:
     return requirement(target, parts, "optional" if set(parts) <= set(PARTS) else "no")
 
 
-def overview(
-    rows: Trajectory, bins: int, corrections: Sequence[Correction], lost_below: Mapping[str, float]
-) -> dict[str, Any]:
-    """Ready for JSON: of each part and each of `bins` equal spans the least confidence, None if unknown, and the shares
-    of frames in which it is lost and absent; the doubtful frames; the corrections.
+def overview(rows: Trajectory, bins: int, corrections: Sequence[Correction], lost_below: Mapping[str, float]) -> Json:
+    """Ready for JSON: of each of `bins` equal spans the least confidence of all parts, None if unknown, whether a part
+    is lost, and whether some parts are absent, 1, or all of them, 2; the doubtful frames; the corrections.
     """
     first, last = int(rows.frame[0]), int(rows.frame[-1])
     count = last - first + 1
     bins = min(bins, count)
     edges = np.arange(bins) * count // bins
-    sizes = np.diff([*edges.tolist(), count])
-    parts, corrected = [], []
-    for part in rows.parts:
-        least = [None if sure != sure else sure for sure in np.fmin.reduceat(part.confidence, edges).tolist()]
-        counts = {
-            status: np.add.reduceat(part.status == status, edges, dtype=np.int64) for status in ("lost", "absent")
-        }
-        shares = {status: (count / sizes).round(4).tolist() for status, count in counts.items()}
-        parts.append({"target": part.target, "part": part.part, "least": least, **shares})
-    for correction in corrections:
-        if correction.frame <= last:
-            placed = ["box"] if correction.given.box is not None else list(correction.given.points)
-            absent, sure = (names is True or list(names) for names in (correction.absent, correction.confirmed))
-            more = {"confirmed": sure} if sure else {}
-            corrected.append(
-                {"frame": correction.frame, "target": correction.target, "parts": placed, "absent": absent, **more}
-            )
-    view = {"first": first, "last": last, "bins": bins, "parts": parts}
-    return {**view, "doubtful": doubtful(rows, lost_below), "corrections": corrected}
+    status = np.array([part.status for part in rows.parts])
+    absent, lost = status == "absent", (status == "lost").any(axis=0)
+    least = np.fmin.reduceat(np.fmin.reduce([part.confidence for part in rows.parts]), edges).tolist()
+    return {
+        "first": first,
+        "last": last,
+        "least": [None if math.isnan(sure) else sure for sure in least],
+        "lost": np.logical_or.reduceat(lost, edges).tolist(),
+        "absent": np.maximum.reduceat(absent.any(axis=0).astype(int) + absent.all(axis=0), edges).tolist(),
+        "doubtful": doubtful(rows, lost_below),
+        "corrections": to_jsonable_python([fix for fix in corrections if fix.frame <= last]),
+    }
 
 
 def doubtful(rows: Trajectory, lost_below: Mapping[str, float]) -> list[dict[str, Any]]:
@@ -346,7 +296,7 @@ Change = tuple[str, Callable[[Tracks], Tracks]]
 class CastSession(Page):
     """The people of the run in `folder`; its clip may be elsewhere now. Nothing is written before it is saved."""
 
-    index, edits = "cast.html", "cast"
+    index = "cast.html"
 
     def __init__(self, folder: Path, elsewhere: Path | None = None, *, video: bool = True) -> None:
         super().__init__()
@@ -366,24 +316,13 @@ class CastSession(Page):
         """Each track, with the target of the run's rows that it belongs to."""
         return self._steps[-1][1] if self._steps else changes.tracks_of(self.before)
 
-    def routes(self) -> Sequence[Route]:
-        return (
-            Route("GET", "api/state", self.state),
-            Route("GET", "api/still/{first}/{stop}.jpg", self._still_of),
-            Route("GET", "api/frame/{frame}.jpg", self._frame),
-            Route("POST", "api/change", self._change),
-            Route("POST", "api/undo", self._undo),
-            Route("POST", "api/save", self._save),
-            Route("POST", "api/done", self._done),
-        )
-
-    def state(self) -> Json:
+    def get_state(self) -> Json:
         with self.lock:
             records = [track for _, track in self.tracks]
             still = changes.photographs(self.before, self.tracks)
             people = changes.people_of(self._clock, self.before.shots, records, {}, still)
             return {
-                **super().state(),
+                **super().get_state(),
                 "clip": self.clip.name,
                 "folder": str(self.folder),
                 "people": [person.model_dump(mode="json") for person in people.people],
@@ -397,43 +336,34 @@ class CastSession(Page):
                 "changes": [words for (words, _), _ in self._steps],
             }
 
-    def _change(
-        self,
-        base: StrictInt,
-        what: Literal["merge", "rename", "split", "give"],
-        name: str,
-        to: str | None = None,
-        frame: StrictInt = 0,
-    ) -> Json:
-        """`name` is merged into `to`, renamed to it, split at `frame`, or its track in `frame` is given to `to`."""
-        change: Callable[[Tracks], Tracks]
-        if what == "merge":
-            words, change = f"merge {name}={to}", partial(changes.merge, name=name, into=to or "")
-        elif what == "rename":
-            words, change = f"rename {name}={to}", partial(changes.rename, name=name, to=to or "")
-        elif what == "split":
-            words, change = f"split {name}@{frame}f", partial(changes.split, name=name, frame=frame)
-        else:
-            words, change = f"give {name}@{frame}f={to or ''}", partial(changes.give, name=name, frame=frame, to=to)
+    def post_merge(self, name: str, to: str) -> Json:
+        return self._change(f"merge {name}={to}", partial(changes.merge, name=name, into=to))
+
+    def post_rename(self, name: str, to: str) -> Json:
+        return self._change(f"rename {name}={to}", partial(changes.rename, name=name, to=to))
+
+    def post_split(self, name: str, frame: StrictInt) -> Json:
+        return self._change(f"split {name}@{frame}f", partial(changes.split, name=name, frame=frame))
+
+    def post_give(self, name: str, frame: StrictInt, to: str | None = None) -> Json:
+        """The track of `name` in a frame is of `to`, or of somebody new."""
+        return self._change(f"give {name}@{frame}f={to or ''}", partial(changes.give, name=name, frame=frame, to=to))
+
+    def _change(self, words: str, change: Callable[[Tracks], Tracks]) -> Json:
         with self.lock:
-            self.refuse_unless(base)
+            self.refuse_if_busy()
             self._steps.append(((words, change), change(self.tracks)))
-            self.revision += 1
-            return self.state()
+            return self.get_state()
 
-    def _undo(self, base: StrictInt) -> Json:
+    def post_undo(self) -> Json:
         with self.lock:
-            self.refuse_unless(base)
-            if self._steps:
-                self._steps.pop()
-                self.revision += 1
-            return self.state()
+            self.refuse_if_busy()
+            del self._steps[-1:]
+            return self.get_state()
 
-    def _save(self, base: StrictInt) -> Answer:
-        with self.lock:
-            self.refuse_unless(base)
-            self.start_job("saving", self._write)
-            return Answer(self.state(), 202)
+    def post_save(self) -> Json:
+        self.start_job("saving", self._write)
+        return self.get_state()
 
     def left(self) -> str:
         lost = f"; not saved: {', '.join(words for (words, _), _ in self._steps)}" if self._steps else ""
@@ -450,27 +380,26 @@ class CastSession(Page):
             self.before, self._rows, self._steps = people_in(self.folder), read_run(self.folder), []
             self._still.cache_clear()
             self.saved += len(steps)
-            self.revision += 1
             self.message = self._said()
 
     def _said(self) -> str:
         return f"{self.folder}: {self.saved} change{'s' if self.saved != 1 else ''} saved"
 
-    def _done(self, base: StrictInt) -> Json:
+    def post_done(self) -> Json:
         """End the session; changes that are not saved are gone."""
         with self.lock:
-            self.refuse_unless(base)
+            self.refuse_if_busy()
             self.end([self._said()], f"facetrack people {self.folder}")
-            return self.state()
+            return self.get_state()
 
-    def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
+    def get_frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")
 
-    def _still_of(self, first: int, stop: int, person: str) -> Answer:
+    def get_still(self, first: int, stop: int, person: str) -> Answer:
         with self.lock:
             targets = {(track.person, track.first, track.stop): target for target, track in self.tracks}
         if (person, first, stop) not in targets:
-            raise RefusedError(404, "there is no such track any more")
+            raise UsageError("there is no such track any more")
         return Answer(self._still(targets[person, first, stop], first, stop), kind="image/jpeg")
 
     def _picture(self, target: str, first: int, stop: int) -> bytes:

@@ -7,12 +7,12 @@ depend on each other, `save` tracks all of them again.
 import contextlib
 import pickle
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, count
 from pathlib import Path
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, TypeAlias
 
 from facetrack_cli.core.errors import InputError, OutputError, reason
 from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
@@ -49,13 +49,6 @@ class Track:
     place: Path | None = None
 
 
-class Step(NamedTuple):
-    """Corrections, and by target the tracks that follow from them, by their first frames."""
-
-    corrections: tuple[Correction, ...]
-    tracks: Mapping[str, Sequence[Track]]
-
-
 class Fixer:
     """A run with its corrections and rows `now`. A call that fails or is stopped leaves both as they were.
 
@@ -71,8 +64,8 @@ class Fixer:
         saved = (completed_by(fix, run.rows) if fix.frame <= run.last else fix for fix in run.start.corrections)
         self._saved = self._ordered(saved)
         self._known = {name: self._plan(name, self._saved) for name in run.rows.targets}
-        self._past: list[Step] = []
-        self._take(Step(self._saved, {name: tuple(tracks) for name, tracks in self._known.items()}))
+        self._past: list[tuple[Correction, ...]] = []
+        self.now = self._saved, with_confirmed(run.rows, self._saved)
 
     @property
     def corrections(self) -> tuple[Correction, ...]:
@@ -116,7 +109,7 @@ class Fixer:
     def undo(self) -> None:
         """Undo the last step; nothing is tracked for it."""
         if self._past:
-            self._take(self._past.pop())
+            self.now = self._followed(self._past.pop())
 
     def apply(self, corrections: Sequence[Correction], *, report: Report = silent, stop: Stopped = never) -> None:
         """Replace all corrections by these, which may lie past the run's end. The track before a correction places
@@ -150,8 +143,8 @@ class Fixer:
     def _become(self, corrections: Sequence[Correction], report: Report, stop: Stopped) -> None:
         """Take these corrections, and track the stretches of which no track is known."""
         corrections = self._ordered(corrections)
-        plans = {name: self._plan(name, corrections) for name in self._known}
-        unknown = [track for plan in plans.values() for track in plan if self._find(track) is None]
+        plans = chain(*(self._plan(name, corrections) for name in self._known))
+        unknown = [track for track in plans if self._find(track) is None]
         frames, total = count(1), sum(track.stop - track.first for track in unknown)
 
         def step() -> None:
@@ -160,17 +153,20 @@ class Fixer:
             done = next(frames)
             report(done, max(total, done))
 
-        tracks = {name: tuple(self._tracks(plan, step)) for name, plan in plans.items()}
-        placed = [track.begin for each in tracks.values() for track in each if track.begin is not None]
+        now = self._followed(corrections, step)
+        if now[0] != self.corrections:
+            self._past = [*self._past, self.corrections][-MAX_STEPS:]
+            self.now = now
+
+    def _followed(
+        self, corrections: tuple[Correction, ...], step: Callable[[], None] = lambda: None
+    ) -> tuple[tuple[Correction, ...], Trajectory]:
+        """The corrections with all parts placed, and their rows; `step` is called before each frame that is tracked."""
+        tracks = [[*self._tracks(self._plan(name, corrections), step)] for name in self._known]
+        placed = [track.begin for each in tracks for track in each if track.begin is not None]
         others = (correction for correction in corrections if correction.frame > self.run.last or correction.confirmed)
         became = self._ordered([*placed, *others])
-        if became != self.corrections:
-            self._past = [*self._past, self._step][-MAX_STEPS:]
-            self._take(Step(became, tracks))
-
-    def _take(self, step: Step) -> None:
-        self._step = step
-        self.now = step.corrections, with_confirmed(self._spliced(step.tracks), step.corrections)
+        return became, with_confirmed(self._spliced(tracks), became)
 
     def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
         order = self.run.rows.targets.index
@@ -232,12 +228,12 @@ class Fixer:
         rows: Trajectory = pickle.loads(track.place.read_bytes())
         return rows
 
-    def _spliced(self, tracks: Mapping[str, Sequence[Track]]) -> Trajectory:
-        """The rows of the run with these tracks, each up to the next."""
-        if all(track.place is None for each in tracks.values() for track in each):
+    def _spliced(self, tracks: Sequence[Sequence[Track]]) -> Trajectory:
+        """The rows of the run with these tracks of each target, each up to the next."""
+        if all(track.place is None for each in tracks for track in each):
             return self.run.rows
         pieces = []
-        for each in tracks.values():
+        for each in tracks:
             stops = [*(track.first for track in each[1:]), each[-1].stop]
             pieces += [self._rows(track).between(track.first, stop) for track, stop in zip(each, stops, strict=True)]
         return successive(pieces, self.run.rows)

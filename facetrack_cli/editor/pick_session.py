@@ -1,19 +1,22 @@
 """Choosing the start of a track on the page: which parts a recipe requires, and whether a draft has them."""
 
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
-from facetrack_cli.core.errors import FacetrackError, OutputError, flat
-from facetrack_cli.core.types import Box, Start, TargetStart
-from facetrack_cli.editor.session import MAX_POINTS, Draft, Json, Proposer, RefusedError, Session, draft_of
+from pydantic_core import to_jsonable_python
+
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError, flat
+from facetrack_cli.core.geometry import inside
+from facetrack_cli.core.types import Box, Frame, Start, TargetStart
+from facetrack_cli.editor.session import Draft, Json, Session, draft_of
 from facetrack_cli.engine.spaces import check_size
-from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
-from facetrack_cli.report.story import names as listed
+from facetrack_cli.recipe.load import load_recipe, wants_gallery
+from facetrack_cli.recipe.model import ParticlesRecipe, Recipe
 from facetrack_cli.start.assembly import build_tracker, check_windows, name_targets
 from facetrack_cli.start.init_file import (
     KEYS,
@@ -24,12 +27,15 @@ from facetrack_cli.start.init_file import (
     check_start,
     write_init,
 )
-from facetrack_cli.trackers.face.detectors import PARTS, detector
+from facetrack_cli.start.search import box_start
+from facetrack_cli.trackers.face.closer import righted
+from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named
 from facetrack_cli.trackers.skin.settings import SkinCloudSettings
 from facetrack_cli.video.overlay import write_preview
 from facetrack_cli.video.seek import Frames
 
 ORIGIN: Final = "the page"
+MAX_FACES: Final = 12
 NOTHING: Final = Start(0, {}, "")  # of no file
 DEFAULT: Final = "factorized"  # the recipe of `facetrack run` without --config
 _RESERVED: Final = (*OF_FILES, *KEYS, *OF_CORRECTIONS)
@@ -38,6 +44,59 @@ _ABOUT_BOXES: Final = {
     "head": "the face of this head, from the brows to the chin",
     "face": "from the brows to the chin, as wide as the face",
 }
+
+
+class Proposer:
+    """The faces of a frame as starts, which is searched once; one frame at a time. `points`: of the first target."""
+
+    def __init__(self, frames: Frames, recipe: Recipe | None, points: Sequence[str]) -> None:
+        self._frames, self._recipe = frames, recipe
+        self._points = [part for part in points if part in PARTS]
+        self._by_hand = [part for part in points if part not in PARTS]
+        self._looking = threading.Lock()
+        self.found: dict[int, tuple[list[Start], str]] = {}
+
+    def __call__(self, index: int) -> tuple[list[Start], str]:
+        """A start for each face, and what is to be said of them. Raises InputError if there is no such frame."""
+        with self._looking:
+            if index not in self.found:
+                self.found[index] = self._find(self._frames.read(index))
+            return self.found[index]
+
+    def in_box(self, frame: Frame, box: Box, clip: str) -> Start:
+        """The face in a given box. Raises InputError as `box_start` does."""
+        return self._complete(frame, box_start(frame, box, self._points, clip=clip))[0]
+
+    def _find(self, frame: Frame) -> tuple[list[Start], str]:
+        faces, starts, notes = detector(), list[Start](), list[str]()
+        for seen in faces.find(frame)[:MAX_FACES]:
+            face = righted(faces, frame, seen)
+            placed = named(face.placed(frame))
+            points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
+            visible = {part: at for part, at in points.items() if inside(at, frame.size)}
+            start, note = self._complete(frame, Start(frame.index, {TARGET: TargetStart(face.box, visible)}, ORIGIN))
+            starts.append(start)
+            notes.append(note)
+        if not starts:
+            notes.append("no face is found in this frame; draw a box, or look at another frame")
+        elif self._by_hand:
+            notes.append(f"{', '.join(self._by_hand)}: only by hand")
+        return starts, "; ".join(dict.fromkeys(filter(None, notes)))
+
+    def _complete(self, frame: Frame, start: Start) -> tuple[Start, str]:
+        """With the other targets that the recipe names, if they are found; else the first one alone, and why."""
+        recipe = self._recipe
+        if recipe is None or not recipe.followed:
+            return start, ""
+        first, *others = recipe.followed
+        [face] = start.targets.values()
+        alone = replace(start, targets={first: face})
+        try:
+            return name_targets(alone, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later), ""
+        except NotHereError:
+            return alone, f"{', '.join(others)}: not found by the colour of the skin; draw the boxes"
+        except InputError as e:
+            return alone, flat(str(e))
 
 
 class PickSession(Session):
@@ -84,24 +143,36 @@ class PickSession(Session):
         self._unchanged = draft if box is None else None
         with ExitStack() as stack:
             frames = stack.enter_context(Frames(clip))
-            proposer = Proposer(frames, recipe, required[0]["points"])
+            self._proposer = Proposer(frames, recipe, required[0]["points"])
             image = frames.read(shown)  # raises InputError before anything is served
             if box is not None:
-                draft = proposer.in_box(image, box, str(clip))
+                draft = draft_of(image.index, self._proposer.in_box(image, box, str(clip)).targets)
                 self._placed.append((draft, detector().name))
-            super().__init__(frames, proposer, draft, about)
+            super().__init__(frames, draft, about)
             self.resources = stack.pop_all()
         if previous.origin and box is None:
             self.message = f"taken from {previous.origin}"
 
-    def save(self, draft: Draft) -> None:
-        frames = self.frames.count if self.frames.exact else None
-        start = start_of(draft, self.frames.size, frames, self.recipe, self.previous)
-        if frames is None:
-            self.frames.read(start.frame)  # how long the clip is may be known only then
-        by = self._placed_by(draft)
-        start = replace(start, detector=by, placed=by != "")
-        self.start_job("writing the init file", lambda _: self._write(start), saves=True)
+    def get_proposals(self, frame: int) -> Json:
+        """{"frame", "proposals", "note"} of a frame."""
+        self._check_frame(frame)
+        starts, note = self._proposer(frame)
+        proposals = [
+            {"label": f"face {n}", "targets": to_jsonable_python(draft_of(frame, start.targets).targets)}
+            for n, start in enumerate(starts, start=1)
+        ]
+        return {"frame": frame, "proposals": proposals, "note": note or None}
+
+    def post_save(self) -> Json:
+        with self.lock:
+            self.refuse_if_busy()
+            frames = self.frames.count if self.frames.exact else None
+            start = start_of(self.draft, self.frames.size, frames, self.recipe, self.previous)
+            if frames is None:
+                self.frames.read(start.frame)  # how long the clip is may be known only then
+            by = self._placed_by(self.draft)
+            start = replace(start, detector=by, placed=by != "")
+            return self.start_job("writing the init file", lambda _: self._write(start))
 
     def left(self) -> str:
         kept, chosen = self._unsaved, self.draft.placed()
@@ -116,7 +187,8 @@ class PickSession(Session):
 
     def _placed_by(self, chosen: Draft) -> str:
         """The detector that has placed all chosen parts; "" if the user has moved or drawn one of them."""
-        drafts = [*self._placed, *((draft, detector().name) for draft in self._proposer.proposed(chosen.frame))]
+        starts, _ = self._proposer.found.get(chosen.frame, ((), ""))
+        drafts = [*self._placed, *((draft_of(chosen.frame, start.targets), detector().name) for start in starts)]
         same = chosen.frame, chosen.placed()
         return max((by for draft, by in drafts if (draft.frame, draft.placed()) == same), default="")
 
@@ -168,14 +240,22 @@ def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
 def start_of(draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, previous: Start) -> Start:
     """The start of a draft, to 0.01 px, as a run accepts it, with windows and corrections `carried` from `previous`.
 
-    `frames` is the number of frames where it is certain. Raises RefusedError (422) that names all missing parts.
+    `frames` is the number of frames where it is certain. Raises UsageError that names what is missing.
     """
     left_out = () if recipe is None else recipe.left_out
     chosen = {name: target for name, target in draft.placed().items() if name not in left_out}
-    _check_complete(chosen, requirements(recipe), free=recipe is None or not recipe.followed)
+    if not chosen:
+        raise UsageError("nothing is chosen yet; take a face that was found, or choose a part")
+    required = {asked["target"]: asked for asked in requirements(recipe)}
+    if recipe is None or not recipe.followed:  # whatever they are called
+        required = dict.fromkeys(chosen, *required.values())
+    for name, asked in required.items():
+        needs_box = asked["box"] == "needed"
+        if (needs_box and chosen.get(name, TargetStart()).box is None) or (asked["points"] and name not in chosen):
+            raise UsageError(f"still to choose: {'the box of ' * needs_box}{name}")
     for name in chosen:
         if get_close_matches(name, _RESERVED, n=1, cutoff=0.7):
-            raise RefusedError(422, f"a target cannot be called {name}, too like a key of init files; rename it")
+            raise UsageError(f"a target cannot be called {name}, too like a key of init files; rename it")
     start = carried(Start(draft.frame, chosen, ORIGIN), previous)
     try:
         if recipe is not None:
@@ -184,9 +264,11 @@ def start_of(draft: Draft, size: tuple[int, int], frames: int | None, recipe: Re
         for name, target in start.targets.items():
             if target.box is not None:
                 check_size(ORIGIN, name, target.box)
-        _check_build(start, size, recipe if recipe is not None else load_recipe(DEFAULT))
+        runs = recipe or load_recipe(DEFAULT)
+        if not wants_gallery(runs):
+            check_windows(runs, build_tracker(runs, start), size, ORIGIN)
     except FacetrackError as e:
-        raise RefusedError(422, flat(str(e)).removeprefix(f"{ORIGIN}: ")) from None
+        raise UsageError(flat(str(e)).removeprefix(f"{ORIGIN}: ")) from None
     return start
 
 
@@ -210,34 +292,3 @@ def carried(start: Start, previous: Start) -> Start:
         targets[name] = replace(target, windows={p: w for p, w in before.windows.items() if p in target.points})
     kept = tuple(fix for fix in previous.corrections if fix.target in targets and fix.frame > start.frame)
     return replace(start, targets=targets, corrections=kept)
-
-
-def _check_complete(chosen: Mapping[str, TargetStart], required: Sequence[Json], *, free: bool) -> None:
-    """RefusedError that names all missing parts, by target."""
-    if not chosen:
-        first = listed(_missing(TargetStart(), required[0]), MAX_POINTS)
-        raise RefusedError(422, f"nothing is chosen yet; choose {first}")
-    by_name = dict.fromkeys(chosen, required[0]) if free else {asked["target"]: asked for asked in required}
-    unknown = [name for name in chosen if name not in by_name]
-    if unknown:
-        raise RefusedError(422, f"the recipe follows {', '.join(by_name)}, and no {', '.join(unknown)}; remove it")
-    missing = {name: _missing(chosen.get(name, TargetStart()), asked) for name, asked in by_name.items()}
-    if any(missing.values()):
-        open_ = "; ".join(f"{listed(parts, MAX_POINTS)} of {name}" for name, parts in missing.items() if parts)
-        raise RefusedError(422, f"still to choose: {open_}")
-
-
-def _missing(target: TargetStart, required: Json) -> list[str]:
-    box = ["the box"] if required["box"] == "needed" and target.box is None else []
-    return [*box, *(part for part in required["points"] if part not in target.points)]
-
-
-def _check_build(start: Start, size: tuple[int, int], recipe: Recipe) -> None:
-    """Raises what the run would: build_tracker, and check_windows. Recognition is left out: it needs a gallery."""
-    nobody = {"recognition": None}
-    if isinstance(recipe, ParticleRecipe):
-        recipe = recipe.model_copy(update=nobody)
-    elif isinstance(recipe, ParticlesRecipe):
-        targets = {name: target and target.model_copy(update=nobody) for name, target in recipe.targets.items()}
-        recipe = recipe.model_copy(update={"targets": targets})
-    check_windows(recipe, build_tracker(recipe, start), size, start.origin)

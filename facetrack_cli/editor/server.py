@@ -23,12 +23,11 @@ from urllib.parse import parse_qs
 
 from pydantic import TypeAdapter, ValidationError
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
-from facetrack_cli.editor.session import Answer, Page, RefusedError, internal_error
+from facetrack_cli.core.errors import FacetrackError, UsageError, flat
+from facetrack_cli.editor.session import Answer, Page, internal_error
 
 ADDRESS: Final = "127.0.0.1"
-MAX_BODY_BYTES: Final = 256 * 1024  # bytes: the largest draft has fewer
-MAX_REFUSED_BYTES: Final = 4 * 1024 * 1024  # of a body that is refused, so that its sender receives the answer
+MAX_BODY_BYTES: Final = 1024 * 1024  # the largest draft has fewer, and so has a piece of a file that is dropped
 IDLE_S: Final = 60.0  # until a connection without requests is closed
 POLL_S: Final = 0.1
 PIECE_BYTES: Final = 1 << 18  # of a file that is sent
@@ -163,27 +162,23 @@ class _Handler(BaseHTTPRequestHandler):
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """What http.server refuses by itself, as JSON."""
         self.close_connection = True
-        self._send(Answer({"error": (message or "refused")[:200]}, int(code)))
+        self._send(_refusal(int(code), (message or "refused")[:200]))
 
     def do_GET(self) -> None:
-        body, self._page = self._read(), self.server.session
+        self._page = self.server.session
         try:
-            answer = _encoded(self._route(self.command, body))
-        except RefusedError as e:
-            answer = Answer({"error": str(e), **e.more}, e.code)
+            answer = _encoded(self._route())
         except ValidationError as e:
             first = e.errors(include_url=False)[0]
-            reason = ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]]))
-            answer = Answer({"error": flat(reason)}, 400)
+            answer = _refusal(400, ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]])))
         except FacetrackError as e:
-            missing = self.command == "GET" and isinstance(e, InputError)  # as a frame that cannot be decoded
-            answer = Answer({"error": flat(str(e))}, 404 if missing else 422)
+            answer = _refusal(422, str(e))
         except (ConnectionError, TimeoutError):  # the page has gone
             raise
         except Exception as e:
             if self._page.stopping.is_set():  # what it needs is closed
                 raise ConnectionAbortedError from e
-            answer = Answer({"error": self.server.session.record(e)}, 500)
+            answer = _refusal(500, self.server.session.record(e))
         if isinstance(answer.body, Path):
             self._send_file(answer.body, answer)
         else:
@@ -191,42 +186,42 @@ class _Handler(BaseHTTPRequestHandler):
 
     do_PUT = do_POST = do_GET  # noqa: N815
 
-    def _route(self, method: str, data: bytes | RefusedError) -> Answer:
+    def _route(self) -> Any:
+        lengths = self.headers.get_all("Content-Length", ["0"])
+        known = len(lengths) == 1 and "Transfer-Encoding" not in self.headers
+        if not (known and re.fullmatch("[0-9]{1,15}", text := lengths[0].strip())):
+            self.close_connection = True
+            return _refusal(411, "the length of the body must be given, once")
+        if (length := int(text)) > MAX_BODY_BYTES:
+            self.close_connection = True
+            return _refusal(413, f"{length} bytes are too many; at most {MAX_BODY_BYTES} are accepted")
+        data = self.rfile.read(length)  # in any case, or it would be taken for the next request
+        if len(data) != length:
+            raise ConnectionResetError
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or not _HOST.fullmatch(hosts[0].strip()):
             only = "this page is for localhost and 127.0.0.1 alone"
-            raise RefusedError(403, f"{only}; open the address that facetrack printed")
+            return _refusal(403, f"{only}; open the address that facetrack printed")
         if not self._same_origin(hosts[0].strip().lower()):
-            raise RefusedError(403, "requested by a page of another origin")
+            return _refusal(403, "requested by a page of another origin")
         path, _, query = self.path.partition("?")
-        _, _, rest = path.partition("/")
-        token, slash, below = rest.partition("/")
-        if not path.startswith("/") or not hmac.compare_digest(token.encode(), self.server.token.encode()):
-            raise RefusedError(403, "the address lacks its token; open the whole address that facetrack printed")
-        if not slash:
-            return Answer(b"", 308, "text/plain", (("Location", f"/{self.server.token}/"),))
+        begin, token, below = (*path.split("/", 2), "", "")[:3]
+        known = hmac.compare_digest(token.encode(), self.server.token.encode())
+        if begin or not known or path.count("/") < 2:
+            return _refusal(403, "the address lacks its token; open the whole address that facetrack printed")
         self._page, below = self.server.session.page_at(below)
         asset = assets().get(below or self._page.index)
-        if asset is not None and method == "GET":
+        if asset is not None and self.command == "GET":
             return asset
-        candidates = [(route, pattern.fullmatch(below), handler) for route, pattern, handler in self._page.table]
-        matches = {route.method: (route, match, handler) for route, match, handler in candidates if match is not None}
-        if asset is None and not matches:
-            raise RefusedError(404, "there is nothing at this address")
-        if method not in matches:
-            raise RefusedError(405, f"{method} is not for this address")
-        route, match, handler = matches[method]
-        body: dict[str, Any] = {}
-        if method != "GET":
-            if isinstance(data, RefusedError):
-                raise data
-            if len(data) > MAX_BODY_BYTES and not route.raw:
-                raise RefusedError(413, f"{len(data)} bytes are too many; at most {MAX_BODY_BYTES} are accepted")
-            body = {"data": data} if route.raw else _BODY.validate_json(data or b"{}")
-        fields = parse_qs(query, keep_blank_values=True)  # a list, if given twice, is refused by any handler
-        once = {name: values[0] if len(values) == 1 else values for name, values in fields.items()}
-        answer = handler(**{**once, **body, **match.groupdict()})
-        return answer if isinstance(answer, Answer) else Answer(answer)
+        name = re.fullmatch("api/([a-z]+)", below)
+        handler = name and self._page.handler(f"{self.command.lower()}_{name[1]}")
+        if not handler:
+            return _refusal(404, "there is nothing at this address")
+        fields: dict[str, Any] = parse_qs(query, keep_blank_values=True)
+        given = {name: values[0] if len(values) == 1 else values for name, values in fields.items()}
+        if self.command != "GET":
+            given |= {"data": data} if self.command == "PUT" else _BODY.validate_json(data or b"{}")
+        return handler(**given)
 
     def _same_origin(self, host: str) -> bool:
         """Whether the origin, if there is one, is that of this page, also through a tunnel."""
@@ -235,25 +230,9 @@ class _Handler(BaseHTTPRequestHandler):
         hidden = origins == ["null"] and self.headers.get_all("Sec-Fetch-Site") == ["same-origin"]
         return hidden or origins in ([], [f"http://{host}"])
 
-    def _read(self) -> bytes | RefusedError:
-        """The body, which is read in any case, or it would be taken for the next request; else why it is not."""
-        lengths = self.headers.get_all("Content-Length", ["0"])
-        known = len(lengths) == 1 and "Transfer-Encoding" not in self.headers
-        if not (known and re.fullmatch("[0-9]{1,15}", text := lengths[0].strip())):
-            self.close_connection = True
-            return RefusedError(411, "the length of the body must be given, once")
-        if (length := int(text)) > MAX_REFUSED_BYTES:
-            self.close_connection = True
-            return RefusedError(413, f"{length} bytes are too many; at most {MAX_REFUSED_BYTES} are accepted")
-        data = self.rfile.read(length)
-        if len(data) != length:
-            raise ConnectionResetError
-        return data
-
     def _send(self, answer: Answer) -> None:
-        data = _encoded(answer).body
-        self._send_head(answer, len(data))
-        self.wfile.write(data)
+        self._send_head(answer, len(answer.body))
+        self.wfile.write(answer.body)
 
     def _send_head(self, answer: Answer, length: int) -> None:
         self.send_response(answer.code)
@@ -270,7 +249,7 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             file = path.open("rb")
         except OSError as e:
-            self._send(Answer({"error": f"{path}: {e.strerror or e}"}, 404))
+            self._send(_refusal(404, f"{path}: {e.strerror or e}"))
             return
         with file:
             size = os.fstat(file.fileno()).st_size
@@ -292,8 +271,13 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = self.close_connection or first < stop  # it was cut short meanwhile
 
 
-def _encoded(answer: Answer) -> Answer:
-    """With its JSON as bytes."""
-    if isinstance(answer.body, bytes | Path):
-        return answer
-    return answer._replace(body=json.dumps(answer.body, separators=(",", ":"), allow_nan=False).encode())
+def _encoded(answer: Any) -> Answer:
+    """What a handler returned, its JSON as bytes."""
+    whole: Answer = answer if isinstance(answer, Answer) else Answer(answer)
+    if isinstance(whole.body, bytes | Path):
+        return whole
+    return whole._replace(body=json.dumps(whole.body, separators=(",", ":"), allow_nan=False).encode())
+
+
+def _refusal(code: int, reason: str) -> Answer:
+    return _encoded(Answer({"error": flat(reason)}, code))

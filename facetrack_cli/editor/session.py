@@ -1,33 +1,24 @@
-"""What pages have in common: one job in a thread; of picking and fixing one draft, its frames and the proposed faces.
+"""What pages have in common: one job in a thread; of picking and fixing one draft and its frames.
 
 All methods are thread-safe."""
 
-import re
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
-from pydantic import ConfigDict, Field, StrictInt, validate_call
+from pydantic import ConfigDict, Field, validate_call
 from pydantic_core import to_jsonable_python
 
-from facetrack_cli.core.errors import FacetrackError, InputError, flat
-from facetrack_cli.core.geometry import inside
-from facetrack_cli.core.types import Box, Frame, Start, TargetStart
-from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.core.errors import FacetrackError, UsageError, flat
+from facetrack_cli.core.types import TargetStart
 from facetrack_cli.runs.plan import Report
 from facetrack_cli.runs.signals import StoppedError
-from facetrack_cli.start.assembly import name_targets
-from facetrack_cli.start.init_file import NAME, TARGET
-from facetrack_cli.start.search import box_start
-from facetrack_cli.trackers.face.closer import righted
-from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named
+from facetrack_cli.start.init_file import NAME
 from facetrack_cli.trajectory.reader import FrameNumber, Pixels, Side
 from facetrack_cli.video.seek import Frames
 
@@ -35,8 +26,6 @@ LINGER_S: Final = 3.0  # the server goes on so long after the end: each page ask
 JPEG_QUALITY: Final = 90
 MAX_TARGETS: Final = 20
 MAX_POINTS: Final = 500
-MAX_FACES: Final = 12
-CropSide: TypeAlias = Annotated[int, Field(ge=1, le=1024)]
 Json: TypeAlias = dict[str, Any]
 Name: TypeAlias = Annotated[str, Field(pattern=f"^(?:{NAME.pattern})$")]
 
@@ -94,93 +83,8 @@ def jpeg(frames: Frames, index: int, reduce: int = 1) -> bytes:
     return cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
 
 
-def crop(frames: Frames, index: int, x: int, y: int, w: int, h: int) -> bytes:
-    """The pixels x .. x+w-1, y .. y+h-1 of a frame, as far as it has them, as PNG. InputError if it has none."""
-    width, height = frames.size
-    left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width), min(y + h, height)
-    if left >= right or top >= bottom:
-        none = f"none of those of {w}x{h} from ({x}, {y}) on"
-        raise InputError(f"the frame has {width}x{height} pixels, and {none}; choose others")
-    part = frames.read(index).bgr[top:bottom, left:right]
-    return cv2.imencode(".png", part, (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes()
-
-
-class Proposer:
-    """Proposes the faces of a frame, which is searched once; one frame at a time.
-
-    `points` are the points of the first target.
-    """
-
-    def __init__(self, frames: Frames, recipe: Recipe | None, points: Sequence[str]) -> None:
-        self._frames, self._recipe = frames, recipe
-        self._points = [part for part in points if part in PARTS]
-        self._by_hand = [part for part in points if part not in PARTS]
-        self._looking = threading.Lock()
-        self._found: dict[int, Json] = {}
-
-    def __call__(self, index: int) -> Json:
-        """{"frame", "proposals": [{"label", "targets"}], "note"}. Raises InputError if there is no such frame."""
-        with self._looking:
-            if index not in self._found:
-                self._found[index] = self._find(index)
-            return self._found[index]
-
-    def proposed(self, index: int) -> list[Draft]:
-        """The drafts that were proposed for a frame; none if nobody asked for proposals there."""
-        each = (proposal["targets"].items() for proposal in self._found.get(index, {}).get("proposals", ()))
-        return [Draft(index, {name: DraftTarget(**target) for name, target in targets}) for targets in each]
-
-    def in_box(self, frame: Frame, box: Box, clip: str) -> Draft:
-        """The draft of the face in a given box. Raises InputError as `box_start` does."""
-        start = box_start(frame, box, self._points, clip=clip)
-        return draft_of(frame.index, self._complete(frame, start)[0].targets)
-
-    def _find(self, index: int) -> Json:
-        frame, faces = self._frames.read(index), detector()
-        notes, proposals = [], []
-        for number, seen in enumerate(faces.find(frame)[:MAX_FACES], start=1):
-            face = righted(faces, frame, seen)
-            placed = named(face.placed(frame))
-            points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
-            visible = {part: at for part, at in points.items() if inside(at, frame.size)}
-            start = Start(index, {TARGET: TargetStart(face.box, visible)}, "the face found")
-            start, note = self._complete(frame, start)
-            targets = {name: {"box": target.box, "points": target.points} for name, target in start.targets.items()}
-            proposals.append({"label": f"face {number}", "targets": targets})
-            notes.append(note)
-        if not proposals:
-            notes.append("no face is found in this frame; draw a box, or look at another frame")
-        elif self._by_hand:
-            notes.append(f"{', '.join(self._by_hand)}: only by hand")
-        note = "; ".join(dict.fromkeys(filter(None, notes)))
-        return {"frame": index, "proposals": proposals, "note": note or None}
-
-    def _complete(self, frame: Frame, start: Start) -> tuple[Start, str]:
-        """With the other targets that the recipe names, if they are found; else the first one alone, and why."""
-        recipe = self._recipe
-        if recipe is None or not recipe.followed:
-            return start, ""
-        first, *others = recipe.followed
-        [face] = start.targets.values()
-        alone = Start(start.frame, {first: face}, start.origin)
-        try:
-            return name_targets(alone, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later), ""
-        except NotHereError:
-            return alone, f"{', '.join(others)}: not found by the colour of the skin; draw the boxes"
-        except InputError as e:
-            return alone, flat(str(e))
-
-
-class RefusedError(Exception):
-    """An answer in the 400s: its code, one line for the user, and more members of the JSON."""
-
-    def __init__(self, code: int, message: str, more: Mapping[str, Any] | None = None) -> None:
-        super().__init__(message)
-        self.code, self.more = code, more or {}
-
-
 class Answer(NamedTuple):
-    """What a route returns if it is not JSON with code 200: `body` is JSON's value, or bytes or a file of a `kind`."""
+    """What a handler returns if it is not JSON with code 200: the `body` is JSON's value, or bytes or a file."""
 
     body: Any
     code: int = 200
@@ -188,48 +92,34 @@ class Answer(NamedTuple):
     headers: tuple[tuple[str, str], ...] = ()
 
 
-class Route(NamedTuple):
-    """An address below the token; {name} in the `path` stands for a whole number, as in api/frame/{frame}.jpg.
+class Page:
+    """What a server shows, until it is saved or stopped: one job in a thread, and how it ended.
 
-    The handler takes the numbers of the path, the fields of the query and the members of the JSON body by name, as its
-    annotations allow (pydantic; else 400), and returns an Answer or the value of its JSON. It may raise RefusedError;
-    an InputError becomes 404 of a GET, any other FacetrackError 422. A `raw` body comes as the bytes `data`.
+    GET api/state is answered by the method `get_state`, POST api/draft by `post_draft`, and so on: it takes the fields
+    of the query and the members of the JSON body by name, as its annotations allow (pydantic), and returns an Answer or
+    the value of its JSON. PUT comes with the bytes `data`. A FacetrackError is shown on the page.
     """
 
-    method: Literal["GET", "PUT", "POST"]
-    path: str
-    handler: Callable[..., Any]
-    raw: bool = False
-
-
-class Page(ABC):
-    """What a server shows, until it is saved or stopped: one job in a thread, and how it ended."""
-
     index: ClassVar[str] = "index.html"
-    edits: ClassVar[str] = "draft"  # what windows change
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
         self.stopping = threading.Event()  # a job looks at it regularly
-        self.revision = 0
         self.message: str | None = None
         self.ended: Json | None = None
-        self.saving = False
         self.first_error: Exception | None = None  # of the program itself
         self.opened: dict[str, Page] = {}  # the pages below this one, by the first part of their addresses
         self.resources = ExitStack()  # what is closed with the page
+        self._handlers: dict[str, Callable[..., Any]] = {}
         self._job: Json | None = None
         self._worker: threading.Thread | None = None
         self._ended_at = 0.0
 
-    @cached_property
-    def table(self) -> list[tuple[Route, re.Pattern[str], Callable[..., Any]]]:
-        """The routes, with the pattern of their path, and a handler that checks what it is given."""
-        number = r"(?P<\1>[0-9]{1,9})"
-        patterns = [re.compile(re.sub(r"\\{(\w+)\\}", number, re.escape(each.path))) for each in self.routes()]
-        return [
-            (each, pattern, validate_call(each.handler)) for each, pattern in zip(self.routes(), patterns, strict=True)
-        ]
+    def handler(self, name: str) -> Callable[..., Any] | None:
+        """The method, as get_state, that checks what it is given; None if there is none."""
+        if name not in self._handlers and hasattr(self, name):
+            self._handlers[name] = validate_call(getattr(self, name))
+        return self._handlers.get(name)
 
     def page_at(self, below: str) -> tuple["Page", str]:
         """Who serves an address below the token: this page, or one that is opened from it; and the rest of it."""
@@ -237,52 +127,39 @@ class Page(ABC):
         page = self.opened.get(name) if slash else None
         return (self, below) if page is None else (page, rest)
 
-    @abstractmethod
-    def routes(self) -> Sequence[Route]:
-        """The addresses of the page."""
-
     def left(self) -> str:
         """What becomes of what was not saved, where the page is stopped; it may be written for the next time."""
         return "nothing was written"
 
-    def state(self) -> Json:
+    def get_state(self) -> Json:
         """What the page shows."""
         with self.lock:
-            return {"revision": self.revision, "job": self._job, "ended": self.ended, "message": self.message}
+            return {"job": self._job, "ended": self.ended, "message": self.message}
 
-    def start_job(self, what: str, work: Callable[[Report], None], *, saves: bool = False) -> None:
-        """Run `work` as the job. Its error is shown as the message. RefusedError (409) as of `refuse_if_busy`.
-
-        While a job runs that `saves`, no draft is accepted.
-        """
+    def start_job(self, what: str, work: Callable[[Report], None]) -> Json:
+        """Run `work` as the job. Its error is shown as the message. UsageError as of `refuse_if_busy`."""
         with self.lock:
             self.refuse_if_busy()
             self._job = {"what": what, "done": 0, "total": None}
-            self.message, self.saving = None, saves
+            self.message = None
             self._worker = threading.Thread(target=self._run, args=(work,), daemon=True)
             self._worker.start()
+        return {}
 
     def refuse_if_busy(self) -> None:
-        """RefusedError (409) while a job runs, and after the end."""
+        """UsageError while a job runs, and after the end."""
         with self.lock:
             if self.ended is not None:
-                raise RefusedError(409, "everything is saved, and this page has ended", self.state())
+                raise UsageError("everything is saved, and this page has ended")
             if self._job is not None:
-                raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished", self.state())
+                raise UsageError(f"busy: {self._job['what']}; wait until it has finished")
 
-    def refuse_unless(self, base: int, *, idle: bool = True) -> None:
-        """RefusedError (409) with the state, for what is meant for another revision, or for a page that is `idle`."""
-        with self.lock:
-            if idle:
-                self.refuse_if_busy()
-            if base != self.revision:
-                raise RefusedError(409, f"another window has changed the {self.edits}", self.state())
-
-    def end(self, messages: Sequence[str], next_: str | None) -> None:
+    def end(self, messages: Sequence[str], next_: str | None) -> Json:
         """End the session: show the `messages`, a line each, and the command to continue with."""
         with self.lock:
-            self.ended = {"messages": list(messages), "next": next_}
+            self.ended, self.message = {"messages": list(messages), "next": next_}, None
             self._ended_at = time.monotonic()
+        return {}
 
     def over(self) -> bool:
         """Whether the server may stop: the session has ended, and the pages had time to learn of it."""
@@ -318,61 +195,36 @@ class Page(ABC):
             message = self.record(e)
         finally:
             with self.lock:
-                self._job, self.saving = None, False
+                self._job = None
                 self.message = message or self.message
 
 
 class Session(Page):
-    """A page of picking or fixing. `about`: {"clip", "recipe", "requirements", "free", "saves_to"} and more,
-    for the page. Frames go from `first` to `last`, None for the clip's last one.
+    """A page of picking or fixing; `post_save` of a subclass begins the job that writes the draft.
+
+    `about`: {"clip", "recipe", "requirements", "free", "saves_to"} and more, for the page. Frames go from `first` to
+    `last`, None for the clip's last one.
     """
 
     mode: ClassVar[Literal["pick", "fix"]]
 
-    def __init__(
-        self, frames: Frames, proposer: Proposer, draft: Draft, about: Json, *, first: int = 0, last: int | None = None
-    ) -> None:
+    def __init__(self, frames: Frames, draft: Draft, about: Json, *, first: int = 0, last: int | None = None) -> None:
         super().__init__()
         self.frames, self.draft, self.first, self.last = frames, draft, first, last
-        self._proposer, self._about = proposer, about
-
-    @abstractmethod
-    def save(self, draft: Draft) -> None:
-        """Begin the job that writes the draft and calls `end`; RefusedError (422) if something is missing."""
-
-    def check_draft(self, draft: Draft) -> None:
-        """RefusedError (400) for a draft that this session cannot hold; called with the lock."""
-
-    def proposals(self, frame: int) -> Json:
-        """{"frame", "proposals", "note"} of a frame."""
-        self._check_frame(frame)
-        return self._proposer(frame)
+        self._about = about
 
     def change(self, draft: Draft) -> None:
-        """Replace the draft, for every client."""
-        with self.lock:
-            self.draft = draft
-            self.revision += 1
+        """Replace the draft. Raises UsageError for one that this session cannot hold."""
+        self.draft = draft
 
-    def routes(self) -> Sequence[Route]:
-        return (
-            Route("GET", "api/session", self.about),
-            Route("GET", "api/state", self.state),
-            Route("PUT", "api/draft", self._put_draft),
-            Route("GET", "api/frame/{frame}.jpg", self._frame),
-            Route("GET", "api/crop/{frame}.png", self._crop),
-            Route("GET", "api/proposals/{frame}", self.proposals),
-            Route("POST", "api/save", self._save),
-        )
-
-    def about(self) -> Json:
+    def get_session(self) -> Json:
         """What does not change while the page is open, but that the clip's last frame may become known later."""
         clip = {"size": self.frames.size, "fps": float(self.frames.fps), "frames": self._range()}
         return {"mode": self.mode, **self._about, **clip}
 
-    def state(self) -> Json:
+    def get_state(self) -> Json:
         with self.lock:
-            return {**super().state(), "draft": to_jsonable_python(self.draft), "frames": self._range()}
+            return {**super().get_state(), "draft": to_jsonable_python(self.draft), "frames": self._range()}
 
     def _range(self) -> Json:
         last = max(self.frames.count - 1, self.first) if self.last is None else self.last
@@ -381,30 +233,19 @@ class Session(Page):
     def _check_frame(self, frame: int) -> None:
         frames = self._range()
         if frame < self.first or (frames["exact"] and frame > frames["last"]):
-            raise RefusedError(404, f"there is no frame {frame}; they go from {self.first} to {frames['last']}")
+            raise UsageError(f"there is no frame {frame}; they go from {self.first} to {frames['last']}")
 
-    def _put_draft(self, base: StrictInt, draft: Draft) -> Json:
+    def post_draft(self, draft: Draft) -> Json:
         with self.lock:
-            self.refuse_unless(base, idle=self.ended is not None or self.saving)
+            self.refuse_if_busy()
             self._check_frame(draft.frame)
-            self.check_draft(draft)
             self.message = None
             self.change(draft)
-            return {"revision": self.revision}
+            return {}
 
-    def _save(self, base: StrictInt) -> Answer:
-        with self.lock:
-            self.refuse_unless(base)
-            self.save(self.draft)
-            return Answer({"job": self.state()["job"]}, 202)
-
-    def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
+    def get_frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         self._check_frame(frame)
         return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")
-
-    def _crop(self, frame: int, x: int, y: int, w: CropSide, h: CropSide) -> Answer:
-        self._check_frame(frame)
-        return Answer(crop(self.frames, frame, x, y, w, h), kind="image/png")
 
 
 def internal_error(error: Exception) -> str:

@@ -3,7 +3,7 @@
 import pytest
 
 from facetrack_cli.editor import server as server_module
-from tests.support.browser import command, fix, pages, pick, served, windows  # noqa: F401 -- fixtures
+from tests.support.browser import browser, command, fix, pick, served, windows  # noqa: F401 -- fixtures
 
 
 @pytest.fixture(scope="session", autouse=True)

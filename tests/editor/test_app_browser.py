@@ -121,7 +121,6 @@ def test_from_clips_dropped_to_an_excel_table_and_an_elan_file(open_app, clips, 
     window.press("y")
     window.until("window.facetrack.rowsRevision === 1 && !window.facetrack.busy")
     window.click_on("save")
-    window.click_on("confirm-yes")
     window.until("window.facetrack.saves === 1")
     assert window.get("ended") is False
     window.click_on("done")
@@ -157,7 +156,6 @@ def test_a_box_is_drawn_on_the_picture(open_app, clips, tmp_path):
     until_states(window, "done", "paused")
     assert window.text("pause") == "Go on"
     window.click_on("quit")
-    window.click_on("confirm-yes")
     window.until("!!document.querySelector('.ended')")
 
 

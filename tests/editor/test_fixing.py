@@ -358,20 +358,6 @@ def test_a_frame_that_is_corrected_again_has_one_correction_and_the_same_again_i
 # --- init files ------------------------------------------------------------------------------------------------------
 
 
-def test_an_init_file_with_gaps_gives_what_a_run_from_it_gives(fixed, tmp_path):
-    one, init = fixed("face"), tmp_path / "c.yaml"
-    init.write_text(
-        INIT + "corrections:\n- {frame: 15, absent: [lip_upper]}\n"
-        "- {frame: 8, points: {nose: [150, 130.5]}}\n- {frame: 19, points: {mouth_left: [140, 150]}}\n"
-    )
-    one.fixer.apply(corrections_of(init, one.run))
-    save(one.fixer)
-    whole = run(tmp_path / "whole", CLIP, "--config", "factorized", "--init", init, *FEW, "--stop", STOP)
-    assert (one.folder / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
-    one.fixer.undo()
-    assert not one.fixer.can_undo, "it is one step"
-
-
 def test_a_correction_past_the_end_is_kept_for_a_longer_run(fixed, tmp_path):
     one = fixed("late")
     one.put(nose(8, 159, 140))
@@ -397,12 +383,15 @@ def test_the_init_file_of_the_run_itself_changes_nothing(fixed):
     assert not one.fixer.changed and "nothing was corrected" in save(one.fixer)[0]
     # a frame is tracked once more, to see where the parts are that a new correction leaves open; rows before it stay
     one.fixer.apply((nose(5, 159, 140),))
-    assert [(track.first, track.place is None) for track in one.fixer._step.tracks["face"]] == [(0, True), (5, False)]
+    assert one.read == [*range(6), 0, *range(5, 12)]
     recorded, corrected = ([*csv_frames(rows.between(0, 5))] for rows in (one.run.rows, one.fixer.rows))
     assert corrected == recorded
     assert kept.given != one.fixer.corrections[0].given and one.fixer.find(5, "face").kept["lip_lower"][1] > 160
     one.fixer.apply(())
     assert one.fixer.changed and one.fixer.corrections == ()
+    one.fixer.undo()
+    one.fixer.undo()
+    assert not one.fixer.can_undo, "all of a file is one step"
 
 
 def test_an_init_file_that_begins_elsewhere_is_refused(fixed, tmp_path):
@@ -478,7 +467,7 @@ def test_hands_are_tracked_again_as_a_whole(how, tmp_path, monkeypatch):
         np.testing.assert_array_equal(ours.confidence, theirs.confidence)
     assert saved.find("right_hand", "box").x[6] == pytest.approx(224.5, abs=2)
     with fixing(Path("out")) as (session, _):
-        assert session.about()["again"]
+        assert session.get_session()["again"]
         session.fixer.put([Correction(9, "right_hand", absent=True)])
         save(session.fixer)
         left, files = (rows.find("left_hand", "box") for rows in (session.fixer.rows, read_trajectory(Path("out"))))

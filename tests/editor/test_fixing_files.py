@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import itertools
 import json
 import re
 import shutil
@@ -119,24 +118,16 @@ def test_a_save_that_fails_leaves_the_folder_as_it_was(out, monkeypatch, name):
     assert files_of(out).keys() == before.keys() | {CORRECTED}
 
 
-@pytest.mark.parametrize("name", ["trajectory.csv", "trajectory.json", "annotated.mp4", CORRECTED, "run.json"])
-def test_links_in_the_folder_of_a_run_are_refused(out, tmp_path, name):
-    kept = tmp_path / "elsewhere"
-    kept.write_bytes((out / name).read_bytes() if (out / name).exists() else b"mine")
-    (out / name).unlink(missing_ok=True)
-    (out / name).symlink_to(kept)
-    before = files_of(out)
-    with pytest.raises(OutputError, match=f"{name}: is a link, and what it leads to is not replaced"):
-        put(out)
-    assert files_of(out) == before and (out / name).is_symlink()
-
-
 def test_what_is_in_the_way_of_a_save_is_refused_before_anything_is_replaced(out, monkeypatch):
     before = files_of(out)
     (out / CORRECTED).mkdir()
     with pytest.raises(OutputError, match=r"corrected.init.yaml: is a folder, where a file is to be"):
         put(out)
     (out / CORRECTED).rmdir()
+    (out / CORRECTED).symlink_to(out / "trajectory.csv")
+    with pytest.raises(OutputError, match=r"corrected.init.yaml: is a link, and what it leads to is not replaced"):
+        put(out)
+    (out / CORRECTED).unlink()
     assert files_of(out) == before
 
     def slow(start, clip, real=saving.as_yaml):
@@ -171,19 +162,14 @@ def test_where_nothing_is_corrected_any_more_the_files_do_not_speak_of_correctio
 
 
 def test_every_recipe_is_read_back_from_the_header_as_it_was(tmp_path):
+    def text(recipe):  # with the names of files, wherever these are
+        return re.sub(r'"[^"]*/([^"/]+[.](npz|json))"', r'"\1"', json.dumps(to_dict(recipe)))
+
     for path in shipped_recipes():
-        wanted = to_dict(load_recipe(path.stem))
-        header = json.loads(json.dumps({"name": path.stem, **wanted}))
+        wanted = load_recipe(path.stem)
+        header = json.loads(json.dumps({"name": path.stem, **to_dict(wanted)}))
         found = recipe_of(tmp_path / "trajectory.json", header, [tmp_path])
-        assert found.name == path.stem
-        got = to_dict(found)
-        both = zip((got, *got.get("targets", {}).values()), (wanted, *wanted.get("targets", {}).values()), strict=True)
-        for (mine, theirs), (section, key) in itertools.product(
-            both, (("prior", "file"), ("confidence", "calibration"))
-        ):
-            if (theirs.get(section) or {}).get(key):
-                assert Path(mine[section].pop(key)).samefile(path.parent / theirs[section].pop(key))
-        assert got == wanted
+        assert (found.name, text(found)) == (path.stem, text(wanted))
 
 
 def test_files_that_a_recipe_names_are_found_again_or_missed_in_one_line(tmp_path):

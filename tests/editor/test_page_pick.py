@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.editor import server as server_module
 from facetrack_cli.editor import session as session_module
 from facetrack_cli.editor.pick_session import NOTHING, start_of
-from facetrack_cli.editor.session import Draft, DraftTarget, RefusedError
+from facetrack_cli.editor.session import Draft, DraftTarget
 from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.face.detectors import PARTS, detector
@@ -86,7 +86,7 @@ def test_what_a_recipe_requires(clips):
 
 def looking(monkeypatch, find):
     """The page finds faces so."""
-    monkeypatch.setattr("facetrack_cli.editor.session.detector", lambda: SimpleNamespace(find=find))
+    monkeypatch.setattr("facetrack_cli.editor.pick_session.detector", lambda: SimpleNamespace(find=find))
 
 
 def test_the_faces_of_a_frame_are_proposed_once(clips, monkeypatch):
@@ -99,12 +99,12 @@ def test_the_faces_of_a_frame_are_proposed_once(clips, monkeypatch):
 
     looking(monkeypatch, find)
     with picking(clips / "face") as (client, _):
-        assert client.get("api/proposals/0").json == {
+        assert client.get("api/proposals?frame=0").json == {
             "frame": 0, "proposals": [], "note": "no face is found in this frame; draw a box, or look at another frame"
         }  # fmt: skip
         for _ in range(3):
-            got = client.get("api/proposals/1").json
-        assert client.get("api/proposals/3").status == 404
+            got = client.get("api/proposals?frame=1").json
+        assert client.get("api/proposals?frame=3").status == 422
     assert len(looked) == 2
     [one] = got["proposals"]
     assert (got["frame"], got["note"], one["label"]) == (1, None, "face 1")
@@ -117,8 +117,8 @@ def test_the_faces_of_a_frame_are_proposed_once(clips, monkeypatch):
 
 def test_hands_are_proposed_with_the_head(clips):
     with picking(clips / "sign", config="head_hands") as (client, session):
-        got = client.get("api/proposals/0").json
-        grey = client.get("api/proposals/1").json
+        got = client.get("api/proposals?frame=0").json
+        grey = client.get("api/proposals?frame=1").json
         frame = session.frames.read(0)
     [one] = got["proposals"]
     start = Start(0, {"face": TargetStart(box=detector().find(frame)[0].box)}, "")
@@ -129,7 +129,7 @@ def test_hands_are_proposed_with_the_head(clips):
     assert [list(one["targets"]) for one in grey["proposals"]] == [["head"]], "without colours there is no skin"
     assert "colour" in grey["note"]
     with picking(clips / "two", config="contour_histogram") as (client, _):  # of a recipe of boxes there are no points
-        two = client.get("api/proposals/0").json["proposals"]
+        two = client.get("api/proposals?frame=0").json["proposals"]
     assert [(one["label"], one["targets"]["face"]["points"]) for one in two] == [("face 1", {}), ("face 2", {})]
 
 
@@ -138,19 +138,19 @@ def test_hands_are_proposed_with_the_head(clips):
 
 def test_what_a_draft_lacks_is_said_in_one_line(clips, tmp_path):
     cases = [
-        (None, {}, "nothing is chosen yet; choose nose, mouth_left, mouth_right, lip_upper and lip_lower"),
-        (None, {"face": {"box": [112, 79, 98, 98]}}, "still to choose: nose, mouth_left, mouth_right, lip_"),
+        (None, {}, "nothing is chosen yet; take a face that was found, or choose a part"),
+        (None, {"face": {"box": [112, 79, 98, 98]}}, "no point for nose, mouth_left, mouth_right, lip_upper, lip_"),
         (None, {"face": {"points": {**POINTS, "nose": [400, 20]}}}, "nose of face at [400, 20] is outside the"),
-        (None, {"face": FACE, "b": {"points": {"nose": [9, 9]}}}, "still to choose: mouth_left, mouth_right, lip"),
+        (None, {"face": FACE, "b": {"points": {"nose": [9, 9]}}}, "no point for mouth_left, mouth_right"),
         (None, {"face": FACE, "boxes": FACE}, "a target cannot be called boxes, too like a key of"),
         (None, {"face": {**FACE, "box": [112, 79, 5, 98]}}, "the box of face is smaller than 6x6 pixels; give a"),
         ("factorized", {"face": {"points": {part: [100, 100] for part in PARTS}}}, "in one place"),
         ("contour_histogram", {"face": {"points": POINTS}}, "still to choose: the box of face"),
         ("contour_histogram", {"face": {"box": [-900, 79, 98, 98]}}, "the centre of the box [-900, 79, 98, 98] of"),
         ("contour_histogram", {"face": {"box": [-90, 0, 400, 200]}}, "400x200 pixels, is larger than the frame"),
-        ("head_hands", {}, "nothing is chosen yet; choose the box"),
-        ("head_hands", {"head": HANDS["head"]}, "still to choose: the box of left_hand; the box of right_hand"),
-        ("head_hands", {**HANDS, "foot": FACE}, "the recipe follows head, left_hand, right_hand, and no foot; "),
+        ("head_hands", {}, "nothing is chosen yet"),
+        ("head_hands", {"head": HANDS["head"]}, "still to choose: the box of left_hand"),
+        ("head_hands", {**HANDS, "foot": FACE}, "has foot, which the recipe does not know; it follows head"),
     ]
     for config in dict.fromkeys(case[0] for case in cases):
         with picking(clips / "face", tmp_path / "a.init.yaml", config) as (client, session):
@@ -159,7 +159,7 @@ def test_what_a_draft_lacks_is_said_in_one_line(clips, tmp_path):
                 got = client.save()
                 assert got.status == 422 and said in got.json["error"], got.json
                 assert "the page:" not in got.json["error"] and len(got.json["error"].splitlines()) == 1
-                state = client.get("api/state").json
+                state = client.state()
                 assert state["job"] is None and state["ended"] is None
         assert session.first_error is None and not list(tmp_path.iterdir())
 
@@ -183,7 +183,7 @@ def test_what_is_saved_is_what_was_chosen(clips, tmp_path, config, targets, suff
     out = tmp_path / f"a.init{suffix}"
     with picking(clips / "face", out, config, next_="facetrack run x") as (client, session):
         assert client.put_draft(1, **targets).status == 200
-        assert client.save().status == 202
+        assert client.save().status == 200
         state = client.until(lambda state: state["ended"])
         assert state["ended"] == {"messages": [f"{out}: written"], "next": "facetrack run x"}
         wait_for(session.over, "the end")
@@ -202,12 +202,12 @@ def test_a_file_that_appears_meanwhile_is_not_replaced(clips, tmp_path):
     with picking(clips / "face", out) as (client, _):
         client.put_draft(1, face=FACE)
         out.write_text("mine")
-        assert client.save().status == 202
+        assert client.save().status == 200
         state = client.until(lambda state: state["message"])
         assert "exists already" in state["message"] and state["ended"] is None
         assert out.read_text() == "mine"
         out.unlink()
-        assert client.save().status == 202
+        assert client.save().status == 200
         client.until(lambda state: state["ended"])
     assert read_init(out).frame == 1
 
@@ -221,7 +221,7 @@ def test_windows_and_corrections_of_the_file_before_are_kept(clips, tmp_path):
     )  # fmt: skip
     out = tmp_path / "a.init.yaml"
     with picking(clips / "face", out, previous=begun) as (client, _):
-        state = client.get("api/state").json
+        state = client.state()
         assert state["draft"]["targets"]["face"]["points"]["nose"] == POINTS["nose"]
         assert state["message"] == "taken from old.yaml"
         client.put_draft(1, face=FACE)
@@ -237,16 +237,16 @@ def test_what_the_page_begins_with(clips, tmp_path):
     for names in (["face"], ["head", "foot"]):  # a file of another recipe is fitted to this one
         begun = Start(0, {name: TargetStart(box=(10, 10, 40, 40)) for name in names}, "old.yaml")
         with picking(clips / "face", config="head_hands", previous=begun) as (client, _):
-            assert list(client.get("api/state").json["draft"]["targets"]) == ["head"]
+            assert list(client.state()["draft"]["targets"]) == ["head"]
     with picking(clips / "face", frame=1, box=(112, 79, 98, 98), unsaved=tmp_path / "u.yaml") as (
         client,
         session,
     ):  # a box has its points
-        draft = client.get("api/state").json["draft"]
+        draft = client.state()["draft"]
         assert draft["frame"] == 1 and set(draft["targets"]["face"]["points"]) == set(PARTS)
         assert session.left().startswith("what was chosen is kept in")
     with picking(clips / "sign", config="head_hands", frame=0, box=(135, 44, 50, 50)) as (client, _):
-        assert set(client.get("api/state").json["draft"]["targets"]) == set(HANDS)
+        assert set(client.state()["draft"]["targets"]) == set(HANDS)
     with pytest.raises(InputError, match="not in the frame"), picking(clips / "face", box=(900, 79, 98, 98)):
         pass
 
@@ -256,15 +256,15 @@ def test_the_file_says_which_detector_has_placed_what_nobody_moved(clips, tmp_pa
         out = tmp_path / "a.init.yaml"
         out.unlink(missing_ok=True)
         with picking(clips / "face", out, **more) as (client, _):
-            targets = client.get("api/state").json["draft"]["targets"]
+            targets = client.state()["draft"]["targets"]
             if not more:
-                targets = client.get("api/proposals/1").json["proposals"][0]["targets"]
+                targets = client.get("api/proposals?frame=1").json["proposals"][0]["targets"]
             if change == "point":
                 targets["face"]["points"]["nose"][0] += 1
             elif change == "box":
                 targets["face"]["box"][2] += 1
             assert client.put_draft(1, **targets).status == 200
-            assert client.save().status == 202
+            assert client.save().status == 200
             client.until(lambda state: state["ended"])
         return read_init(out)
 
@@ -280,7 +280,7 @@ def test_the_file_says_which_detector_has_placed_what_nobody_moved(clips, tmp_pa
 
 def test_a_start_past_the_end_of_the_clip_is_refused():
     face = DraftTarget((1, 1, 40, 40), {part: (k, 5) for k, part in enumerate(PARTS)})
-    with pytest.raises(RefusedError, match="starts at frame 0, but the clip ends with frame -1"):
+    with pytest.raises(UsageError, match="starts at frame 0, but the clip ends with frame -1"):
         start_of(Draft(0, {"face": face}), (320, 240), 0, None, NOTHING)
 
 
@@ -364,7 +364,7 @@ def test_what_is_wrong_is_said_before_anything_is_served(facetrack, monkeypatch,
 
 def test_overwrite_begins_with_the_file(tmp_path, monkeypatch, facetrack):
     out, seen = tmp_path / "a.yaml", []
-    drive(monkeypatch, tmp_path, lambda client: (seen.append(client.get("api/state").json["draft"]), choose(client)))
+    drive(monkeypatch, tmp_path, lambda client: (seen.append(client.state()["draft"]), choose(client)))
     out.write_text("frame: 2\nface: {points: {nose: [1, 2]}, windows: {nose: [9, 9]}}\n")
     code, printed, err = facetrack("init", "IN/face", "--pick", "--open", "--overwrite", "-o", out)
     assert (code, printed) == (0, "") and "no browser can be opened from here" in err
@@ -385,8 +385,8 @@ def test_what_was_not_saved_is_continued_and_an_internal_error_reported_at_the_e
         raise ZeroDivisionError("odd")
 
     def act(client):
-        assert client.get("api/state").json["message"] == f"taken from {kept}"
-        assert client.get("api/proposals/0").status == 500
+        assert client.state()["message"] == f"taken from {kept}"
+        assert client.get("api/proposals?frame=0").status == 500
         client.save()
         client.until(lambda state: state["ended"])
 

@@ -5,7 +5,6 @@ editor by its conftest.py; they skip where there is no playwright or no Chromium
 """
 
 import contextlib
-import json
 import os
 import re
 import shutil
@@ -17,6 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import cv2
 import numpy as np
 import pytest
 
@@ -28,10 +28,9 @@ QUIET = ("--disable-gpu", "--disable-quic", "--no-first-run", "--disable-backgro
          "--disable-component-update", "--disable-sync")  # fmt: skip
 DESK = {"viewport": {"width": 1280, "height": 800}}
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
-SMALL = {"viewport": {"width": 320, "height": 568}, "has_touch": True, "is_mobile": True}
+TABLET = {"viewport": {"width": 1024, "height": 768}, "has_touch": True, "is_mobile": True}
 AT_MOST_S = 20.0
 READY = "open this page: "
-FUNCTION = re.compile(r"\([^()]*\) =>")
 
 # the page asks and sends more often than for users
 PREPARE = """
@@ -41,53 +40,6 @@ const sooner = {250: 30, 300: 50, 1000: 150};
 window.setTimeout = (call, ms, ...given) => wait(call, sooner[ms] ?? ms, ...given);
 performance.setResourceTimingBufferSize(10_000);
 """
-# the middle of an element, as soon as it is visible and enabled and a click there reaches it; if the element then moves
-# away, nothing receives the click, and `hit` is false
-AIM = """(id) => {
-  const element = document.querySelector(`[data-testid="${id}"]`);
-  if (!element || element.disabled || !element.checkVisibility({visibilityProperty: true})) return null;
-  element.scrollIntoViewIfNeeded();
-  const {x, y, width, height} = element.getBoundingClientRect();
-  const at = [x + width / 2, y + height / 2];
-  if (!element.contains(document.elementFromPoint(...at))) return null;
-  const events = ["pointerdown", "mousedown", "pointerup", "mouseup", "click"];
-  let hit = true;
-  const guard = (event) => {
-    if (element.contains(event.target)) return;
-    hit = false;
-    event.stopImmediatePropagation();
-    event.preventDefault();
-  };
-  for (const name of events) window.addEventListener(name, guard, true);
-  window.hit = () => {
-    for (const name of events) window.removeEventListener(name, guard, true);
-    return hit;
-  };
-  return at;
-}"""
-# in the page, since every look from outside is slow
-UNTIL = """([given, atMost]) => new Promise((done, fail) => {
-  const check = %s;
-  const ends = performance.now() + atMost;
-  const look = () => {
-    try {
-      const found = check(given);
-      if (found || performance.now() > ends) done(found);
-      else window.setTimeout(look, 5);
-    } catch (error) {
-      fail(error);
-    }
-  };
-  look();
-})"""
-# from a copy, since a canvas that is read often is drawn differently
-PIXELS = """([id, places]) => {
-  const canvas = document.getElementById(id);
-  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", {willReadFrequently: true});
-  copy.drawImage(canvas, 0, 0);
-  const {data} = copy.getImageData(0, 0, canvas.width, canvas.height);
-  return places.map(([x, y]) => [2, 1, 0].map((c) => data[4 * (Math.floor(y) * canvas.width + Math.floor(x)) + c]));
-}"""
 
 
 class Window:
@@ -97,14 +49,12 @@ class Window:
         self.page, self.context = page, page.context
         self.keyboard, self.mouse = page.keyboard, page.mouse
         self.expected, self.errors = [], []
+        self.asked, self.answer = [], ""  # what the page asks, to which it is told yes, or this text
         self._fingers = None
-        self._listeners = {
-            "console": self._console,
-            "pageerror": lambda error: self.errors.append(f"uncaught: {error}"),
-            "crash": lambda _: self.errors.append("the tab crashed"),
-        }
-        for event, listener in self._listeners.items():
-            page.on(event, listener)
+        page.on("console", self._console)
+        page.on("pageerror", lambda error: self.errors.append(f"uncaught: {error}"))
+        page.on("crash", lambda _: self.errors.append("the tab crashed"))
+        page.on("dialog", lambda dialog: (self.asked.append(dialog.message), dialog.accept(self.answer)))
 
     def _console(self, message):
         if message.type in ("error", "warning", "assert"):
@@ -115,39 +65,28 @@ class Window:
         self.until("!!window.facetrack?.image")
         return self
 
-    def release(self):
-        """What went wrong in it; its page may be used again afterwards."""
-        for event, listener in self._listeners.items():
-            self.page.remove_listener(event, listener)
+    def close(self):
+        """What went wrong in it."""
         if not self.page.is_closed():
-            others = [one for one in self.requests() if urlsplit(one).hostname not in ("127.0.0.1", None)]
+            asked = self.evaluate("performance.getEntriesByType('resource').map((one) => one.name)")
+            others = [one for one in asked if urlsplit(one).hostname not in ("127.0.0.1", None)]
             self.errors += [f"requested from another machine: {one}" for one in others]
-            if self._fingers is not None:
-                self._fingers.detach()
+        self.context.close()
         return [one for one in self.errors if not any(re.search(known, one) for known in self.expected)]
 
     # what there is
 
     def evaluate(self, script, given=None):
-        """The value of the expression, or of the function of `given`; as JSON, since playwright's own form is slow."""
-        value = f"({script})(JSON.parse(given))" if FUNCTION.match(script) else f"({script})"
-        call = f"async (given) => JSON.stringify((await {value}) ?? null)"
-        return json.loads(self.page.evaluate(call, json.dumps(given)))
+        """The value of the expression, or of the function of `given`."""
+        return self.page.evaluate(script, given)
 
     def get(self, what):
         """A property of window.facetrack, as in draft.targets.face.box."""
         return self.evaluate(f"window.facetrack.{what}")
 
-    def requests(self):
-        """The addresses that were requested since the page was loaded."""
-        return self.evaluate("performance.getEntriesByType('resource').map((one) => one.name)")
-
     def until(self, script, given=None):
         """The first true value of the expression, or of the function of `given`."""
-        check = script if FUNCTION.match(script) else f"() => ({script})"
-        found = self.evaluate(UNTIL % check, [given, AT_MOST_S * 1000])
-        assert found, f"waited in vain for {script}; the page says {self.messages()}, errors: {self.errors}"
-        return found
+        return until(lambda: self.evaluate(script, given), script, self.page.wait_for_timeout)
 
     def until_sent(self):
         """The server has the draft of this window."""
@@ -172,10 +111,6 @@ class Window:
     def visible(self, name):
         return self.here(name).is_visible()
 
-    def messages(self):
-        """Everything that the page says: that the server is away, a problem, the last action."""
-        return [self.text(name) for name in ("offline", "problem", "message") if self.visible(name) and self.text(name)]
-
     def face(self, target="face"):
         return self.get(f"draft.targets.{target}")
 
@@ -195,17 +130,12 @@ class Window:
         (left, _), (right, _) = self.on_screen((0, 0), (1, 0))
         return right - left
 
-    def pixels(self, canvas, places):
-        """(n, 3) BGR of a canvas at places in its own pixels."""
-        return np.array(self.evaluate(PIXELS, [canvas, [list(map(float, one)) for one in places]]), int)
-
     def image(self, xs, ys):
         """(len(ys), len(xs), 3) BGR of the frame as it is shown, at places of the frame."""
-        corner, box, scale = self.at(0, 0), self.here("stage").bounding_box(), self.scale()
-        ratio = self.evaluate("devicePixelRatio")
-        left, top = corner[0] - box["x"], corner[1] - box["y"]
-        places = [((left + x * scale) * ratio, (top + y * scale) * ratio) for y in ys for x in xs]
-        return self.pixels("stage", places).reshape(len(ys), len(xs), 3)
+        shown = cv2.imdecode(np.frombuffer(self.here("stage").screenshot(), np.uint8), cv2.IMREAD_COLOR)
+        (left, top), scale, box = self.at(0, 0), self.scale(), self.here("stage").bounding_box()
+        columns, rows = (left - box["x"] + np.array(xs) * scale).astype(int), top - box["y"] + np.array(ys) * scale
+        return shown[rows.astype(int)[:, None], columns].astype(int)
 
     def number(self):
         """The number in the image: of clips whose frames are `numbered`."""
@@ -219,13 +149,8 @@ class Window:
         self.mouse.click(*self.at(x, y))
 
     def click_on(self, name):
-        """In the middle of the element of a data-testid, once the mouse reaches it."""
-
-        def hit():
-            self.mouse.click(*self.until(AIM, name))
-            return self.evaluate("window.hit()")
-
-        until(hit, f"a click on {name}")
+        """On the element of a data-testid, once a click reaches it."""
+        self.here(name).click()
 
     def drag(self, *places, drop=True):
         """Press at the first place of the frame, go by the others, and let go at the last."""
@@ -259,7 +184,6 @@ class Window:
         """Save by the button, agree if the page asks, and end; the messages that are shown then."""
         self.click_on("save")
         if self.get("mode") == "fix":
-            self.click_on("confirm-yes")
             self.until("window.facetrack.saves || !document.getElementById('problem').hidden")
             self.click_on("done")
         self.until("window.facetrack.ended || !document.getElementById('problem').hidden")
@@ -272,57 +196,26 @@ def until(look, what, pause=lambda ms: time.sleep(ms / 1000)):
     ends = time.monotonic() + AT_MOST_S
     while not (found := look()):
         assert time.monotonic() < ends, f"waited in vain for {what}"
-        pause(10)
+        pause(25)
     return found
-
-
-class Pages:
-    """Pages of one browser, by their options; a page that was given back is used again: to start one is slow."""
-
-    def __init__(self, browser):
-        self._browser, self._free = browser, {}
-
-    def take(self, options):
-        free = self._free.setdefault(json.dumps(options, sort_keys=True), [])
-        if free:
-            return free.pop()
-        context = self._browser.new_context(**options)
-        context.set_default_timeout(AT_MOST_S * 1000)
-        page = context.new_page()
-        page.add_init_script(PREPARE)
-        return page
-
-    def give_back(self, page, options):
-        try:
-            page.unroute_all()
-            page.mouse.up()
-            page.goto("about:blank")
-            page.emulate_media(color_scheme="null", reduced_motion="null")
-            page.set_viewport_size(options["viewport"])
-        except Exception:  # it was closed by its test, or does not want to leave
-            page.context.close()
-        else:
-            self._free[json.dumps(options, sort_keys=True)].append(page)
 
 
 class Windows:
     """Opens windows; at the end they are closed, and what went wrong in any of them fails the test."""
 
-    def __init__(self, pages):
-        self.pages, self.open = pages, []
+    def __init__(self, browser):
+        self.browser, self.open = browser, []
 
     def __call__(self, url=None, **options):
-        options = {**DESK, **options}
-        window = Window(self.pages.take(options))
-        self.open.append((window, options))
-        return window if url is None else window.go(url)
+        context = self.browser.new_context(**{**DESK, **options})
+        context.set_default_timeout(AT_MOST_S * 1000)
+        page = context.new_page()
+        page.add_init_script(PREPARE)
+        self.open.append(Window(page))
+        return self.open[-1] if url is None else self.open[-1].go(url)
 
     def close(self):
-        errors = []
-        for window, options in self.open:
-            errors += window.release()
-            self.pages.give_back(window.page, options)
-        self.open = []
+        errors = [error for window in self.open for error in window.close()]
         assert not errors, "\n".join(errors)
 
 
@@ -367,8 +260,8 @@ class Command:
 
 
 @pytest.fixture(scope="session")
-def pages():
-    """The pages of one browser for all tests."""
+def browser():
+    """One browser for all tests."""
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as e:
@@ -381,11 +274,11 @@ def pages():
         try:
             driver = stack.enter_context(sync_playwright())
             arguments = [*QUIET, *(["--no-sandbox"] if root else [])]
-            browser = driver.chromium.launch(executable_path=program, args=arguments)
+            opened = driver.chromium.launch(executable_path=program, args=arguments)
         except Exception as e:
             pytest.skip(f"{program} cannot be started: {(str(e).splitlines() or [repr(e)])[0]}")
-        yield Pages(browser)
-        browser.close()
+        yield opened
+        opened.close()
 
 
 @pytest.fixture
@@ -396,9 +289,9 @@ def served():
 
 
 @pytest.fixture
-def windows(pages, served):
+def windows(browser, served):
     """Opens a window, by default at a desk: windows(url, **options of playwright's new_context)."""
-    opener = Windows(pages)
+    opener = Windows(browser)
     yield opener
     opener.close()
 

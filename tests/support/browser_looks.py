@@ -1,7 +1,6 @@
 """What can be wrong with the look of a page, whatever it shows: no room, too small for a finger, too faint to read."""
 
 WIDER = "[document.scrollingElement.scrollWidth, innerWidth, scrollX, scrollY]"
-DRAWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 OUTSIDE = """[...document.querySelectorAll('button, input, canvas')].filter((one) => {
   const {left, right, width} = one.getBoundingClientRect();
   return one.checkVisibility() && width && (left < -0.5 || right > innerWidth + 0.5);
@@ -55,24 +54,19 @@ FAINT = """() => {
 }"""  # noqa: E501
 
 
-def wrong_looks(window, screens):
-    """What is wrong, a tuple each, in each of these screens, dark and light: text of less contrast than 4.5 to 1, what
-    is outside of the window, what scrolls it; for fingers, what is smaller than 40 pixels. The first screen stays."""
+def wrong_looks(window, screen):
+    """What is wrong, a tuple each, dark and light: text of less contrast than 4.5 to 1, what is outside of the window,
+    what scrolls it; for fingers, what is smaller than 40 pixels."""
     found = []
-    for screen in reversed(screens):
-        size = screen["viewport"]
-        if len(screens) > 1:
-            window.page.set_viewport_size(size)
-            window.evaluate(DRAWN)
-        for scheme in ("light", "dark"):
-            window.page.emulate_media(color_scheme=scheme)
-            width, room, *scrolled = window.evaluate(WIDER)
-            looked, faint = window.evaluate(FAINT)
-            assert looked > 2
-            small = window.evaluate(TOO_SMALL) if "has_touch" in screen else []
-            wrong = [*(("faint", one) for one in faint), *(("small", one) for one in small)]
-            wrong += [("outside", one) for one in window.evaluate(OUTSIDE)]
-            if width > room or scrolled != [0, 0]:
-                wrong.append(("scrolls", f"{width} in {room}, {scrolled}"))
-            found += [(f"{size['width']} {scheme}", *one) for one in wrong]
+    for scheme in ("light", "dark"):
+        window.page.emulate_media(color_scheme=scheme)
+        width, room, *scrolled = window.evaluate(WIDER)
+        looked, faint = window.evaluate(FAINT)
+        assert looked > 2
+        small = window.evaluate(TOO_SMALL) if "has_touch" in screen else []
+        wrong = [*(("faint", one) for one in faint), *(("small", one) for one in small)]
+        wrong += [("outside", one) for one in window.evaluate(OUTSIDE)]
+        if width > room or scrolled != [0, 0]:
+            wrong.append(("scrolls", f"{width} in {room}, {scrolled}"))
+        found += [(scheme, *one) for one in wrong]
     return found

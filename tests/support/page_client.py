@@ -66,18 +66,21 @@ class Client:
     def get(self, path: str, **headers: str) -> Got:
         return self.ask("GET", path, headers=headers)
 
-    def put_draft(self, frame: int, base: int | None = None, **targets: Any) -> Got:
-        """A draft, on top of what is there unless `base` says of what."""
-        base = self.get("api/state").json["revision"] if base is None else base
-        return self.ask("PUT", "api/draft", {"base": base, "draft": {"frame": frame, "targets": targets}})
+    def post(self, path: str, /, **body: Any) -> Got:
+        return self.ask("POST", f"api/{path}", body)
 
-    def save(self, base: int | None = None) -> Got:
-        base = self.get("api/state").json["revision"] if base is None else base
-        return self.ask("POST", "api/save", {"base": base})
+    def state(self) -> Any:
+        return self.get("api/state").json
+
+    def put_draft(self, frame: int, **targets: Any) -> Got:
+        return self.post("draft", draft={"frame": frame, "targets": targets})
+
+    def save(self) -> Got:
+        return self.post("save")
 
     def until(self, done, what: str = "the state") -> Any:
         """The state as soon as `done` says so of it."""
-        return wait_for(lambda: state if done(state := self.get("api/state").json) else None, what)
+        return wait_for(lambda: state if done(state := self.state()) else None, what)
 
     def close(self) -> None:
         self.connection.close()

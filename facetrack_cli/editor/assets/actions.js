@@ -1,6 +1,6 @@
 // What the keys and the list do to parts: choose, place in the middle, nudge, resize, remove.
 
-import { formatNumber, readable } from "./dom.js";
+import { formatNumber, readable, say } from "./dom.js";
 import { colour } from "./draw.js";
 import { centreOf, clampBox, clampPoint, resizeBox } from "./geometry.js";
 import { BOX, sameSlot } from "./store.js";
@@ -9,8 +9,8 @@ const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], A
 export const LONG_STEP = 25; // frames
 
 export class Actions {
-  constructor({ store, stage, magnifier, gestures, clip, mode, say }) {
-    Object.assign(this, { store, stage, magnifier, gestures, clip, mode, say });
+  constructor({ store, stage, magnifier, gestures, clip, mode }) {
+    Object.assign(this, { store, stage, magnifier, gestures, clip, mode });
     this.fixes = store.mode === "fix";
   }
 
@@ -47,7 +47,7 @@ export class Actions {
       this.magnifier.hide(2500);
     }
     const kind = this.fixes && slot.part !== BOX ? "quiet" : "info"; // the magnifier shows it, too
-    this.say(`${readable(slot.part)} of ${readable(slot.target)} at ${value.map(formatNumber).join(", ")}`, kind);
+    say(`${readable(slot.part)} of ${readable(slot.target)} at ${value.map(formatNumber).join(", ")}`, kind);
   }
 
   /** A part of the list; if it was chosen by a key and has no place, it is placed in the middle. */
@@ -73,9 +73,9 @@ export class Actions {
     const open = store.current && !store.value(store.current) ? store.current : store.nextMissing(store.selected);
     if (open) this.#place(open);
     else if (!this.fixes)
-      this.say("All parts are placed. Ctrl+S saves."); // Enter itself never saves
+      say("All parts are placed. Ctrl+S saves."); // Enter itself never saves
     else if (store.highlighted) this.#select(store.highlighted);
-    else this.say(store.isEmpty() ? "N goes to the next frame to review." : "Ctrl+Enter tracks from here.");
+    else say(store.isEmpty() ? "N goes to the next frame to review." : "Ctrl+Enter tracks from here.");
     return true;
   }
 
@@ -117,7 +117,7 @@ export class Actions {
     if (!marked || !this.mode.canEdit(true)) return false;
     if (this.fixes) {
       store.revert(slot);
-      this.say(`${readable(slot.part)} of ${readable(slot.target)} is as it was tracked.`);
+      say(`${readable(slot.part)} of ${readable(slot.target)} is as it was tracked.`);
     } else {
       store.set(slot, null);
       Object.assign(store, { current: slot, selected: null });

@@ -3,7 +3,7 @@
 import { Actions } from "./actions.js";
 import * as api from "./api.js";
 import { debug } from "./debug.js";
-import { $, HOME, setText, showHome } from "./dom.js";
+import { $, HOME, say, setText, showHome } from "./dom.js";
 import { draftLayer } from "./draw.js";
 import { firstOverview, Fix } from "./fix.js";
 import { FixList } from "./fix_list.js";
@@ -13,23 +13,12 @@ import { Gestures } from "./gestures.js";
 import { keyHelp, keyTable, listenToKeys } from "./keys.js";
 import { PickList } from "./list.js";
 import { Magnifier } from "./magnifier.js";
+import { showProblem } from "./mode.js";
 import { Pick } from "./pick.js";
 import { Clip } from "./playback.js";
-import { Save, showProblem } from "./save.js";
 import { Stage } from "./stage.js";
 import { Store } from "./store.js";
 import { Sync } from "./sync.js";
-
-const FADES = 8000; // ms until a message disappears, if it is no error
-
-/** Shows a line at the bottom; `kind` is info, warning, error, or quiet: for screen readers alone. */
-function say(text, kind = "info") {
-  const line = $("message");
-  line.dataset.kind = kind;
-  setText(line, text);
-  clearTimeout(say.timer);
-  if (kind !== "error") say.timer = setTimeout(() => setText(line, ""), FADES);
-}
 
 async function start() {
   const [session, state] = await Promise.all([api.session(), api.state()]);
@@ -44,10 +33,11 @@ async function start() {
   showSession(session);
 
   const stage = new Stage($("stage"), session.size);
-  const magnifier = new Magnifier($("magnifier"), stage, store);
+  const magnifier = new Magnifier($("magnifier"), stage, store, () => want());
   const frames = new Frames(store.bounds, {
     onimage: (image) => {
       stage.show(image);
+      magnifier.paint();
       $("stage").setAttribute("aria-label", `Frame ${image.index} of ${session.clip}`);
     },
     onrefused: (index, error) => {
@@ -57,23 +47,20 @@ async function start() {
     },
     onloading: (loading) => $("view").classList.toggle("loading", loading),
   });
-  const want = () => frames.want(store.frame, stage.reduce);
+  const want = () => frames.want(store.frame, magnifier.at ? 1 : stage.reduce);
 
   let lastMessage = null; // of the server
   const sync = new Sync(store, state, {
     onstate: (now) => {
       frames.bounds = now.frames;
       store.setBounds(now.frames);
-      if (now.message && now.message !== lastMessage && !mode.ownJob) say(now.message, "warning");
+      if (now.message && now.message !== lastMessage && !mode.running) say(now.message, "warning");
       lastMessage = now.message;
-      mode.setState?.(now);
-      save.update(now);
+      mode.setState(now);
     },
-    onother: (lost) => mode.onOther(lost),
     onoffline: () => {
       $("offline").hidden = false;
       if (HOME) setText($("offline-text"), "Start facetrack again; what was tracked is kept.");
-      else if (save.accepted) setText($("offline-text"), "facetrack has ended; its terminal shows what it wrote.");
     },
     ononline: () => {
       $("offline").hidden = true;
@@ -84,34 +71,21 @@ async function start() {
     onrefused: (error) => say(`Refused by facetrack: ${error.message}`, "error"),
   });
   const hovered = () => gestures.hovered;
-  const mode = fixes ? new Fix({ store, stage, sync, say, hovered, overview }) : new Pick({ store, stage, say });
-  const gestures = new Gestures(stage, store, magnifier, { canEdit: (explain) => mode.canEdit(explain), say });
+  const mode = fixes ? new Fix({ store, stage, sync, hovered, overview }) : new Pick({ store, stage, sync });
+  const gestures = new Gestures(stage, store, magnifier, (explain) => mode.canEdit(explain));
   stage.layers.push(draftLayer(store, hovered));
   const clip = new Clip(store);
-  const actions = new Actions({ store, stage, magnifier, gestures, clip, mode, say });
+  const actions = new Actions({ store, stage, magnifier, gestures, clip, mode });
   const choose = (slot, byKey) => actions.choose(slot, byKey);
   const list = fixes
     ? new FixList(store, { choose, setAbsent: (slots, absent) => mode.setAbsent(slots, absent) })
-    : new PickList(store, { choose, remove: (slot) => actions.remove(slot), say });
-  const title = () => (fixes && !mode.canUndo ? "Ended" : "Saved");
-  const save = new Save({ store, sync, say, onmissing, title });
-  mode.setState?.(state);
-  save.update(state);
+    : new PickList(store, { choose, remove: (slot) => actions.remove(slot) });
+  mode.setState(state);
 
-  function onmissing() {
-    const missing = store.nextMissing();
-    if (missing) store.select(missing);
-    list.follow();
-  }
-
-  const does = {
-    undo: () => (fixes ? mode.undo() : say(store.undo() ? "" : "There is nothing to undo.")),
-    redo: () => say(store.redo() ? "" : "There is nothing to redo."),
-    zoom: (factor) => () => stage.zoomBy(factor),
-    help: () => !$("help").open && $("help").showModal(),
-    save: () => void (fixes ? mode.save(save) : save.save()),
-  };
-  const table = keyTable({ store, stage, clip, list, gestures, magnifier, mode, actions, does, say });
+  const undo = () => mode.undo();
+  const redo = () => say(store.redo() ? "" : "There is nothing to redo.");
+  const zoom = (factor) => stage.zoomBy(factor);
+  const table = keyTable({ store, stage, clip, list, gestures, magnifier, mode, actions, undo, redo, zoom });
   listenToKeys(table);
   $("help-keys").replaceChildren(...keyHelp(table));
   // the ring around the image is for users of the keyboard
@@ -123,15 +97,15 @@ async function start() {
   // --- buttons
 
   const press = (id, action) => $(id).addEventListener("click", action);
-  press("undo", does.undo);
-  press("redo", does.redo);
-  press("save", does.save);
-  press("done", () => void mode.done?.());
-  press("zoom-in", does.zoom(1.4));
-  press("zoom-out", does.zoom(1 / 1.4));
+  press("undo", undo);
+  press("redo", redo);
+  press("save", () => mode.save());
+  press("zoom-in", () => zoom(1.4));
+  press("zoom-out", () => zoom(1 / 1.4));
   press("zoom-fit", () => mode.showTargets());
-  press("help-open", does.help);
+  press("help-open", () => $("help").showModal());
   press("help-close", () => $("help").close());
+  press("saved-close", () => $("saved").close());
   for (const dialog of document.querySelectorAll("dialog")) {
     dialog.addEventListener("click", (event) => event.target === dialog && dialog.close());
   }
@@ -149,7 +123,7 @@ async function start() {
   const changed = () => {
     opened ||= mode.showSmall() || !fixes;
     stage.draw();
-    $("undo").disabled = !(fixes ? mode.undoable : store.past.length) || store.ended;
+    $("undo").disabled = !mode.undoable || store.ended;
     $("redo").disabled = !store.future.length || store.ended;
     if (!fixes && !store.nextMissing()) showProblem("");
   };
@@ -179,11 +153,7 @@ function showSession({ clip, recipe, saves_to: place, mode }) {
 }
 
 start().catch((error) => {
-  const refused = error instanceof api.Refused;
   $("offline").hidden = false;
-  setText(
-    $("offline-text"),
-    refused ? error.message : "facetrack does not answer. Is it still running in its terminal?",
-  );
-  if (!(refused || error instanceof api.Unreachable)) throw error;
+  if (!(error instanceof api.Failed)) throw error;
+  setText($("offline-text"), `${error.message}. Is it still running in its terminal?`);
 });

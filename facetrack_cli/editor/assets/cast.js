@@ -1,7 +1,7 @@
 // The page of a film's cast: people are merged, renamed and split, and doubts are settled.
 
 import * as api from "./api.js";
-import { $, drawn, HOME, make, showHome } from "./dom.js";
+import { $, drawn, HOME, make, say, showHome } from "./dom.js";
 
 const POLL = 1000; // ms
 let now = null; // the state that the server told last
@@ -9,7 +9,7 @@ let chosen = null; // {name, frame} on the timeline
 let doubt = 0; // index of the doubt that is shown
 
 const still = (track) =>
-  `api/still/${track.first}/${track.stop}.jpg?person=${encodeURIComponent(track.person)}`;
+  `api/still?first=${track.first}&stop=${track.stop}&person=${encodeURIComponent(track.person)}`;
 const longest = (name) =>
   now.tracks.filter((one) => one.person === name).reduce((a, b) => (b.stop - b.first > a.stop - a.first ? b : a));
 const clock = (frame) => {
@@ -22,22 +22,17 @@ const clock = (frame) => {
   return `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(2).padStart(5, "0")}`;
 };
 
-function say(text) {
-  $("message").textContent = text;
-}
-
-async function ask(path, body = {}) {
+async function ask(path, body) {
   try {
-    show(await api.post(path, { base: now.revision, ...body }));
+    show(await api.post(path, body));
     say(now.changes.at(-1) ?? "");
   } catch (error) {
+    render();
     say(error.message);
-    if (error.body?.people) show(error.body);
-    else render();
   }
 }
 
-const change = (what, name, more) => ask("change", { what, name, ...more });
+const change = (what, name, more) => ask(what, { name, ...more });
 
 /** A person may be dragged onto another: both are one. */
 function draggable(part, name) {
@@ -96,7 +91,7 @@ function row(person) {
 function showMoment() {
   $("moment").hidden = !chosen;
   if (!chosen) return;
-  $("frame").src = `api/frame/${chosen.frame}.jpg?reduce=2`;
+  $("frame").src = `api/frame?frame=${chosen.frame}&reduce=2`;
   $("frame").alt = `Frame ${chosen.frame}`;
   $("where").textContent = `Frame ${chosen.frame}, ${clock(chosen.frame)}`;
   $("split").textContent = `From here ${chosen.name} is somebody else`;
@@ -110,12 +105,12 @@ function showMoment() {
 async function openPoints({ person, first }) {
   if (now.changes.length) return say("Save who is who first, or undo it.");
   const clip = Number(/people-([0-9]+)/.exec(location.pathname)[1]);
-  const body = JSON.stringify({ clip, page: "fix", person, frame: first });
-  const headers = { "Content-Type": "application/json" };
-  const answer = await fetch(new URL("../api/open", document.baseURI), { method: "POST", body, headers });
-  const found = await answer.json();
-  if (answer.ok) location.href = new URL(`../${found.url}`, document.baseURI);
-  else say(found.error);
+  try {
+    const { url } = await api.post("../../api/open", { clip, page: "fix", person, frame: first });
+    location.href = new URL(`../${url}`, document.baseURI);
+  } catch (error) {
+    say(error.message, "error");
+  }
 }
 
 function showDoubt() {
@@ -170,14 +165,14 @@ function show(state) {
 }
 
 async function poll() {
+  const before = now;
   try {
     const state = await api.state();
-    const told = (one) => JSON.stringify([one.revision, one.job, one.ended, one.message]);
     // an answer that was on its way when something was changed is old
-    if (state.revision >= now.revision && told(state) !== told(now)) show(state);
+    if (now === before && JSON.stringify(state) !== JSON.stringify(now)) show(state);
   } catch (error) {
-    say(now.ended ? now.ended.messages.join("; ") : error.message);
     if (now.ended) return;
+    say(error.message, "error");
   }
   setTimeout(poll, POLL);
 }

@@ -10,9 +10,7 @@ export function debug({ store, stage, sync, mode }) {
     current: () => store.current,
     selected: () => store.selected,
     proposals: () => store.proposals,
-    revision: () => sync.revision,
     sent: () => !sync.dirty && !sync.sending,
-    offline: () => sync.offline,
     ended: () => store.ended,
     busy: () => store.busy,
     // of correcting a run
@@ -22,19 +20,16 @@ export function debug({ store, stage, sync, mode }) {
     highlighted: () => store.highlighted ?? null,
     corrections: () => mode.corrections ?? null,
     review: () => mode.review?.frames.map(({ frame }) => frame) ?? null,
-    playing: () => mode.play?.on ?? false,
     canUndo: () => sync.state.can_undo,
     saves: () => sync.state.saves ?? null,
   };
-  const shifted = ([x, y], sign) => {
-    const { left, top } = stage.canvas.getBoundingClientRect();
-    return [x + sign * left, y + sign * top];
-  };
   const found = {
     /** From pixels of the frame to CSS pixels of the window, [x, y]. */
-    toScreen: (x, y) => shifted(stage.toCanvas(x, y), 1),
-    /** From CSS pixels of the window to pixels of the frame, [x, y]. */
-    toImage: (x, y) => stage.toImage(...shifted([x, y], -1)),
+    toScreen: (x, y) => {
+      const { left, top } = stage.canvas.getBoundingClientRect();
+      const [sx, sy] = stage.toCanvas(x, y);
+      return [sx + left, sy + top];
+    },
   };
   for (const [name, view] of Object.entries(views)) {
     Object.defineProperty(found, name, { get: () => structuredClone(view()), enumerable: true });

@@ -3,6 +3,7 @@
 export const $ = (id) => document.getElementById(id);
 /** The page of all clips, if this page was opened from it. */
 export const HOME = location.pathname.split("/").length > 3 ? "../" : null;
+const SAID = 8000; // ms until a line disappears, if it is no error
 export const TOUCH = window.matchMedia("(pointer: coarse)");
 
 /** An element with attributes and children; functions become listeners, false and null attributes are left out. */
@@ -40,25 +41,18 @@ export function swatch(colour) {
   return element;
 }
 
+/** A line at the bottom; `kind` is info, warning, error, or quiet: for screen readers alone. */
+export function say(text, kind = "info") {
+  const line = $("message");
+  line.dataset.kind = kind;
+  setText(line, text);
+  clearTimeout(say.timer);
+  if (kind !== "error") say.timer = setTimeout(() => setText(line, ""), SAID);
+}
+
 /** Changes a text only if it differs, so that a screen reader does not read it again. */
 export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
-}
-
-/** Shows an element for a moment more clearly. */
-export function flash(element) {
-  element.classList.remove("flash");
-  void element.offsetWidth; // so that the animation starts again
-  element.classList.add("flash");
-}
-
-/** Scrolls the panel, and nothing else, until an element in it is visible. */
-export function scrollPanelTo(element) {
-  const scroller = $("panel-body");
-  const [box, at] = [scroller.getBoundingClientRect(), element.getBoundingClientRect()];
-  if (!at.height) return;
-  if (at.top < box.top) scroller.scrollTop += at.top - box.top - 8;
-  else if (at.bottom > box.bottom) scroller.scrollTop += at.bottom - box.bottom + 8;
 }
 
 /** The arrow keys go through the buttons of a list, one of which is reached by Tab. */
@@ -102,22 +96,6 @@ export class Tabs {
       this.panels[i].hidden = i !== at;
     });
   }
-}
-
-/** Asks before a step that cannot be undone; whether the user agrees. `yes` is the text of that button. */
-export function askToConfirm(title, text, yes) {
-  const dialog = $("confirm");
-  if (dialog.open) return Promise.resolve(false);
-  setText($("confirm-title"), title);
-  setText($("confirm-text"), text);
-  setText($("confirm-yes"), yes);
-  return new Promise((resolve) => {
-    dialog.returnValue = "";
-    $("confirm-yes").onclick = () => dialog.close("yes");
-    $("confirm-no").onclick = () => dialog.close();
-    dialog.onclose = () => resolve(dialog.returnValue === "yes");
-    dialog.showModal();
-  });
 }
 
 /** Shows the way back, if there is one. */

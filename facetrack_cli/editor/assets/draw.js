@@ -63,7 +63,7 @@ export function drawBox(context, stage, box, ink, width = 2, dash = []) {
   context.beginPath();
   context.rect(x0, y0, x1 - x0, y1 - y0);
   stroke(context, ink, width, dash);
-  return { x0, y0, x1, y1 };
+  return { x0, y0, y1 };
 }
 
 /** The path of a diamond, to be filled or stroked. */
@@ -157,16 +157,19 @@ export function draftLayer(store, hovered) {
   };
 }
 
-/** The proposals of the frame, dashed; beside a draft, or a track, only the one that is `previewed`. */
+/** The proposals of the frame, dashed; beside a draft only the one that is `previewed`. */
 export function proposalLayer(store, previewed) {
   return (context, stage) => {
     if (!store.isHere() || store.ended) return;
-    const all = store.mode === "pick" && store.isEmpty();
+    const all = store.isEmpty();
     const shown = all ? store.proposals : store.proposals.filter((one) => one === previewed());
-    for (const { targets } of shown) {
-      for (const [target, given] of Object.entries(targets)) {
+    for (const proposal of shown) {
+      for (const [target, given] of Object.entries(proposal.targets)) {
         const ink = all ? colour(store, target) : "#f0f0f0";
-        if (given.box) drawBox(context, stage, given.box, ink, 1.5, [6, 5]);
+        if (given.box) {
+          const { x0, y1 } = drawBox(context, stage, given.box, ink, 1.5, [6, 5]);
+          if (all) drawLabel(context, proposal.label, x0 + 5, y1 + 14, ink);
+        }
         for (const at of Object.values(given.points ?? {})) diamond(context, ...stage.toCanvas(...at), 4, ink, 1.5);
       }
     }

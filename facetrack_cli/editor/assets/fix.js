@@ -1,15 +1,13 @@
-// Correcting a run: what may be moved, what comes next, and the server's state.
+// Correcting a run: what may be moved, what comes next, jobs, and the server's state.
 
 import * as api from "./api.js";
-import { $, askToConfirm, capitalized, plural, readable, setText, Tabs, TOUCH } from "./dom.js";
+import { $, capitalized, plural, readable, say, setText, Tabs, TOUCH } from "./dom.js";
 import { describe } from "./fix_list.js";
 import { isUncertain } from "./fix_store.js";
-import { again, Jobs } from "./jobs.js";
-import { Mode } from "./mode.js";
+import { Mode, showProblem } from "./mode.js";
 import { Play } from "./playback.js";
 import { Review } from "./review.js";
 import { Rows } from "./rows.js";
-import { showProblem } from "./save.js";
 import { BOX } from "./store.js";
 import { Timeline } from "./timeline.js";
 import { trackLayer } from "./tracks.js";
@@ -19,29 +17,18 @@ const BINS = 400; // of the first overview, until the width of the timeline is k
 export const firstOverview = () => api.overview(BINS);
 
 export class Fix extends Mode {
-  constructor({ store, stage, sync, say, hovered, overview }) {
-    super(
-      { store, stage, say },
-      {
-        // proposals may improve what is uncertain, and what was moved already
-        wanted: () => !store.busy && !this.play.on && anyPart(store, (one) => isUncertain(one) || isChanged(one)),
-        ontaken: ({ label }) => say(`Took ${label}. Check it, then track from here.`),
-      },
-    );
-    this.sync = sync;
+  over = "Done";
+
+  constructor({ store, stage, sync, hovered, overview }) {
+    super({ store, stage, sync });
     this.canUndo = this.unsaved = false;
     this.shown = true; // the tracks over the image
     this.revision = null; // of the rows
     this.corrections = overview.corrections;
     this.rows = store.rows = new Rows(store, () => store.emit("draft"));
     stage.layers.unshift(trackLayer(store, this.rows, { shown: () => this.shown, hovered }));
-    this.jobs = new Jobs(store, sync, {
-      say,
-      corrections: () => this.corrections,
-      refreshed: () => this.#refreshed(),
-    });
     this.play = new Play(store);
-    this.review = new Review(store, { say, remove: (one) => this.jobs.remove(one) });
+    this.review = new Review(store, (one) => this.remove(one));
     this.timeline = new Timeline(store, () => this.#refresh());
     this.tabs = new Tabs($("tabs"));
     this.#show(overview);
@@ -49,13 +36,14 @@ export class Fix extends Mode {
     const [worst] = this.review.frames;
     if (store.isEmpty() && worst?.frame === store.frame) this.review.worst();
     const press = (id, action) => $(id).addEventListener("click", action);
-    press("track", () => this.jobs.track());
-    press("track-elsewhere", () => this.jobs.track());
+    press("track", () => this.track());
+    press("track-elsewhere", () => this.track());
     press("discard-elsewhere", () => this.discard());
     press("discard", () => this.discard());
     press("confirm-row", () => this.confirm(false));
     press("review-next", () => this.review.next(1));
     press("review-previous", () => this.review.next(-1));
+    press("done", () => this.done());
   }
 
   get loaded() {
@@ -84,7 +72,7 @@ export class Fix extends Mode {
     const { frame } = store.draft;
     store.deselect();
     store.discard();
-    this.say(`What was moved in frame ${frame} is discarded; undo restores it.`);
+    say(`What was moved in frame ${frame} is discarded; undo restores it.`);
   }
 
   /** Marks parts as absent, or as present; a part that the tracker has no place of is then placed by the user. */
@@ -95,86 +83,114 @@ export class Fix extends Mode {
     const names = slots.length > 1 ? readable(target) : partName(store, slots[0]);
     if (absent) {
       store.setAbsent(slots, true);
-      return this.say(`Absent from frame ${store.frame} on: ${names}.`);
+      return say(`Absent from frame ${store.frame} on: ${names}.`);
     }
     if (slots.some((slot) => store.markedAbsent(slot))) store.setAbsent(slots, false);
     const nowhere = slots.find((slot) => store.isAbsent(slot));
-    if (!nowhere) return this.say(`Present: ${names}.`);
+    if (!nowhere) return say(`Present: ${names}.`);
     const { box, points } = store.group(target);
     const slot = slots.length > 1 && box !== "no" && points.length ? { target, part: BOX } : nowhere;
     store.choose(slot);
-    this.say(slot.part === BOX ? `Draw the box of ${readable(target)}.` : `Click the place of ${names}.`);
+    say(slot.part === BOX ? `Draw the box of ${readable(target)}.` : `Click the place of ${names}.`);
   }
 
   toggleAbsent(whole) {
     const { store } = this;
     const slot = store.selected ?? store.highlighted;
-    if (!slot) return this.say("Choose a part first: in the image, or with [ and ].");
+    if (!slot) return say("Choose a part first: in the image, or with [ and ].");
     const slots = whole || store.isBoxOfPoints(slot) ? store.parts(slot.target) : [slot];
     this.setAbsent(slots, !slots.every((one) => store.isAbsent(one)));
   }
 
-  undo() {
+  async undo() {
     const { store } = this;
-    if (store.undo()) this.say("");
+    if (store.undo()) say("");
     else if (store.busy) this.canEdit(true);
-    else if (this.canUndo) this.jobs.undo(this.corrections);
-    else this.say("There is nothing to undo.");
+    else if (!this.canUndo) say("There is nothing to undo.");
+    else if (await this.#run("undo")) say(`Undone: ${plural(this.corrections.length, "correction")} now.`);
   }
 
   get undoable() {
     return this.store.past.length > 0 || (this.canUndo && !this.store.busy);
   }
 
-  /** The part that is selected, or because of which the frame is shown, lies right; or in the whole stretch around. */
-  confirm(stretch) {
-    const { store } = this;
-    const slot = store.selected ?? store.highlighted;
-    if (!slot || store.isBoxOfPoints(slot)) return this.say("Choose a part first: in the image, or with [ and ].");
-    if (!store.isEmpty()) return this.say("Track what was moved first, or discard it.", "warning");
-    if (this.canEdit(true)) void this.jobs.confirm(slot, store.frame, stretch, partName(store, slot));
+  // --- jobs
+
+  /** As `run`; afterwards the rows and the overview are those of the corrections of now. */
+  #run(path, body, settle = () => {}) {
+    return this.run(path, body, () => {
+      settle();
+      return this.#refreshed();
+    });
   }
 
-  // whether what was moved is tracked, and nothing runs; else it says so
-  #settled(what) {
+  /** The draft becomes a correction, and its targets are tracked from it. */
+  async track() {
     const { store } = this;
-    if (store.busy) this.canEdit(true);
-    if (store.ended || store.busy) return false;
-    const { frame } = store.draft;
-    const text = `What was moved in frame ${frame} is not tracked yet: track it (T), or discard it; then ${what}.`;
-    if (!store.isEmpty()) showProblem(text);
-    return store.isEmpty();
+    if (store.isEmpty()) return say("Nothing was moved. Drag what is wrong, or mark it as absent (X).");
+    const { frame, targets } = store.draft;
+    const names = Object.keys(targets).map(readable).join(", ");
+    store.deselect();
+    say(`Tracking from frame ${frame}: ${names}.`);
+    const learn = $("learn-box").checked ? null : false;
+    const again = store.session.again ? " Save tracks all of the clip again; rows may differ a little from these." : "";
+    if (!(await this.#run("track", { learn }, () => store.forget()))) return;
+    $("learn-box").checked = true; // the choice is for one correction
+    say(`Tracked from frame ${frame}: ${names}.${again}`);
+  }
+
+  async remove({ frame, target }) {
+    if (await this.#run("remove", { frame, target })) {
+      say(`The correction of ${readable(target)} in frame ${frame} is removed, and what follows is tracked again.`);
+    }
+  }
+
+  // whether nothing is moved that is not tracked
+  #tracked(what) {
+    const { store } = this;
+    const text = `What was moved in frame ${store.draft.frame} is not tracked yet: track it (T), or discard it`;
+    if (!store.isEmpty()) showProblem(`${text}; then ${what}.`);
+    return store.isEmpty() && !store.ended;
+  }
+
+  /** The hands change their names from this frame on. */
+  async exchange() {
+    const { frame } = this.store;
+    if (this.#tracked("exchange the hands") && (await this.#run("exchange", { frame }))) {
+      say(`The hands are exchanged from frame ${frame} on.`);
+    }
+  }
+
+  /** The part that is selected, or because of which the frame is shown, lies right; or in the whole stretch around. */
+  async confirm(stretch) {
+    const { store } = this;
+    const slot = store.selected ?? store.highlighted;
+    if (!slot || store.isBoxOfPoints(slot)) return say("Choose a part first: in the image, or with [ and ].");
+    if (!this.#tracked("confirm") || !this.canEdit(true)) return;
+    const { frame } = store;
+    if (await this.#run("confirm", { frame, ...slot, stretch })) {
+      const where = stretch ? "in all frames around" : "in frame";
+      say(`${capitalized(partName(store, slot))} lies right ${where} ${frame}.`);
+    }
   }
 
   /** Asks first, since the files of the run are replaced. */
-  async save(save) {
+  async save() {
     const { store } = this;
-    if (save.running || !this.#settled("save")) return;
+    if (store.busy || !this.#tracked("save")) return;
     this.play.stop();
-    if (!this.unsaved) return this.say("There is nothing to save: the files of the run are as they are shown.");
-    const count = this.corrections.length;
-    const yes = await askToConfirm(
-      count ? `Save ${plural(count, "correction")}?` : "Save without corrections?",
-      `In ${store.session.saves_to}, the trajectory, the annotated video and corrected.init.yaml are written. ` +
-        `They replace the files that are there now.${again(store)}`,
-      "Save",
-    );
-    if (!yes) return;
-    this.saving = save;
-    save.save();
+    if (!this.unsaved) return say("There is nothing to save: the files of the run are as they are shown.");
+    const question = `Save ${plural(this.corrections.length, "correction")} in ${store.session.saves_to}?`;
+    const text = "The trajectory, the annotated video and corrected.init.yaml that are there are replaced.";
+    if (!confirm(`${question}\n\n${text}`)) return;
+    if (await this.#run("save")) say(`Saved. ${this.sync.state.saved.join(". ")}`);
   }
 
   /** Ends the page. */
   async done() {
-    if (!this.#settled("end")) return;
+    if (!this.#tracked("end")) return;
     const text = "They are kept beside the run, and the page begins with them the next time.";
-    if (this.unsaved && !(await askToConfirm("End without saving?", text, "End"))) return;
-    try {
-      await api.post("done", {});
-    } catch (error) {
-      this.say(error.message, "error");
-    }
-    this.sync.pollAgain();
+    if (!this.unsaved || confirm(`End without saving the corrections?\n\n${text}`)) await this.run("done");
   }
 
   focusReview() {
@@ -184,24 +200,31 @@ export class Fix extends Mode {
 
   toggleShown() {
     this.shown = !this.shown;
-    this.say(this.shown ? "The track is shown." : "The track is hidden; V shows it again.");
+    say(this.shown ? "The track is shown." : "The track is hidden; V shows it again.");
     this.stage.draw();
   }
 
   // --- the server's state
 
   setState(now) {
+    super.setState(now);
     this.canUndo = now.can_undo;
     this.unsaved = now.unsaved;
-    this.jobs.update(now);
-    this.timeline.reached = this.jobs.reached;
+    this.#showJob(now.job);
     if (now.rows_revision !== this.revision) {
       this.revision = now.rows_revision;
       this.rows.renew(this.revision);
       this.#refresh();
     } else if (this.failed) this.#refresh();
-    this.timeline.draw();
     this.update();
+  }
+
+  #showJob(job) {
+    $("job").hidden = !this.store.busy;
+    if (job?.total) Object.assign($("job-bar"), { max: job.total, value: job.done });
+    else $("job-bar").removeAttribute("value");
+    const frames = job?.total ? `: ${job.done} of ${job.total} frames` : " …";
+    setText($("job-text"), `${capitalized(readable(job?.what ?? "waiting for facetrack"))}${frames}`);
   }
 
   // requests the overview again; of several requests at a time, the last one counts
@@ -211,20 +234,9 @@ export class Fix extends Mode {
       .overview(this.timeline?.bins || BINS)
       .then((found) => this.refreshing === mine && this.#show(found))
       .catch((error) => {
-        if (!(error instanceof api.Unreachable || error instanceof api.Refused)) throw error;
+        if (!(error instanceof api.Failed)) throw error;
         this.failed = true;
       }));
-  }
-
-  /** A job of this window, which reports it by itself. */
-  get ownJob() {
-    return this.jobs.running;
-  }
-
-  onOther(lost) {
-    if (this.store.busy) return;
-    const text = lost ? "Another window was faster; its change is shown now." : "Changed in another window.";
-    this.say(text, "warning");
   }
 
   // zoomed in, a single target does not leave the view
@@ -238,7 +250,6 @@ export class Fix extends Mode {
   async #refreshed() {
     let last;
     while (last !== this.refreshing) await (last = this.refreshing);
-    return this.corrections;
   }
 
   #show(overview) {
@@ -273,10 +284,6 @@ export class Fix extends Mode {
     $("done").hidden = open || store.ended;
     $("done").disabled = store.busy;
     $("save").classList.toggle("primary", !open && this.unsaved);
-    if (store.ended || this.saving?.running) return;
-    const count = this.corrections.length;
-    $("save").disabled = store.busy;
-    setText($("save-label"), !open && this.unsaved && count ? `Save ${plural(count, "correction")}` : "Save");
   }
 }
 
@@ -288,8 +295,6 @@ function partName(store, { target, part }) {
   return store.layout.length > 1 ? `${readable(part)} of ${readable(target)}` : readable(part);
 }
 
-const isChanged = ({ kind }) => ["moved", "marked", "absent"].includes(kind);
-const anyPart = (store, test) => store.allParts().some((slot) => test(store.report(slot)));
 
 // [title, text] for the frame, or for the slot that is chosen in it
 function hint(store, slot) {
@@ -305,7 +310,7 @@ function hint(store, slot) {
   if (!store.isEmpty() && store.isHere()) {
     return [`${plural(store.changed(), "part")} changed`, "If all of this frame is right now, track from here."];
   }
-  const uncertain = anyPart(store, isUncertain);
+  const uncertain = store.allParts().some((slot) => isUncertain(store.report(slot)));
   return [frame, uncertain ? "Drag what is wrong, or set it absent." : "Nothing is uncertain. Drag what is wrong."];
 }
 

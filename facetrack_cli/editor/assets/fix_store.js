@@ -182,14 +182,11 @@ export class FixStore extends Store {
     one.absent = all.every((each) => listed.has(each)) ? true : all.filter((each) => listed.has(each));
   }
 
-  follow() {} // the page says what was moved elsewhere
-
   /** What was tracked is no draft any more, and its steps cannot be undone here. */
-  adopt(draft) {
-    super.adopt(draft);
-    if (!this.isEmpty()) return;
+  forget() {
     this.past = [];
     this.future = [];
+    this.draft = { frame: this.frame, targets: {} };
     this.emit("draft");
   }
 }

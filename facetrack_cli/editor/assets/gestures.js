@@ -1,5 +1,6 @@
 // Mouse, finger and pen on the canvas: place, draw, move, resize; pan, pinch, wheel.
 
+import { say } from "./dom.js";
 import { boxEdges, colour, handles } from "./draw.js";
 import { boxBetween, clampBox, clampPoint, LEAST_BOX, resizeBox, snap } from "./geometry.js";
 import { BOX, sameSlot } from "./store.js";
@@ -10,8 +11,8 @@ const DRAWN = 8; // CSS pixels after which a press draws a box
 
 /** `canEdit(explain)` says whether marks may be changed now, and tells the user if not. */
 export class Gestures {
-  constructor(stage, store, magnifier, { canEdit, say }) {
-    Object.assign(this, { stage, store, magnifier, canEdit, say });
+  constructor(stage, store, magnifier, canEdit) {
+    Object.assign(this, { stage, store, magnifier, canEdit });
     this.pointers = new Map();
     this.gesture = null; // {start(), move(x, y, dx, dy), end(moved)}
     this.hovered = null; // the slot under the mouse
@@ -238,7 +239,7 @@ export class Gestures {
       end: () => {
         if (!drawn || Math.min(drawn[2], drawn[3]) < LEAST_BOX) {
           store.cancel();
-          this.say(drawn ? `A box has at least ${LEAST_BOX} pixels on each side.` : "Drag across it to draw its box.");
+          say(drawn ? `A box has at least ${LEAST_BOX} pixels on each side.` : "Drag across it to draw its box.");
           return;
         }
         store.commit();

@@ -1,32 +1,24 @@
 // The page of a project: a line for each clip, and what can be done with it.
 
 import * as api from "./api.js";
-import { $, askToConfirm, button, make, plural, readable, setText } from "./dom.js";
+import { $, button, make, plural, readable, say, setText } from "./dom.js";
 import { Look } from "./look.js";
 import { upload } from "./upload.js";
 
 const POLL = 1000; // ms
-const SHOWN = 8000; // ms of a message
 const WHAT = { face: "A face", everybody: "Everybody", signer: "A signer", box: "A box I draw" };
 const STATES = {
   ready: "",
   "needs box": "Draw the box first",
   queued: "Waits for its turn",
   paused: "Paused",
-  stopped: "Stopped",
+  interrupted: "Stopped",
   done: "Done",
   failed: "Failed",
 };
 const rows = new Map(); // id -> the parts of a line
 let now = null; // the state that the server told last
 let over = false;
-
-function say(text, kind = "info") {
-  $("message").dataset.kind = kind;
-  setText($("message"), text);
-  clearTimeout(say.timer);
-  if (kind !== "error") say.timer = setTimeout(() => setText($("message"), ""), SHOWN);
-}
 
 const clock = (s) => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
 function duration(s) {
@@ -52,14 +44,14 @@ async function open(clip, page) {
   if (found) location.href = found.url;
 }
 
-async function again(clip) {
+function again(clip) {
   const text = "The results that are there now are replaced, with what was corrected in them.";
-  if (await askToConfirm(`Track ${clip.name} from the start?`, text, "Track again")) ask("want", { clips: [clip.id], wanted: true, again: true });
+  if (confirm(`Track ${clip.name} from the start?\n\n${text}`)) ask("want", { clips: [clip.id], wanted: true, again: true });
 }
 
-async function remove(clip) {
+function remove(clip) {
   const text = "Its results are moved into the folder “removed”. The clip itself stays where it is.";
-  if (await askToConfirm(`Remove ${clip.name} from the list?`, text, "Remove")) ask("remove", { clip: clip.id });
+  if (confirm(`Remove ${clip.name} from the list?\n\n${text}`)) ask("remove", { clip: clip.id });
 }
 
 /** The files of programs, as a menu; the browser saves what is chosen. */
@@ -71,21 +63,16 @@ export function exportMenu(menu, title, programs, address) {
     menu.value = "";
     say("Writing the file …");
     try {
-      await save(new URL(`${address}?program=${program}`, document.baseURI));
+      const [blob, headers] = await api.file(`${address}&program=${program}`);
+      const name = /filename="([^"]*)"/.exec(headers.get("Content-Disposition"))[1];
+      const link = make("a", { href: URL.createObjectURL(blob), download: name });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
       say(`Saved; a copy is in ${now.folder}/exports.`);
     } catch (error) {
       say(error.message, "error");
     }
   };
-}
-
-async function save(url) {
-  const answer = await fetch(url);
-  if (!answer.ok) throw new Error((await answer.json().catch(() => null))?.error ?? `refused: ${answer.status}`);
-  const name = /filename="([^"]*)"/.exec(answer.headers.get("Content-Disposition"))?.[1] ?? "export";
-  const link = make("a", { href: URL.createObjectURL(await answer.blob()), download: name });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
 // --- a line
@@ -103,7 +90,7 @@ function line(id) {
   const state = make("p", { class: "state", "data-testid": `state-${id}` });
   const bar = make("progress", { max: 1 });
   const menu = make("select", { "data-testid": `export-${id}`, class: "small" });
-  exportMenu(menu, "Export …", Object.entries(now.programs), `api/export/${id}`);
+  exportMenu(menu, "Export …", Object.entries(now.programs), `export?clip=${id}`);
   const actions = {
     run: named("run", "Track", (clip) => ask("want", { clips: [clip.id], wanted: true })),
     start: named("start", "", (clip) => open(clip, "start")),
@@ -127,9 +114,9 @@ function showLine(row, clip) {
   row.name.title = clip.path;
   const size = clip.size ? `${clock(clip.seconds)}, ${clip.size.join(" × ")}` : clip.error ? "" : "looking at it …";
   setText(row.about, size);
-  if (clip.size && row.picture.getAttribute("src") === "data:,") row.picture.src = `api/thumb/${clip.id}.jpg`;
+  if (clip.size && row.picture.getAttribute("src") === "data:,") row.picture.src = `api/thumb?clip=${clip.id}`;
   const active = ["queued", "running", "paused"].includes(state);
-  const made = ["done", "stopped"].includes(state);
+  const made = ["done", "interrupted"].includes(state);
   row.what.disabled = active || !clip.size;
   row.what.setAttribute("aria-label", `What to track in ${clip.name}`);
   if (row.likely !== clip.likely || !row.what.length) {
@@ -142,8 +129,8 @@ function showLine(row, clip) {
   row.bar.hidden = state !== "running";
   if (clip.done && clip.frames) row.bar.value = Math.min(clip.done / clip.frames, 1);
   else row.bar.removeAttribute("value");
-  row.run.hidden = !["ready", "stopped", "failed"].includes(state) || !clip.size;
-  setText(row.run, state === "stopped" ? "Go on" : state === "failed" ? "Try again" : "Track");
+  row.run.hidden = !["ready", "interrupted", "failed"].includes(state) || !clip.size;
+  setText(row.run, state === "interrupted" ? "Go on" : state === "failed" ? "Try again" : "Track");
   row.stop.hidden = !active;
   setText(row.stop, state === "running" ? "Stop" : "Not now");
   row.look.hidden = row.menu.hidden = !made || !clip.done;
@@ -161,7 +148,7 @@ function describe(clip) {
   const { state, done, frames, rate } = clip;
   if (state === "failed") return `Failed: ${clip.error}`;
   if (state === "done") return clip.look ? `Done. Look at: ${readable(clip.look)}` : "Done";
-  if (state === "stopped") return `Stopped after ${plural(done, "frame")}, which are kept`;
+  if (state === "interrupted") return `Stopped after ${plural(done, "frame")}, which are kept`;
   if (state !== "running") return STATES[state];
   if (!done) return `${readable(clip.doing || "starting").replace(/^./, (c) => c.toUpperCase())} …`;
   const left = rate ? `, about ${duration(Math.max(frames - done, 0) / rate)} left` : "";
@@ -187,18 +174,21 @@ function show(state) {
     showLine(rows.get(clip.id), clip);
   }
   const count = (...states) => state.clips.filter((one) => states.includes(one.state)).length;
-  const ready = state.clips.filter((one) => one.size && ["ready", "stopped"].includes(one.state));
+  const ready = state.clips.filter((one) => one.size && ["ready", "interrupted"].includes(one.state));
   const [done, waiting] = [count("done"), count("queued", "running", "paused")];
   document.body.classList.toggle("empty", !state.clips.length);
   $("work").hidden = !state.clips.length;
-  const left = state.left_s && !state.paused ? `about ${duration(state.left_s)} left` : "";
+  const rate = state.clips.find((one) => one.rate)?.rate;
+  const sum = (key, ...states) =>
+    state.clips.reduce((total, one) => total + (states.includes(one.state) ? Math.min(one[key], one.frames) : 0), 0);
+  const frames = sum("frames", "queued", "running") - sum("done", "queued", "running");
+  const left = rate ? `about ${duration(frames / rate)} left` : "";
   const failed = count("failed");
   const told = [`${done} of ${plural(state.clips.length, "clip")} done`, failed && `${failed} failed`, state.paused && waiting && "paused", left];
   setText($("overall-text"), told.filter(Boolean).join(", "));
   $("overall-bar").hidden = !waiting;
-  const frames = state.clips.filter((one) => ["queued", "running", "paused", "done"].includes(one.state));
-  const sum = (key) => frames.reduce((total, one) => total + Math.min(one[key], one.frames), 0);
-  $("overall-bar").value = sum("done") / Math.max(sum("frames"), 1);
+  const all = ["queued", "running", "paused", "done"];
+  $("overall-bar").value = sum("done", ...all) / Math.max(sum("frames", ...all), 1);
   $("run-all").hidden = !ready.length;
   setText($("run-all"), ready.length === 1 ? "Track 1 clip" : `Track all ${ready.length}`);
   $("run-all").onclick = () => ask("want", { clips: ready.map((one) => one.id), wanted: true });
@@ -222,7 +212,7 @@ async function poll() {
     show(state);
   } catch (error) {
     if (over) return;
-    if (!(error instanceof api.Unreachable || error instanceof api.Refused)) throw error;
+    if (!(error instanceof api.Failed)) throw error;
     $("offline").hidden = false;
   }
   setTimeout(poll, POLL);
@@ -236,7 +226,7 @@ function ended() {
 async function quit() {
   const active = now.clips.some((one) => one.state === "running");
   const text = active ? "What is tracked now is kept; it goes on when facetrack is started again." : "All is kept. Start facetrack again to go on.";
-  if (await askToConfirm("Quit facetrack?", text, "Quit")) {
+  if (confirm(`Quit facetrack?\n\n${text}`)) {
     await ask("quit");
     ended();
   }
@@ -252,18 +242,18 @@ function drops() {
   zone.addEventListener("drop", (event) => {
     event.preventDefault();
     over(0);
-    upload([...event.dataTransfer.files], say);
+    upload([...event.dataTransfer.files]);
   });
 }
 
-const look = new Look({ open, say, exportMenu, back: () => (location.hash = "") });
+const look = new Look({ open, exportMenu, back: () => (location.hash = "") });
 const hash = () => look.show(Number(/^#look-([0-9]+)$/.exec(location.hash)?.[1] ?? 0), now);
 
 async function start() {
   show(await api.state());
   $("quit").addEventListener("click", quit);
   $("files").addEventListener("change", () => {
-    upload([...$("files").files], say);
+    upload([...$("files").files]);
     $("files").value = "";
   });
   $("by-path").addEventListener("submit", async (event) => {
@@ -280,7 +270,7 @@ async function start() {
     ask("choose", { clips: open.map((one) => one.id), what: $("same").value });
     $("same").value = "";
   });
-  exportMenu($("export-all"), "Export all …", Object.entries(now.programs).filter(([, one]) => one.many), "api/export");
+  exportMenu($("export-all"), "Export all …", Object.entries(now.programs).filter(([, one]) => one.many), "export?");
   drops();
   window.addEventListener("hashchange", hash);
   hash();
@@ -290,5 +280,5 @@ async function start() {
 
 start().catch((error) => {
   $("offline").hidden = false;
-  if (!(error instanceof api.Unreachable || error instanceof api.Refused)) throw error;
+  if (!(error instanceof api.Failed)) throw error;
 });

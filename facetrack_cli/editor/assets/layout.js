@@ -1,12 +1,10 @@
 // What is to be placed: the groups of the list, one for each target, and which names are allowed.
 
 const NAME = /^[A-Za-z_][A-Za-z0-9_-]{0,63}$/;
-const KEYS = ["frame", "box", "points", "windows", "corrections", "kept", "absent", "learn"];
 
 /** What is wrong with a name of a target; empty if nothing is. */
 export function wrongName(name, taken) {
   if (!NAME.test(name)) return "A name has letters, digits, _ and -, and does not begin with a digit.";
-  if (KEYS.includes(name)) return `“${name}” is a key of init files; choose another name.`;
   return taken.includes(name) ? `There is already a target ${name}.` : "";
 }
 

@@ -1,6 +1,6 @@
 // The list of the parts: what both pages share, and the list of those that a start requires.
 
-import { $, button, formatNumber, icon, make, readable, scrollPanelTo, setText, swatch } from "./dom.js";
+import { $, button, formatNumber, icon, make, readable, rovingFocus, say, setText, swatch } from "./dom.js";
 import { colour } from "./draw.js";
 import { wrongName } from "./layout.js";
 import { sameSlot, slotId } from "./store.js";
@@ -23,7 +23,7 @@ export class PartList {
     const row = this.rows.get(slotId(this.chosen));
     if (!row || (row === this.followed && !again)) return;
     this.followed = row;
-    scrollPanelTo(row.item);
+    row.item.scrollIntoView({ block: "nearest" });
   }
 
   section(target, slots, ...tools) {
@@ -53,6 +53,7 @@ export class PickList extends PartList {
   constructor(store, options) {
     super(store, options);
     this.shape = "";
+    rovingFocus(this.root, ".part");
     this.root.addEventListener("keydown", (event) => this.#key(event));
     this.update();
   }
@@ -91,11 +92,8 @@ export class PickList extends PartList {
     const free = store.session.free && !store.ended;
     this.root.replaceChildren(...store.layout.map((group) => this.#group(group, free)));
     if (free) {
-      const add = button("add-target", { class: "adder" }, icon("icon-plus"), "Target");
-      add.addEventListener("click", () =>
-        this.#askName(add, "Name of the target", "", (name) => store.addTarget(name)),
-      );
-      this.root.append(add);
+      const add = () => this.#ask("Name of the target", "", (name) => store.addTarget(name));
+      this.root.append(button("add-target", { class: "adder", click: add }, icon("icon-plus"), "Target"));
     }
     if (focused) this.rows.get(focused)?.button.focus();
   }
@@ -103,10 +101,7 @@ export class PickList extends PartList {
   #group({ target }, free) {
     const { store } = this;
     const slots = store.slots().filter((slot) => slot.target === target);
-    const rename = ({ currentTarget }) => {
-      const head = currentTarget.closest(".target-head");
-      this.#askName(head, "New name", target, (name) => store.rename(target, name));
-    };
+    const rename = () => this.#ask("New name", target, (name) => store.rename(target, name));
     const remove = () => store.removeTarget(target);
     const tools = [
       button(`rename-${target}`, { class: "small", click: rename }, "Rename"),
@@ -135,53 +130,19 @@ export class PickList extends PartList {
     return item;
   }
 
-  // a field for a name in the place of what was clicked
-  #askName(place, label, value, done) {
-    const input = make("input", {
-      type: "text",
-      value,
-      "aria-label": label,
-      placeholder: label,
-      "data-testid": "name-field",
-      spellcheck: "false",
-      autocapitalize: "off",
-      autocomplete: "off",
-    });
-    const form = make("form", { class: "ask" }, input, make("button", { class: "small", type: "submit" }, "OK"));
-    const close = () => form.isConnected && form.replaceWith(place);
-    form.addEventListener("submit", (event) => {
-      event.preventDefault();
-      const name = input.value.trim().replaceAll(" ", "_");
-      if (name === value) return close();
-      const taken = this.store.layout.map(({ target }) => target).filter((other) => other !== value);
-      const wrong = wrongName(name, taken);
-      if (wrong) return this.say(wrong, "error");
-      close();
-      done(name);
-      this.focus();
-    });
-    form.addEventListener("keydown", (event) => {
-      event.stopPropagation();
-      if (event.key === "Escape") {
-        close();
-        place.focus?.();
-      }
-    });
-    form.addEventListener("focusout", (event) => form.contains(event.relatedTarget) || setTimeout(close));
-    place.replaceWith(form);
-    input.focus();
-    input.select();
+  #ask(question, value, done) {
+    const name = prompt(question, value)?.trim().replaceAll(" ", "_");
+    if (!name || name === value) return;
+    const taken = this.store.layout.map(({ target }) => target);
+    const wrong = wrongName(name, taken);
+    if (wrong) say(wrong, "error");
+    else done(name);
   }
 
   #key(event) {
     const here = event.target.closest?.("[data-slot]")?.dataset.slot;
-    if (!here || event.ctrlKey || event.metaKey || event.altKey) return;
-    const all = [...this.rows.keys()];
-    const at = all.indexOf(here);
-    const to = { ArrowDown: at + 1, ArrowUp: at - 1 }[event.key];
-    if (to !== undefined) this.rows.get(all[Math.min(Math.max(to, 0), all.length - 1)]).button.focus();
-    else if (event.key === "Delete" || event.key === "Backspace") this.remove(this.rows.get(here).slot);
-    else return;
+    if (!here || !["Delete", "Backspace"].includes(event.key)) return;
+    this.remove(this.rows.get(here).slot);
     event.preventDefault();
     event.stopPropagation();
   }

@@ -1,7 +1,7 @@
 // What a run found: the video, and below it measures and events over the same time.
 
 import * as api from "./api.js";
-import { $, button, drawn, make, readable, setText } from "./dom.js";
+import { $, button, drawn, make, readable, say, setText } from "./dom.js";
 
 const [WIDTH, HEIGHT] = [1000, 40];
 const FIRST = 8; // curves that are shown at first
@@ -9,11 +9,11 @@ const FIRST = 8; // curves that are shown at first
 const clock = (s) => `${Math.floor(s / 60)}:${(s % 60).toFixed(1).padStart(4, "0")}`;
 
 export class Look {
-  constructor({ open, say, exportMenu, back }) {
-    Object.assign(this, { open, say, exportMenu, back, id: 0, clip: null, found: null });
+  constructor({ open, exportMenu, back }) {
+    Object.assign(this, { open, exportMenu, back, id: 0, clip: null, found: null });
     $("movie").addEventListener("timeupdate", () => this.#point());
     $("who").addEventListener("change", () => this.#draw());
-    document.addEventListener("keydown", (event) => event.key === "Escape" && this.id && !$("confirm").open && back());
+    document.addEventListener("keydown", (event) => event.key === "Escape" && this.id && back());
   }
 
   /** The clip of this id; 0: the list. */
@@ -30,9 +30,9 @@ export class Look {
     document.title = `${clip.name} – facetrack`;
     setText($("look-note"), readable(clip.look ?? ""));
     $("movie").hidden = !clip.movie;
-    if (clip.movie) $("movie").src = `api/video/${id}.mp4?v=${encodeURIComponent(clip.movie)}`;
+    if (clip.movie) $("movie").src = `api/video?clip=${id}&v=${encodeURIComponent(clip.movie)}`;
     const menu = make("select", { "data-testid": "look-export", "aria-label": `Export ${clip.name}` });
-    this.exportMenu(menu, "Export …", Object.entries(state.programs), `api/export/${id}`);
+    this.exportMenu(menu, "Export …", Object.entries(state.programs), `export?clip=${id}`);
     const correct = button("look-correct", { class: "primary", click: () => this.open(clip, "correct") }, "Correct");
     correct.hidden = clip.state !== "done";
     $("look-actions").replaceChildren(correct, menu);
@@ -46,7 +46,7 @@ export class Look {
       $("who").replaceChildren(...found.targets.map((one) => make("option", { value: one.name }, readable(one.name))));
       this.#draw();
     } catch (error) {
-      this.say(error.message, "error");
+      say(error.message, "error");
     }
   }
 

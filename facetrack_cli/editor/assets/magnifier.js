@@ -1,11 +1,9 @@
-// The pixels under the pointer, magnified, with a cross hair: from a lossless image, and without smoothing.
+// The pixels under the pointer, magnified, with a cross hair, and without smoothing.
 
-import * as api from "./api.js";
 import { formatNumber } from "./dom.js";
 import { LABEL_FONT, LABEL_GROUND } from "./draw.js";
 import { clamp } from "./geometry.js";
 
-const AROUND = 64; // pixels of the frame that are requested, to each side
 const LARGEST = 208; // CSS pixels of a side
 const LEAST = 112;
 const FROM_TOUCH = 56; // CSS pixels from the pointer: a finger covers more
@@ -13,16 +11,12 @@ const FROM_MOUSE = 28;
 const EDGE = 8;
 
 export class Magnifier {
-  constructor(canvas, stage, store) {
-    this.canvas = canvas;
+  /** `want` is called when the magnifier is shown, and has all pixels of the frame requested. */
+  constructor(canvas, stage, store, want) {
+    Object.assign(this, { canvas, stage, store, want, enabled: true, at: null });
     this.context = canvas.getContext("2d");
-    this.stage = stage;
-    this.store = store;
-    this.enabled = true;
-    this.crop = null; // {frame, x, y, w, h, bitmap}
-    this.requesting = false;
-    this.at = null;
     window.addEventListener("resize", () => this.#hideNow());
+    store.addEventListener("frame", () => this.#hideNow());
   }
 
   /** Shows the frame around (x, y), pixels, beside the pointer: "touch", "mouse" or "keys". */
@@ -32,8 +26,8 @@ export class Magnifier {
     this.at = { x, y, by, ink };
     this.canvas.hidden = false;
     this.#place();
-    this.#request();
-    this.#paint();
+    this.paint();
+    if (this.stage.image?.reduce > 1) this.want();
   }
 
   hide(after = 0) {
@@ -77,49 +71,13 @@ export class Magnifier {
     }
   }
 
-  get #reach() {
-    return this.side / 2 / this.#times; // visible pixels of the frame, to each side
-  }
-
   // always larger than the canvas shows them
   get #times() {
     return clamp(Math.ceil(this.stage.view.scale * 2), 8, 40);
   }
 
-  #covers() {
-    const { crop, at, store } = this;
-    if (!crop || crop.frame !== store.frame) return false;
-    const [width, height] = this.stage.size;
-    const reach = this.#reach + 1;
-    return (
-      crop.x <= Math.max(at.x - reach, 0) &&
-      crop.y <= Math.max(at.y - reach, 0) &&
-      crop.x + crop.w >= Math.min(at.x + reach, width) &&
-      crop.y + crop.h >= Math.min(at.y + reach, height)
-    );
-  }
-
-  async #request() {
-    if (this.requesting || !this.at || this.#covers()) return;
-    const [width, height] = this.stage.size;
-    const low = (value, length) => clamp(Math.round(value) - AROUND, 0, length - 1);
-    const [x, y] = [low(this.at.x, width), low(this.at.y, height)];
-    const [w, h] = [Math.min(2 * AROUND + 1, width - x), Math.min(2 * AROUND + 1, height - y)];
-    const frame = this.store.frame;
-    this.requesting = true;
-    try {
-      const bitmap = await createImageBitmap(await api.crop(frame, x, y, w, h));
-      this.crop?.bitmap.close?.();
-      this.crop = { frame, x, y, w, h, bitmap };
-      this.requesting = false;
-      this.#paint();
-      this.#request();
-    } catch {
-      this.requesting = false; // until the next time, the image on the canvas is shown
-    }
-  }
-
-  #paint() {
+  /** Also when the image has become finer. */
+  paint() {
     if (!this.at) return;
     const { context, stage, side, at } = this;
     const ratio = window.devicePixelRatio || 1;
@@ -132,10 +90,6 @@ export class Magnifier {
     const { image } = stage;
     if (image?.index === this.store.frame) {
       context.drawImage(image.bitmap, ...from(0, 0), stage.size[0] * times, stage.size[1] * times);
-    }
-    const { crop } = this;
-    if (crop?.frame === this.store.frame) {
-      context.drawImage(crop.bitmap, ...from(crop.x, crop.y), crop.w * times, crop.h * times);
     }
     this.#cross(times);
   }

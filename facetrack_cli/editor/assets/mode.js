@@ -1,17 +1,21 @@
-// What choosing a start and correcting a run have in common: proposals, a hint, and a draft of another frame.
+// What choosing a start and correcting a run have in common: a hint, a draft of another frame, jobs, the end.
 
-import { $, flash, setText, TOUCH } from "./dom.js";
+import { $, HOME, make, say, setText, TOUCH } from "./dom.js";
 import { colour } from "./draw.js";
 import { around, markScale } from "./geometry.js";
-import { Proposals } from "./proposals.js";
 
 const SMALL = 0.6; // marks of less than this share of their size are hard to tell apart
 
-/** A subclass has `reasonAgainst`, why marks cannot be changed, and `update`, which calls `showHint`. */
+/** Shows a problem above the buttons, or hides it (""). */
+export function showProblem(text) {
+  $("problem").hidden = !text;
+  setText($("problem"), text);
+}
+
+/** A subclass has `reasonAgainst`, why marks cannot be changed, `update`, which calls `showHint`, and `over`, a title. */
 export class Mode {
-  constructor({ store, stage, say }, proposals) {
-    Object.assign(this, { store, stage, say });
-    this.proposals = new Proposals(store, stage, { canEdit: (explain) => this.canEdit(explain), ...proposals });
+  constructor({ store, stage, sync }) {
+    Object.assign(this, { store, stage, sync, running: false });
     for (const name of ["frame", "draft"]) store.addEventListener(name, () => this.update());
     TOUCH.addEventListener("change", () => this.update());
     $("go-back").addEventListener("click", () => store.showDraftFrame());
@@ -44,7 +48,7 @@ export class Mode {
         .filter((value) => value?.length === 2);
     if (stage.fitted && store.layout.every((one) => markScale(points(one), stage.fit) < SMALL)) {
       stage.toRegion(place);
-      this.say("Zoomed in, since the marks are small. The whole frame: 0, or the button between − and +.");
+      say("Zoomed in, since the marks are small. The whole frame: 0, or the button between − and +.");
     }
     return true;
   }
@@ -60,9 +64,9 @@ export class Mode {
     if (store.ended) return false;
     const reason = this.reasonAgainst();
     if (explain && reason) {
-      this.say(reason, "warning");
-      if (!store.isHere()) flash($("elsewhere"));
-    } else if (explain && !this.loaded) this.say(`Frame ${store.frame} is still loading.`);
+      say(reason, "warning");
+      if (!store.isHere()) $("elsewhere").animate([{ boxShadow: "0 0 0 3px #fae846" }, {}], 800);
+    } else if (explain && !this.loaded) say(`Frame ${store.frame} is still loading.`);
     return !reason && this.loaded;
   }
 
@@ -75,7 +79,50 @@ export class Mode {
     $("elsewhere").hidden = store.isHere() || store.ended || store.busy;
     setText($("elsewhere-text"), elsewhere);
     setText($("go-back"), `Back to ${store.draft.frame}`);
-    this.proposals.update();
     this.stage.draw();
+  }
+
+  // --- the server
+
+  /** Has the server do a job; whether it was done. If not, the user is told why. `done` is called before rows are new. */
+  async run(path, body = {}, done = async () => {}) {
+    const { store, sync } = this;
+    if (store.busy || store.ended || store.beforeGesture) {
+      if (store.busy) say("Wait until facetrack has finished.", "warning");
+      return false;
+    }
+    this.running = true;
+    showProblem("");
+    this.setState({ ...sync.state, job: null });
+    const problem = await sync.run(path, body);
+    if (!problem) await done();
+    this.running = false;
+    this.setState(sync.state);
+    store.emit("draft");
+    if (problem) say("");
+    showProblem(problem);
+    return !problem;
+  }
+
+  setState({ job, ended }) {
+    const { store } = this;
+    store.busy = this.running || !!job;
+    $("save").disabled = store.busy || store.ended;
+    if (ended && !store.ended) this.#end(ended);
+  }
+
+  #end({ messages, next }) {
+    const { store } = this;
+    store.ended = true;
+    store.selected = store.current = null;
+    store.emit("draft");
+    $("save").disabled = true;
+    setText($("saved-title"), this.over);
+    $("saved-messages").replaceChildren(...messages.map((line) => make("li", {}, line)));
+    $("saved-next").hidden = !next || !!HOME;
+    $("saved-quiet").hidden = !!HOME;
+    setText($("next-command"), next ?? "");
+    $("saved").showModal();
+    say(messages.join(". "));
   }
 }

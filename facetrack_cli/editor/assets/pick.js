@@ -1,7 +1,8 @@
 // Choosing a start: the part that comes next, and marks of another frame.
 
-import { $, capitalized, readable, TOUCH } from "./dom.js";
+import { $, capitalized, readable, say, TOUCH } from "./dom.js";
 import { Mode } from "./mode.js";
+import { Proposals } from "./proposals.js";
 import { BOX } from "./store.js";
 
 // by mouse and by finger
@@ -17,15 +18,21 @@ const HOW = {
 };
 
 export class Pick extends Mode {
+  over = "Saved";
+
   constructor(options) {
-    super(options, {
-      ontaken: ({ label }) => {
-        const { done, of } = this.store.progress();
-        this.say(`Took ${label}.${done === of ? " Check that every mark is right, then save." : ""}`);
-      },
-    });
+    super(options);
+    this.proposals = new Proposals(this.store, this.stage, (explain) => this.canEdit(explain));
     $("begin-here").addEventListener("click", () => this.beginHere());
     this.update();
+  }
+
+  get undoable() {
+    return this.store.past.length > 0;
+  }
+
+  undo() {
+    say(this.store.undo() ? "" : "There is nothing to undo.");
   }
 
   reasonAgainst() {
@@ -39,18 +46,21 @@ export class Pick extends Mode {
     const { store } = this;
     if (store.isHere() || store.ended) return;
     store.beginHere();
-    this.say(`The start is in frame ${store.frame} now; the marks are where they were. Correct them.`);
+    say(`The start is in frame ${store.frame} now; the marks are where they were. Correct them.`);
   }
 
-  onOther(lost) {
-    const faster = "Another window was faster; its start is shown now. Undo restores yours.";
-    this.say(lost ? faster : "Changed in another window.", "warning");
+  /** Writes the start; if something is missing, it is selected. */
+  async save() {
+    const { store } = this;
+    const missing = !(await this.run("save")) && !store.busy && store.nextMissing();
+    if (missing) store.select(missing);
   }
 
   update() {
     const { store } = this;
     const elsewhere = `The marks are of frame ${store.draft.frame}; this is frame ${store.frame}.`;
     this.showHint(hint(store), store.current, elsewhere);
+    this.proposals.update();
   }
 }
 
@@ -60,11 +70,7 @@ function hint(store) {
   const { done, of } = store.progress();
   if (store.ended) return ["Saved", "You may close this page."];
   if (!current && !done) return ["Nothing chosen yet", "Take a face that was found, or choose a part."];
-  if (!current)
-    return [
-      done === of ? "All parts are placed" : `${of - done} missing`,
-      "Check that every mark is right, then save.",
-    ];
+  if (!current) return [done === of ? "All parts are placed" : `${of - done} missing`, "Check every mark, then save."];
   const { about, target } = store.group(current.target);
   const box = current.part === BOX;
   const point = `${readable(current.part)}${layout.length > 1 ? ` of ${readable(target)}` : ""}`;

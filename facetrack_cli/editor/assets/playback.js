@@ -36,8 +36,6 @@ export class Clip {
       input.max = bounds.last;
       if (input.valueAsNumber !== frame) input.value = frame;
     }
-    const share = bounds.last > bounds.first ? (frame - bounds.first) / (bounds.last - bounds.first) : 0;
-    this.slider.style.setProperty("--share", `${100 * share}%`);
     this.slider.setAttribute("aria-valuetext", `frame ${frame}, ${clock(frame / session.fps)}`);
     $("last-frame").textContent = `of ${bounds.exact ? "" : "about "}${bounds.last}`;
     $("clock").textContent = clock(frame / session.fps);

@@ -1,17 +1,16 @@
 // Faces that were found in the frame, to be taken as they are.
 
 import * as api from "./api.js";
-import { $, button, make, setText, swatch } from "./dom.js";
-import { boxEdges, colour, proposalLayer } from "./draw.js";
-import { clamp } from "./geometry.js";
+import { $, button, make, say, setText, swatch } from "./dom.js";
+import { colour, proposalLayer } from "./draw.js";
 
 const REST = 400; // ms that a frame is shown before its faces are looked for
 const RETRY = 2000; // ms after a request failed
 
-/** `canEdit(explain)` says whether marks may be changed, `wanted()` whether proposals are of use. */
+/** `canEdit(explain)` says whether marks may be changed. */
 export class Proposals {
-  constructor(store, stage, { canEdit, ontaken, wanted = () => true }) {
-    Object.assign(this, { store, stage, canEdit, ontaken, wanted });
+  constructor(store, stage, canEdit) {
+    Object.assign(this, { store, stage, canEdit });
     this.known = new Map(); // frame -> answer
     this.requested = null; // a frame
     this.previewed = null; // the proposal whose button has the pointer or the focus
@@ -31,13 +30,13 @@ export class Proposals {
   async #request() {
     const { store } = this;
     const frame = store.frame;
-    if (this.requested !== null || this.known.has(frame) || store.ended || !this.wanted()) return;
+    if (this.requested !== null || this.known.has(frame) || store.ended) return;
     this.requested = frame;
     this.update();
     try {
       this.known.set(frame, await api.proposals(frame));
     } catch (error) {
-      if (error instanceof api.Refused) this.known.set(frame, { proposals: [], note: error.message });
+      if (error.status) this.known.set(frame, { proposals: [], note: error.message });
       else this.timer = setTimeout(() => this.#request(), RETRY);
     }
     this.requested = null;
@@ -52,7 +51,8 @@ export class Proposals {
     const proposal = store.proposals[index];
     if (!proposal || !this.canEdit(true)) return false;
     store.take(proposal, as);
-    this.ontaken(proposal);
+    const { done, of } = store.progress();
+    say(`Took ${proposal.label}.${done === of ? " Check that every mark is right, then save." : ""}`);
     return true;
   }
 
@@ -60,25 +60,18 @@ export class Proposals {
     const { store } = this;
     const known = this.known.get(store.frame);
     const empty = store.isEmpty();
-    const shown = store.isHere() && !store.ended && this.wanted();
+    const shown = store.isHere() && !store.ended;
     const list = shown ? store.proposals : [];
     const taken = list.map((proposal) => this.#isTaken(proposal));
     const shape = JSON.stringify([store.frame, known, this.requested, empty, shown, taken, store.layout]);
     if (shape !== this.shape) {
       this.shape = shape;
-      const fixes = store.mode === "fix";
-      const noNote = fixes || (!!known && !known.note);
+      const noNote = !!known && !known.note;
       $("proposals").hidden = !shown || (taken.every(Boolean) && noNote);
       setText($("proposals-note"), known ? (known.note ?? "") : "Looking for faces …");
       $("proposals-note").hidden = noNote;
       $("proposals-list").replaceChildren(...list.flatMap((proposal, index) => this.#offers(proposal, index, empty)));
-      const buttons = list.map(({ label }, index) => {
-        const take = () => this.#takeAndFocus(index);
-        return button(`take-image-${index}`, { tabindex: "-1", click: take }, `Take ${label}`);
-      });
-      $("takes").replaceChildren(...(empty && !fixes ? buttons : []));
     }
-    this.#placeButtons();
   }
 
   #takeAndFocus(index, as = null) {
@@ -120,24 +113,6 @@ export class Proposals {
     return Object.entries(targets).every(([name, { box, points }]) => {
       const given = this.store.draft.targets[name];
       return JSON.stringify([given?.box, given?.points]) === JSON.stringify([box, points]);
-    });
-  }
-
-  // the buttons on the image stay at their boxes
-  #placeButtons() {
-    const { store, stage } = this;
-    [...$("takes").children].forEach((take, index) => {
-      const box = Object.values(store.proposals[index]?.targets ?? {}).find((target) => target.box)?.box;
-      take.hidden = !box;
-      if (!box) return;
-      const { x0, y0, x1, y1 } = boxEdges(stage, box);
-      const { width, height } = stage.box;
-      take.hidden = x1 < 0 || y1 < 0 || x0 > width || y0 > height;
-      const half = take.offsetWidth / 2;
-      const left = Math.min(Math.max((x0 + x1) / 2, half + 4), width - half - 4) - half;
-      // below, else above, else within: not over the buttons in the corner
-      const top = y1 + 48 < height - 54 ? y1 + 8 : y0 > 52 ? y0 - 48 : clamp(y1 - 48, 4, height - 100);
-      take.style.transform = `translate(${Math.round(left)}px, ${Math.round(top)}px)`;
     });
   }
 }

@@ -1,14 +1,14 @@
 // Which frames to review: those of low confidence, and what was corrected, as lists and by keys.
 
-import { $, button, icon, make, percent, readable, rovingFocus, setText } from "./dom.js";
+import { $, button, icon, make, percent, readable, rovingFocus, say, setText } from "./dom.js";
 import { label } from "./draw.js";
 
 const FEW = 3; // names of parts in a line
 
 export class Review {
   /** `remove(correction)` is called by its button. */
-  constructor(store, { say, remove }) {
-    Object.assign(this, { store, say, remove });
+  constructor(store, remove) {
+    Object.assign(this, { store, remove });
     this.frames = []; // {frame, parts, key}, the worst first
     this.corrections = [];
     this.seen = new Set();
@@ -40,20 +40,20 @@ export class Review {
     const to = this.#nearest(this.frames, direction);
     const none = `No frame to review ${direction > 0 ? "after" : "before"} this one.`;
     if (to) this.#showFrame(to);
-    else this.say(this.frames.length ? none : "There is no frame to review.");
+    else say(this.frames.length ? none : "There is no frame to review.");
   }
 
   worst() {
     const to = this.frames.find(({ key }) => !this.seen.has(key));
     if (to) this.#showFrame(to);
-    else this.say(this.frames.length ? "You have reviewed every frame of the list." : "There is no frame to review.");
+    else say(this.frames.length ? "You have reviewed every frame of the list." : "There is no frame to review.");
   }
 
   nextCorrection(direction) {
     const to = this.#nearest(this.corrections, direction);
     const none = `No correction ${direction > 0 ? "after" : "before"} this frame.`;
     if (to) this.#showCorrection(to);
-    else this.say(this.corrections.length ? none : "Nothing is corrected.");
+    else say(this.corrections.length ? none : "Nothing is corrected.");
   }
 
   // the next in one direction, 1 or -1
@@ -67,12 +67,13 @@ export class Review {
     this.seen.add(one.key);
     this.store.jump(one.frame, { target, part });
     const lost = isLost(one) ? "lost, " : "";
-    this.say(`Frame ${one.frame}: ${this.#names(one.parts)}, ${lost}${percent(one.parts[0].confidence)}`, "quiet");
+    say(`Frame ${one.frame}: ${this.#names(one.parts)}, ${lost}${percent(one.parts[0].confidence)}`, "quiet");
   }
 
   #showCorrection(one) {
-    this.store.jump(one.frame, one.parts.length ? { target: one.target, part: one.parts[0] } : null);
-    this.say(`Frame ${one.frame}: ${readable(one.target)}, ${describe(one)}`, "quiet");
+    const [part] = placed(one);
+    this.store.jump(one.frame, part ? { target: one.target, part } : null);
+    say(`Frame ${one.frame}: ${readable(one.target)}, ${describe(one)}`, "quiet");
   }
 
   // --- the lists
@@ -155,13 +156,15 @@ export class Review {
 
 const isLost = ({ parts }) => parts.some(({ status }) => status === "lost");
 
+const placed = ({ given }) => (given.box ? ["box"] : Object.keys(given.points));
+
 // a correction in a few words
-function describe({ target, parts, absent, confirmed }) {
-  if (confirmed === true || confirmed?.[0] === "box") return "confirmed";
-  if (confirmed) return `${confirmed.map(readable).join(", ")} confirmed`;
+function describe(one) {
+  const { target, absent, confirmed } = one;
   const names = (list) => list.map(readable).join(", ");
-  const moved = parts[0] === "box" ? "box by hand" : `${names(parts)} by hand`;
-  const marked = absent === true ? "absent" : `${names(absent)} absent`;
-  const texts = [...(parts.length ? [moved] : []), ...(absent === true || absent.length ? [marked] : [])];
-  return texts.join("; ") || `${readable(target)} begins again`;
+  if (confirmed === true || confirmed[0] === "box") return "confirmed";
+  if (confirmed.length) return `${names(confirmed)} confirmed`;
+  const moved = placed(one);
+  const marked = absent === true ? "absent" : absent.length && `${names(absent)} absent`;
+  return [moved.length && `${names(moved)} by hand`, marked].filter(Boolean).join("; ") || `${readable(target)} begins again`;
 }

@@ -282,7 +282,7 @@ export class Store extends EventTarget {
   }
 
   #step(from, to) {
-    if (this.ended || this.beforeGesture || !from.length) return false;
+    if (this.ended || this.busy || this.beforeGesture || !from.length) return false;
     const { draft, layout } = from.pop();
     to.push({ ...this.#snapshot(), merge: "", at: 0 });
     Object.assign(this, { draft, layout });
@@ -291,23 +291,5 @@ export class Store extends EventTarget {
     this.emit("draft");
     this.emit("commit");
     return true;
-  }
-
-  /** Replaces the draft by that of another window; undo brings back what was here. */
-  adopt(draft) {
-    this.#remember(this.#snapshot(), "");
-    this.beforeGesture = null;
-    const wasHere = this.isHere();
-    this.draft = structuredClone(draft);
-    this.layout = groupsOf(this.session, this.draft);
-    this.#checkSelection();
-    if (this.isEmpty()) this.draft.frame = this.frame;
-    else if (wasHere) this.follow();
-    this.emit("draft");
-  }
-
-  /** Shows the frame of what another window changed. */
-  follow() {
-    this.showDraftFrame();
   }
 }

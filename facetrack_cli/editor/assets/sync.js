@@ -1,4 +1,4 @@
-// Keeps the draft of this window and that of the server the same, and notices when the server does not answer.
+// Keeps the draft of this window on the server, has the server do jobs, and notices when it does not answer.
 
 import * as api from "./api.js";
 
@@ -6,16 +6,10 @@ const REST = 250; // ms after the last change
 const POLL = 1000;
 const POLL_JOB = 300;
 
-/** Calls onstate(state), onother(lost), onoffline(), ononline(), onrefused(error). */
+/** Calls onstate(state), onoffline(), ononline(), onrefused(error). */
 export class Sync {
   constructor(store, state, on) {
-    this.store = store;
-    this.on = on;
-    this.revision = state.revision;
-    this.state = state;
-    this.dirty = false;
-    this.sending = null;
-    this.offline = false;
+    Object.assign(this, { store, state, on, dirty: false, sending: null, offline: false });
     store.addEventListener("commit", () => {
       this.dirty = true;
       clearTimeout(this.timer);
@@ -38,52 +32,54 @@ export class Sync {
     while (this.dirty && !this.store.ended) {
       this.dirty = false;
       try {
-        const { revision } = await api.putDraft(this.revision, this.store.draft);
-        this.revision = revision;
+        await api.post("draft", { draft: this.store.draft });
         this.#setOffline(false);
       } catch (error) {
-        if (error instanceof api.Refused && error.status === 409 && error.body?.draft) {
-          this.#adopt(error.body, true);
-          continue;
-        }
         this.dirty = true;
-        if (error instanceof api.Unreachable) this.#setOffline(true);
-        else this.on.onrefused(error);
+        if (error.status) this.on.onrefused(error);
+        else this.#setOffline(true);
         throw error;
       }
     }
   }
 
-  /** The server's state, null without an answer. */
-  poll() {
-    clearTimeout(this.next);
-    if (this.store.ended) return Promise.resolve(null);
-    this.polling ??= this.#poll().finally(() => {
-      this.polling = null;
-      this.#schedule();
-    });
-    return this.polling;
+  /** Has the server do a job with this draft, and waits for its end: "", or why it was not done. */
+  async run(path, body) {
+    try {
+      await this.flush();
+      await api.post(path, body);
+    } catch (error) {
+      if (error instanceof api.Failed) return error.message;
+      throw error;
+    }
+    await this.polling; // it may be older than the job
+    let state = await this.poll();
+    while (!this.store.ended && (!state || state.job)) state = await this.poll(POLL_JOB);
+    return state?.message ?? "";
   }
 
-  /** As `poll`, but of a request that begins now. */
-  async pollAgain() {
-    await this.polling;
-    return this.poll();
+  /** The server's state, null without an answer; not before `wait` ms. */
+  poll(wait = 0) {
+    clearTimeout(this.next);
+    this.polling ??= new Promise((resolve) => setTimeout(resolve, wait))
+      .then(() => this.#poll())
+      .finally(() => {
+        this.polling = null;
+        this.#schedule();
+      });
+    return this.polling;
   }
 
   async #poll() {
     try {
-      const state = await api.state();
+      this.state = await api.state();
       this.#setOffline(false);
-      const free = () => !this.sending && !this.store.beforeGesture;
-      if (state.revision > this.revision && !this.dirty && free()) this.#adopt(state, false);
-      this.state = state;
-      this.on.onstate(state);
-      if (this.dirty && free()) this.flush().catch(() => {});
-      return state;
+      this.on.onstate(this.state);
+      if (this.dirty && !this.sending && !this.store.beforeGesture) this.flush().catch(() => {});
+      return this.state;
     } catch (error) {
+      if (!(error instanceof api.Failed)) throw error;
       this.#setOffline(true); // also if it refuses: another server has this address now
-      if (!(error instanceof api.Unreachable || error instanceof api.Refused)) throw error;
       return null;
     }
   }
@@ -91,16 +87,6 @@ export class Sync {
   #schedule() {
     clearTimeout(this.next);
     if (!this.store.ended) this.next = setTimeout(() => this.poll(), this.state.job ? POLL_JOB : POLL);
-  }
-
-  // takes the draft of another window; `lost`: a change of this window was too late
-  #adopt(state, lost) {
-    this.revision = state.revision;
-    this.state = state;
-    if (JSON.stringify(state.draft) === JSON.stringify(this.store.draft)) return;
-    this.store.adopt(state.draft);
-    this.on.onother(lost);
-    this.on.onstate(state);
   }
 
   #setOffline(offline) {

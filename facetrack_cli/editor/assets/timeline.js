@@ -4,7 +4,7 @@ import { $, plural } from "./dom.js";
 import { diamondPath } from "./draw.js";
 import { clamp } from "./geometry.js";
 
-const SLIDER = 11; // CSS pixels from its end to the middle of its thumb: the frames are below it
+const SLIDER = 8; // CSS pixels from its end to the middle of its thumb: the frames are below it
 const STRIP = 5; // CSS pixels below the curve: lost and absent
 const HEAD = 11; // above it: corrections
 const RESIZED = 150; // ms after the last change of size
@@ -17,7 +17,6 @@ export class Timeline {
     this.canvas = $("timeline");
     this.context = this.canvas.getContext("2d");
     this.overview = null;
-    this.reached = null; // [first, last] frame that was tracked again so far
     this.bins = 0;
     new ResizeObserver(() => this.#resize()).observe(this.canvas);
     for (const name of ["frame", "draft"]) store.addEventListener(name, () => this.draw());
@@ -83,21 +82,19 @@ export class Timeline {
   #paint() {
     const { context, width, height, ratio, store } = this;
     if (!width) return;
-    const style = getComputedStyle(this.canvas);
-    const ink = (name) => style.getPropertyValue(`--${name}`).trim();
+    const known = new Map(); // colours of the scheme, which only a style resolves
+    const ink = (name) => {
+      if (known.has(name)) return known.get(name);
+      this.canvas.style.color = `var(--${name})`;
+      known.set(name, getComputedStyle(this.canvas).color);
+      return known.get(name);
+    };
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, width, height);
     const [top, bottom] = [HEAD, height - STRIP - 1];
     context.fillStyle = ink("curve-ground");
     context.fillRect(SLIDER - 2, top, width - 2 * SLIDER + 4, height - top);
     if (this.overview) this.#curve(top, bottom, ink);
-    if (this.reached) {
-      const [from, to] = this.reached.map((frame) => this.at(frame));
-      context.fillStyle = ink("accent");
-      context.globalAlpha = 0.3;
-      context.fillRect(from, top, Math.max(to - from, 1), height - top);
-      context.globalAlpha = 1;
-    }
     for (const { frame } of this.overview?.corrections ?? []) this.#diamond(frame, ink("ink"), true, ink);
     if (!store.isEmpty()) this.#diamond(store.draft.frame, ink("ink"), false, ink);
     const x = Math.round(this.at(store.frame));
@@ -109,31 +106,26 @@ export class Timeline {
 
   #curve(top, bottom, ink) {
     const { context, overview } = this;
-    const { first, last, bins, parts } = overview;
+    const { first, last, least, lost, absent } = overview;
     const frames = last - first + 1;
+    const bins = least.length;
     const edge = (bin) => first + Math.floor((bin * frames) / bins);
     const whole = (x) => Math.round(x * this.ratio) / this.ratio; // or the seams would be visible
     const [left, right] = [SLIDER - 2, this.width - SLIDER + 2];
     const side = (bin) => whole(clamp(this.at(edge(bin) - 0.5), left, right));
     const level = (value) => bottom - value * (bottom - top);
-    const most = (name, bin) => Math.max(...parts.map((part) => part[name][bin]));
-    const least = (bin) => parts.reduce((low, part) => Math.min(low, part.least[bin] ?? Infinity), Infinity);
-    const steps = []; // [x0, y, x1] of the curve, null where nothing is known
+    // [x0, y, x1] of the curve, null where nothing is known
+    const steps = least.map((value, bin) => (value === null ? null : [side(bin), level(value), side(bin + 1)]));
     for (let bin = 0; bin < bins; bin++) {
-      const [x0, x1] = [side(bin), side(bin + 1)];
-      const value = least(bin);
-      steps.push(Number.isFinite(value) ? [x0, level(value), x1] : null);
-      const lost = most("lost", bin) > 0;
-      if (lost) {
+      const [x0, width] = [side(bin), side(bin + 1) - side(bin)];
+      if (lost[bin]) {
         context.fillStyle = ink("curve-lost-fill");
-        context.fillRect(x0, top, x1 - x0, bottom - top);
+        context.fillRect(x0, top, width, bottom - top);
       }
-      if (lost || most("absent", bin) > 0) {
-        const all = !lost && parts.every((part) => part.absent[bin] > 0);
-        const from = all ? top : bottom + 1;
-        context.fillStyle = ink(lost ? "curve-lost" : "curve-absent");
-        context.fillRect(x0, from, Math.max(x1 - x0, 1.5), this.height - from);
-      }
+      if (!lost[bin] && !absent[bin]) continue;
+      const from = !lost[bin] && absent[bin] === 2 ? top : bottom + 1;
+      context.fillStyle = ink(lost[bin] ? "curve-lost" : "curve-absent");
+      context.fillRect(x0, from, Math.max(width, 1.5), this.height - from);
     }
     context.beginPath();
     for (const step of steps) {

@@ -1,13 +1,14 @@
 // Files that are dropped, sent piece by piece: a piece that is lost is sent again.
 
-import { $, make, setText } from "./dom.js";
+import * as api from "./api.js";
+import { $, make, say, setText } from "./dom.js";
 
-const PIECE = 2 * 1024 * 1024; // bytes
+const PIECE = 512 * 1024; // bytes
 const TRIES = 4;
 let queue = Promise.resolve();
 
 /** One file after another; a line for each while it is sent. */
-export function upload(files, say) {
+export function upload(files) {
   for (const file of files) {
     const bar = make("progress", { max: Math.max(file.size, 1), value: 0 });
     const text = make("span", {}, file.name);
@@ -30,12 +31,10 @@ async function send(file, bar) {
   if (!file.size) throw new Error("is empty, or a folder; name the path of a folder below");
   for (let offset = 0; offset < file.size; offset += PIECE) {
     const query = new URLSearchParams({ name: file.name, offset, total: file.size });
-    const address = new URL(`api/upload?${query}`, document.baseURI);
     for (let n = 1; ; n++) {
-      const answer = await fetch(address, { method: "PUT", body: file.slice(offset, offset + PIECE) }).catch(() => null);
-      if (answer?.ok) break;
-      if (answer) throw new Error((await answer.json().catch(() => null))?.error ?? `refused: ${answer.status}`);
-      if (n === TRIES) throw new Error("facetrack does not answer");
+      const failed = await api.putPiece(query, file.slice(offset, offset + PIECE)).catch((error) => error);
+      if (!(failed instanceof Error)) break;
+      if (failed.status || n === TRIES) throw failed;
       await new Promise((resolve) => setTimeout(resolve, 1000 * n));
     }
     bar.value = Math.min(offset + PIECE, file.size);
