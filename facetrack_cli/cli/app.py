@@ -38,7 +38,7 @@ SECTIONS = {
     },
     "Recipes and models": {
         "recipes": "List, show and check the recipes of trackers.",
-        "prior": "Learn shape priors from annotated frames, and draw them.",
+        "prior": "Learn shape priors from annotated frames, and show them.",
         "gallery": "Learn who is who from images and videos, and draw it.",
     },
     "Others": {

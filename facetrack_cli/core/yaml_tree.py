@@ -19,6 +19,8 @@ from typing import Any, TypeAlias
 from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, StringMark, YAMLError
 
+from facetrack_cli.core.errors import RecipeError
+
 MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe has a page
 MAX_DEPTH = 20
 MAX_DIGITS = 30  # of a whole number
@@ -105,12 +107,17 @@ class Node:
                 yield (name, *path), child
 
 
-class YamlProblems(Exception):  # noqa: N818  (it carries several problems)
-    """The text is refused; `problems` holds at least one."""
+class YamlProblems(RecipeError):  # noqa: N818  (it carries several problems)
+    """The text is refused: `problems` are all that is wrong, at least one; the message is that of the first."""
 
-    def __init__(self, problems: Sequence[Problem]) -> None:
-        super().__init__("; ".join(map(str, problems)))
-        self.problems = tuple(problems)
+    def __init__(self, *problems: Problem) -> None:
+        first, others = problems[0], len(problems) - 1
+        more = f" (and {others} more: facetrack recipes check lists all)" if others else ""
+        super().__init__(f"{first}{more}", first.span.excerpt())
+        self.problems = problems
+
+    def __reduce__(self) -> Any:
+        return RecipeError, (str(self), self.excerpt)  # in another process
 
 
 def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
@@ -119,7 +126,7 @@ def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
         data = file.read(most + 1)
     start = Span(Source(name, "", path.parent), 0, 0, 0)
     if len(data) > most:
-        raise YamlProblems([Problem(start, f"larger than {most // 1000} kB: too large for such a file; name another")])
+        raise YamlProblems(Problem(start, f"larger than {most // 1000} kB: too large for such a file; name another"))
     data = data.removeprefix(codecs.BOM_UTF8)
     try:
         text = data.decode()
@@ -128,7 +135,7 @@ def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
         lines = _lines(before)
         span = Span(Source(name, before, path.parent), len(lines) - 1, len(lines[-1]), 0)
         message = f"byte 0x{data[error.start]:02x} is not UTF-8; is it a text file? Save it as UTF-8"
-        raise YamlProblems([Problem(span, message)]) from None
+        raise YamlProblems(Problem(span, message)) from None
     return Source(name, text, path.parent)
 
 
@@ -143,9 +150,9 @@ def parse(source: Source, *, start: int = 0) -> Node | None:
         about = [getattr(error, "context", None), getattr(error, "problem", None)]
         why = " ".join(" ".join(filter(None, about) if any(about) else [str(error)]).split())
         message = f"not valid YAML: {why}; correct the text at or before this place"
-        raise YamlProblems([Problem(reader.span(mark, mark), message)]) from None
+        raise YamlProblems(Problem(reader.span(mark, mark), message)) from None
     if reader.problems:
-        raise YamlProblems(reader.problems)
+        raise YamlProblems(*reader.problems)
     return tree
 
 
@@ -159,7 +166,7 @@ def assign(root: Node, option: str, assignment: str) -> None:
     names = path.split(".")
     if not equals or "\n" in path or not all(map(str.strip, names)):
         message = f"no value, or no name, is given; write {option} KEY=VALUE, as in filter.particles=200"
-        raise YamlProblems([Problem(Span(source, 0, 0, max(1, len(path))), message)])
+        raise YamlProblems(Problem(Span(source, 0, 0, max(1, len(path))), message))
     value = parse(source, start=len(path) + 1) or Node(Span(source, 0, len(path), len(path) + 1), None)
     node, column = root, 0
     for depth, raw in enumerate(names):
@@ -168,7 +175,7 @@ def assign(root: Node, option: str, assignment: str) -> None:
         key, column = Span(source, 0, begin, begin + len(name)), column + len(raw) + 1
         if not isinstance(node.value, dict):
             above = ".".join(map(str.strip, names[:depth]))
-            raise YamlProblems([Problem(key, f'"{above}" holds no keys; set it as a whole: {option} {above}=VALUE')])
+            raise YamlProblems(Problem(key, f'"{above}" holds no keys; set it as a whole: {option} {above}=VALUE'))
         if depth == len(names) - 1:
             node.value[name] = Node(value.span, value.value, key)
         else:

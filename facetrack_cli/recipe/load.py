@@ -23,8 +23,8 @@ from facetrack_cli.core.yaml_tree import (
     printable,
     read_source,
 )
-from facetrack_cli.recipe.messages import locate, problems
-from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, completed, one_error, to_dict
+from facetrack_cli.recipe.messages import problems
+from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, completed, to_dict
 from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.trackers.appearance.settings import AffineSettings
 
@@ -70,41 +70,26 @@ def find_recipe(name_or_path: str) -> Path:
     raise RecipeError(f'"{name_or_path}" is neither a file nor a shipped recipe; {hint}')
 
 
-@one_error()
-def read_recipe(path: Path) -> str:
+def read_recipe(path: Path) -> Source:
     """The text of a recipe's file, right or wrong; RecipeError if it is none."""
-    return _read_file(path).text
-
-
-@one_error()
-def resolve_file(recipe: Recipe, name: str, key: str) -> Path:
-    """A file that the recipe names, at `key` as in `prior.file`: beside it, or shipped; RecipeError if nowhere."""
-    return _find_file(recipe, name, key)
-
-
-def _read_file(path: Path) -> Source:
     with reading(path, "check the file's permissions", RecipeError):
         return read_source(path, str(path))
 
 
-def _find_file(recipe: Recipe, name: str, key: str) -> Path:
-    span = Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1)
-    if recipe._root is not None:
-        node, keys = locate(recipe._root, tuple(key.split(".")))
-        span = node.span if keys == key.split(".") else span
+def resolve_file(recipe: Recipe, name: str, key: str) -> Path:
+    """A file that the recipe names, at `key` as in `prior.file`: beside it, or shipped; RecipeError if nowhere."""
     # that of --set is the working directory
-    folders = list(dict.fromkeys([span.source.folder, recipe.path.parent, shipped_folder()]))
+    folders = list(dict.fromkeys([recipe.span(key).source.folder, recipe.path.parent, shipped_folder()]))
     for folder in folders:
         if (folder / name).is_file():
             return folder / name
     sought = " and ".join(map(str, folders))
-    raise YamlProblems([Problem(span, f'there is no file "{name}" in {sought}; correct the name, or put it there')])
+    raise recipe.error(key, f'there is no file "{name}" in {sought}; correct the name, or put it there')
 
 
 OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
 
 
-@one_error()
 def load_recipe(
     name_or_path: str, overrides: Sequence[str] | Mapping[str, Any] = (), *, installed: bool = True
 ) -> Recipe:
@@ -165,11 +150,11 @@ def files_of(recipe: Recipe) -> list[Path]:
     for name, head in recipe.heads.items():
         if head.landmarks.network not in (None, "mesh"):
             files[f"{above(name)}head.landmarks.network"] = head.landmarks.network
-    return [_find_file(recipe, file, key) for key, file in files.items()]
+    return [resolve_file(recipe, file, key) for key, file in files.items()]
 
 
 def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Recipe:
-    source = _read_file(path)
+    source = read_recipe(path)
     recipe, more = _made(path, source, tuple(overrides)), []
     for name, head in recipe.heads.items():
         network, key = head.landmarks.network, f"{above(name)}head.landmarks."
@@ -186,16 +171,16 @@ def _made(path: Path, source: Source, overrides: tuple[str, ...]) -> Recipe:
     root = parse(source)
     if root is None or root.value is None:
         shipped = "start from a shipped recipe: facetrack recipes show factorized"
-        raise YamlProblems([Problem(Span(source, 0, 0, 1), f"the recipe is empty; {shipped}")])
+        raise YamlProblems(Problem(Span(source, 0, 0, 1), f"the recipe is empty; {shipped}"))
     if not isinstance(root.value, dict):
-        raise YamlProblems([Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this")])
+        raise YamlProblems(Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this"))
     for override in overrides:
         assign(root, "--set", override)
     kind = _kind(root)
     try:
         return kind.model_validate(root.plain(), context={"path": path, "root": root})
     except ValidationError as error:
-        raise YamlProblems(problems(error, kind, root)) from None
+        raise YamlProblems(*problems(error, kind, root)) from None
 
 
 def _kind(root: Node) -> type[Recipe]:
@@ -204,13 +189,13 @@ def _kind(root: Node) -> type[Recipe]:
     kind, targets = keys.get("type"), keys.get("targets")
     if targets and "target" not in keys and (kind is None or kind.value == "particle_filter"):
         message = '"targets" is a key of several particle filters; write type: particle_filters'
-        raise YamlProblems([Problem(kind.span if kind else targets.key or targets.span, message)])
+        raise YamlProblems(Problem(kind.span if kind else targets.key or targets.span, message))
     if kind is None:
         return ParticleRecipe
     name = kind.value if isinstance(kind.value, str) else ""
     if name not in KINDS:
         hint = suggest(name, list(KINDS), "it is one of")
-        raise YamlProblems([Problem(kind.span, f'unknown type of recipe "{name}"; {hint}')])
+        raise YamlProblems(Problem(kind.span, f'unknown type of recipe "{name}"; {hint}'))
     return KINDS[name]
 
 
@@ -266,9 +251,8 @@ def put_gallery(recipe: Recipe, file: str) -> Recipe:
     """The recipe with this gallery in place of its own: where it recognises, else wherever it can."""
     assert recipe._root is not None
     root = deepcopy(recipe._root)
-    with one_error():  # a name that is not UTF-8
-        for name in _recognising(recipe) or _affine(recipe):
-            assign(root, "--gallery", f"{above(name)}recognition.gallery={json.dumps(file)}")
+    for name in _recognising(recipe) or _affine(recipe):
+        assign(root, "--gallery", f"{above(name)}recognition.gallery={json.dumps(file)}")
     return type(recipe).model_validate(root.plain(), context={"path": recipe.path, "root": root})
 
 

@@ -286,7 +286,7 @@ def _mapping(node: Node, what: str, example: str) -> dict[str, Node]:
 def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
     """Refuse the value of a node. An empty value has no place, so the error points at its key."""
     span = node.key if (at_key or node.value is None) and node.key is not None else node.span
-    raise YamlProblems([Problem(span, message)])
+    raise YamlProblems(Problem(span, message))
 
 
 def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frames: int | None = None) -> None:

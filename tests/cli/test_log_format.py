@@ -75,7 +75,7 @@ def test_errors_are_objects(tmp_path, capfd):
     (said,) = objects(capfd.readouterr().err)
     assert said["level"] == "error" and "none" in said["message"] and "facetrack" not in said["message"][:9]
     recipe = tmp_path / "r.yaml"
-    recipe.write_text(read_recipe(find_recipe("sir")).replace("seed: 0", "seed: -1"), encoding="utf-8")
+    recipe.write_text(read_recipe(find_recipe("sir")).text.replace("seed: 0", "seed: -1"), encoding="utf-8")
     assert main(["--log-format", "json", "run", str(FOLDER / "map.mp4"), "--config", str(recipe)]) == 2
     (said,) = objects(capfd.readouterr().err)
     assert "seed must be at least 0" in said["message"] and "seed: -1" in said["excerpt"]

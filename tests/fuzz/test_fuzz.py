@@ -163,7 +163,7 @@ NAMED = {
     ),
     "gallery-that-is-a-pickle": ("gallery show x.npz -o out.png", "x.npz", pickled, "x.npz"),
     "prior-whose-header-promises-much": (
-        "prior show x.npz -o out.png", "x.npz",
+        "prior show x.npz", "x.npz",
         lambda valid: hostile.npz(arrays_of(valid / "prior.npz"), shapes=(10**9, 5, 2)), "x.npz",
     ),
     "image-of-400-million-pixels": (f"run frames {MIL} {RUN}", "frames/0.png", lambda _: png(20_000, 20_000), "0.png"),

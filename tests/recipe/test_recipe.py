@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from facetrack_cli.core.errors import ExitCode, RecipeError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.yaml_tree import MAX_BYTES, Source, YamlProblems, parse
-from facetrack_cli.recipe.load import check_recipe, load_recipe, read_recipe, resolve_file
+from facetrack_cli.recipe.load import check_recipe, find_recipe, load_recipe, read_recipe, resolve_file
 from facetrack_cli.recipe.model import OpenCvRecipe, json_schema, to_dict
 from facetrack_cli.recipe.sections import FactorizedSettings, IndependentSettings, Length, SirSettings
 from facetrack_cli.trackers.points.settings import ColourRatioSettings, PointsSettings
@@ -90,7 +90,7 @@ def test_a_dump_has_lengths_as_they_were_written():
 
 def test_a_gallery_is_sought_like_any_file_of_a_recipe(write, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text = read_recipe(next(path for path in shipped_recipes() if path.stem == "adaptive_recognition"))
+    text = read_recipe(find_recipe("adaptive_recognition")).text
     path = write(text.replace("recognition: {}", "recognition: {gallery: people.npz}"), "mine.yaml")
     (problem,) = check_recipe(path)
     assert 'there is no file "people.npz"' in str(problem)
@@ -144,7 +144,7 @@ def test_a_miss_names_the_nearest_and_all(tmp_path):
 def test_files_are_sought_beside_the_recipe_then_among_the_shipped(write, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "recipes").mkdir()
-    text = read_recipe(next(path for path in shipped_recipes() if path.stem == "factorized"))
+    text = read_recipe(find_recipe("factorized")).text
     path = write(text, "recipes/mine.yaml")
     recipe = load_recipe(path)
     assert resolve_file(recipe, "mouth_prior.npz", "prior.file").parent == shipped_recipes()[0].parent

@@ -102,20 +102,3 @@ def test_a_run_is_built_and_recorded_with_the_network(mesh_model, tmp_path, monk
     with pytest.raises(RecipeError, match="is not here"):
         monkeypatch.setenv("FACETRACK_MODELS", str(tmp_path))
         build_tracker(load_recipe("face", [f"{KEY}=mesh"]), TrackClip("expressions", 1).start)
-
-
-def test_a_batch_is_not_mixed_with_and_without_a_network(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    for name in ("a", "b"):
-        (tmp_path / f"{name}.mp4").write_bytes((FOLDER / "expressions.mp4").read_bytes())
-    call = ["run", "a.mp4", "b.mp4", "--box", "110,60,100,100", "--config", "face", "--stop", "2", "--no-video", "-q"]
-    assert main([*call, "-o", "results"]) == 0
-    path = tmp_path / "results" / "b-face" / "run.json"
-    told = json.loads(path.read_text())
-    path.write_text(json.dumps(told | {"networks": ["mesh"], "asked": "another"}))
-    (tmp_path / "results" / "a-face" / "run.json").unlink()
-    capfd.readouterr()
-    assert main([*call, "-o", "results"]) == 2
-    [line] = capfd.readouterr().err.splitlines()
-    assert "b-face: its clip was tracked with the network mesh, and this batch would be without a network; name" in line
-    assert main([*call, "-o", "results", "--overwrite"]) == 0

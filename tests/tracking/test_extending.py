@@ -13,10 +13,9 @@ import pytest
 from pydantic import Field
 
 from facetrack_cli.core.errors import RecipeError
-from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe import FilterSettings, LikelihoodSettings, Refusal, Section, sections
-from facetrack_cli.recipe.load import check_recipe, load_recipe, read_recipe
+from facetrack_cli.recipe.load import check_recipe, find_recipe, load_recipe, read_recipe
 from facetrack_cli.recipe.model import completed, json_schema, rebuild, register, to_dict
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
@@ -151,7 +150,7 @@ def test_messages_know_of_it(plugged, tmp_path):
     assert 'does not go with target type "points"; write colour_ratio or window_ncc or grey_difference' in refused(
         "likelihood={type: skin}"
     )
-    text = read_recipe(next(path for path in shipped_recipes() if path.stem == "sir"))
+    text = read_recipe(find_recipe("sir")).text
     text = re.sub(r"likelihood:\n(  .*\n)+", "likelihood:\n  type: grey_difference\n  sigma: 300\n", text)
     path = tmp_path / "mine.yaml"
     path.write_text(text, encoding="utf-8")

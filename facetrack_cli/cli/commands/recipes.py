@@ -60,7 +60,7 @@ def show(recipe: str) -> None:
     """
     from facetrack_cli.recipe.load import find_recipe, read_recipe
 
-    text = read_recipe(find_recipe(recipe))
+    text = read_recipe(find_recipe(recipe)).text
     click.echo(text, nl=not text.endswith("\n"))
 
 
@@ -335,7 +335,7 @@ def _summary(gallery: Gallery) -> list[str]:
 
 @click.group()
 def prior_command() -> None:
-    """Learn shape priors from annotated frames, and draw them.
+    """Learn shape priors from annotated frames, and show them.
 
     A shape prior knows how the parts of a face move together. A recipe names its file as `prior.file`:
 
@@ -399,31 +399,22 @@ def fit_prior(
 
 @prior_command.command("show")
 @click.argument("file", type=FILE, required=False)
-@options.figure_file("beside FILE; mouth_prior.png for the shipped prior")
-@options.overwrite
-def show_prior(file: Path | None, out: Path | None, overwrite: bool) -> None:
-    """Summarise and draw a prior; without FILE, the shipped one.
+def show_prior(file: Path | None) -> None:
+    """Summarise a prior; without FILE, the shipped one.
 
     \b
     Examples:
       facetrack prior show
-      facetrack prior show mouths.npz -o mouths.svg
+      facetrack prior show mouths.npz
     """
     from facetrack_cli.evaluation.summary import Sheet
-    from facetrack_cli.report.figures.models import prior_figure
     from facetrack_cli.trackers.points.shape_prior import default_prior_path, load_prior, suggested_sigma
 
     path = file or default_prior_path()
     prior = load_prior(path)
-    out = out or (path.with_suffix(".png") if file else Path(path.with_suffix(".png").name))
-    sigma = suggested_sigma(prior)
-    options.write_figure(out, lambda: prior_figure(prior, sigma, title=path.name), overwrite=overwrite, inputs=[path])
     figures = zip(prior.parts, prior.shapes.min(0), prior.shapes.max(0), prior.shapes.std(0), strict=True)
     rows = [(name, *(f"{values[axis]:.3f}" for axis in (0, 1) for values in each)) for name, *each in figures]
-    notes = (
-        f"registered by {prior.stable}; unit: {' to '.join(prior.scale)} in the first frame",
-        f"suggested sigma: {sigma:.3f}",
-        f"figure: {out}",
-    )
+    unit = f"registered by {prior.stable}; unit: {' to '.join(prior.scale)} in the first frame"
+    notes = (unit, f"suggested sigma: {suggested_sigma(prior):.3f}")
     title = f"{path.name}: {len(prior.shapes)} shapes of {len(prior.parts)} parts"
     Sheet(title, ("part", "x from", "to", "sd", "y from", "to", "sd"), tuple(rows), notes).show()

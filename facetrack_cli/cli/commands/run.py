@@ -149,7 +149,7 @@ def run_command(
     130 interrupted, 143 terminated.
     """
     from facetrack_cli.engine.kernels import cache
-    from facetrack_cli.run_folder.status import check_networks, write_batch
+    from facetrack_cli.run_folder.status import write_batch
     from facetrack_cli.runs.batch import expand, folders, run_batch, variant_name
     from facetrack_cli.runs.plan import Job, Split, check_smoothing, follows_everyone
     from facetrack_cli.runs.progress import progress
@@ -198,8 +198,6 @@ def run_command(
         names = [""] if out and not several else folders(clips, variant_name(recipe.name, overrides))
         places = [Path(out or ".") / name for name in names]
         if several and out:
-            if not overwrite:
-                check_networks(filter(None, places), recipe.networks)
             write_batch(Path(out), recipe.name, clips, names)
     first, step = (1, 1) if split else shard or (1, 1)
     clips, places = clips[first - 1 :: step], places[first - 1 :: step]
