@@ -38,22 +38,11 @@ def completed(line):
         ("run cl", "file,cl", []),
         ("run --out cl", "dir,cl", []),
         ("run --init cl", "file,cl", []),
+        ("fix cl", "dir,cl", []),
     ],
 )
 def test_what_is_completed(line, first, words):
     assert completed(line) == [*([first] if first else []), *(f"plain,{word}" for word in words)]
-
-
-def test_folders_of_runs_are_completed(tmp_path, monkeypatch):
-    for name in ("clip-face", "clip-sir", "other"):
-        (tmp_path / "in" / name).mkdir(parents=True)
-    (tmp_path / "in" / "clip-face" / "run.json").touch()
-    (tmp_path / "in" / "clip-sir" / "trajectory.json").touch()
-    monkeypatch.chdir(tmp_path / "in")
-    assert completed("fix cl") == ["dir,cl", "plain,clip-face", "plain,clip-sir"]
-    assert completed("report ../in/c") == ["dir,../in/c", "plain,../in/clip-face", "plain,../in/clip-sir"]
-    assert completed("eval clip-f") == ["file,clip-f", "plain,clip-face"]
-    assert completed("fix nowhere/c") == ["dir,nowhere/c"]
 
 
 def test_recipes_are_completed_without_loading_anything_heavy():

@@ -99,7 +99,6 @@ def test_truth_adds_the_error(capsys, run, truth, monkeypatch):
         (["-o", "nowhere/page.png"], 2, "nowhere/page.png: there is no folder nowhere"),
         (["--target", "hand"], 2, "has no 'hand'; choose among face"),
         (["--measure", "yaw"], 2, "has no yaw; it has no measures, which the recipe face gives"),
-        (["--partial"], 2, "give its file with --truth FILE"),
     ],
 )
 def test_usage(capsys, run, arguments, code, said):

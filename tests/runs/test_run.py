@@ -193,7 +193,7 @@ def test_a_box_is_enough(run):
         (["--fps", "25"], 2, "for image folders"),
         (["--start", "9", "--stop", "9"], 2, "leaves no frame"),
         (["--start", "-1"], 2, "--start"),
-        (["--config", ""], 2, '"" is neither a file nor a shipped recipe'),
+        (["--config", ""], 2, "--config is empty"),
         (["--set", "target.windows=1000px"], 2, "larger than the frame of 128x96; make it smaller"),
         (["-o", "-", "--format", "csv,json"], 2, "one format"),
         (["other.mp4", "-o", "-"], 2, "streams one clip"),

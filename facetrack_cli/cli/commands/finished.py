@@ -89,13 +89,7 @@ def fix_command(
     from facetrack_cli.trajectory.views import Clock
 
     file = init or imported
-    both = init is not None and imported is not None
-    refuse(
-        (both, "--import adds to the run's corrections, --init replaces them; leave one of them out"),
-        (quiet and file is None, "--quiet goes with --init and --import; the page's address must be said"),
-    )
-    if file is not None:
-        page.refuse(f"leave it or {'--init' if init else '--import'} out")
+    refuse((init and imported, "--import adds to the run's corrections, --init replaces them; leave one of them out"))
     if imported is not None and imported.suffix.lower() == ".eaf" and not person and (folder / PEOPLE).is_file():
         return _rename(folder, clip, imported, quiet, video=not no_video)
     if person is None:
@@ -226,7 +220,6 @@ def people_command(
 
         with Stop().listening() as stop:
             return page.serve(CastSession(folder, clip, video=not no_video), stop)
-    page.refuse("give --page")
     if save is not None:
         check_new(save, overwrite=overwrite)
     name = folder.name or str(folder)
@@ -432,8 +425,6 @@ def report_command(
     from facetrack_cli.run_folder.status import is_batch
     from facetrack_cli.runs.progress import progress
 
-    if truth is None:
-        reference.refuse(target=True)
     batch = is_batch(folder)
     refuse((batch and (truth or clip), "--truth and --clip are of one run; name its folder, or leave them out"))
     if not batch:
@@ -486,9 +477,6 @@ def plot_command(
     from facetrack_cli.report.figures.page import measures_figure, page_figure
     from facetrack_cli.run_folder.manifest import PLOT, read_run
     from facetrack_cli.trajectory.views import choose
-
-    if truth is None:
-        reference.refuse(target=False)
 
     def draw() -> Figure:
         table = read_run(trajectory)

@@ -183,7 +183,7 @@ def get(name: str) -> None:
 def completion_command(shell: str) -> None:
     """Print what makes a shell complete command lines.
 
-    It completes commands, options, recipes, folders of runs and files. Put the line of your shell
+    It completes commands, options, recipes, folders and files. Put the line of your shell
     where it begins: ~/.bashrc, ~/.zshrc (after compinit), ~/.config/fish/config.fish.
 
     \b

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
@@ -14,7 +14,7 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Command, Extent, Text, Whole, extent_options, flag, option, refuse, say
-from facetrack_cli.core.errors import ExitCode, InputError, UsageError
+from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError, about
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
@@ -151,10 +151,11 @@ def run_command(
     from facetrack_cli.engine.kernels import cache
     from facetrack_cli.run_folder.status import write_batch
     from facetrack_cli.runs.batch import expand, folders, run_batch, variant_name
+    from facetrack_cli.runs.clip import run
     from facetrack_cli.runs.plan import Job, Split, check_smoothing, follows_everyone
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.runs.workers import cores
+    from facetrack_cli.runs.workers import cores, share_threads
     from facetrack_cli.video.source import brings_rate, is_live
 
     recipe = _recipe(config, overrides, seed, gallery, extent, faces)
@@ -229,13 +230,18 @@ def run_command(
             for clip, folder in zip(clips, places, strict=True)
         ]
         if split is not None:
-            code = _chunks(todo[0], workers, stop, shown, shard or (1, 1))
+            from facetrack_cli.runs.split import run_chunks
+
+            with about(clips[0].name):
+                code = _one(run_chunks(todo[0], workers, stop, shown, shard or (1, 1)), stop, shown)
         elif cluster is not None and local is None:
             code = _several(todo, partial(run_cluster, where=cluster), stop, shown)
         elif several or remote:
             code = _several(todo, partial(run_batch, workers=workers), stop, shown)
-        else:  # whose error is the command's
-            code = _one(todo[0], stop, shown)
+        else:
+            share_threads(todo[0].threads)
+            shown.begin(clips[0].name)
+            code = _one([("", run(todo[0], stop, shown.update, shown.looked))], stop, shown)
     return ExitCode.DONE if code is ExitCode.LOST and not fail_on_lost else code
 
 
@@ -282,52 +288,31 @@ def _live(
     return stop.code or ExitCode.DONE
 
 
-def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
-    """Run one clip; its error is the command's."""
-    from facetrack_cli.runs.clip import run
-    from facetrack_cli.runs.workers import share_threads
-
-    share_threads(job.threads)
-    shown.begin(job.clip.name)
-    outcome = run(job, stop, shown.update, shown.looked)
+def _one(outcomes: Iterable[tuple[str, Outcome]], stop: Stop, shown: Progress) -> ExitCode:
+    """One clip, with "", after its chunks, if it has any. Their errors stop nothing; its own is the command's."""
+    whole, failed = None, False
+    for chunk, outcome in outcomes:
+        if not chunk:
+            whole = outcome
+        elif outcome.error is not None:
+            failed = True
+            shown.say(f"facetrack: warning: {chunk}: {outcome.error}")
+        elif outcome.again is None and outcome.frames:
+            shown.say(outcome.summary())
     shown.close()
-    if isinstance(outcome.error, BrokenPipeError):
-        raise outcome.error
-    _report(outcome, shown)
-    if outcome.error is not None:
-        raise outcome.error
-    return stop.code or (ExitCode.LOST if outcome.lost_at_end else ExitCode.DONE)
-
-
-def _chunks(job: Job, workers: int, stop: Stop, shown: Progress, shard: tuple[int, int]) -> ExitCode:
-    """Track the chunks of a clip and join them. A chunk that fails does not stop the others."""
-    from facetrack_cli.core.errors import about
-    from facetrack_cli.runs.split import run_chunks
-
-    whole = None
-    with about(job.clip.name):
-        for chunk, outcome in run_chunks(job, workers, stop, shown, shard):
-            if not chunk:
-                whole = outcome
-            elif outcome.error is not None:
-                shown.say(f"facetrack: warning: {chunk}: {outcome.error}")
-            elif outcome.again is None and outcome.frames:
-                shown.say(outcome.summary())
-        shown.close()
-        if whole is None:
-            return stop.code or ExitCode.DONE
-        if whole.error is not None and not whole.frames:
-            raise whole.error
+    if whole is None:
+        return stop.code or ExitCode.DONE
+    if whole.error is None or (whole.frames and not isinstance(whole.error, BrokenPipeError)):
         _report(whole, shown)
-        if whole.error is not None:
-            shown.error(f"facetrack: error: {whole.error}")
-            return stop.code or (ExitCode.INPUT if isinstance(whole.error, InputError) else ExitCode.BATCH)
+    if whole.error is not None:
+        if failed and isinstance(whole.error, FacetrackError):
+            whole.error.exit_code = ExitCode.BATCH
+        raise whole.error
     return stop.code or (ExitCode.LOST if whole.lost_at_end else ExitCode.DONE)
 
 
 def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
-    from facetrack_cli.core.errors import about
     from facetrack_cli.run_folder.status import clip_status, worst
     from facetrack_cli.runs.batch import check_all
 
@@ -351,9 +336,8 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress) -> Exit
     if stop.code is not None:
         return stop.code
     rows = [clip_status(job.out, job.out.name, str(job.clip)) for job in jobs if job.out is not None]
-    if any(row.look for row in rows):  # what failed has been told
-        for line in worst(rows):
-            shown.say(line)
+    for line in worst(rows) if any(row.look for row in rows) else ():  # what failed has been told
+        shown.say(line)
     if failed:
         again = f", {before} of them before; --retry-failed tries those again" if before else ""
         shown.say(f"{failed} of {len(jobs)} inputs failed{again}")

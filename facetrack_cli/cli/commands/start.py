@@ -121,8 +121,6 @@ def init_command(
 
     others = faces == "all" and (box is not None or pick)
     refuse((others, "--faces all is of a search; leave out --box and --pick"))
-    if not pick:
-        page.refuse("add --pick")
     path = None if out == "-" else Path(out) if out else default_path(clip)
     _check_files(clip, path, preview, overwrite)
     recipe = None if config is None else load_recipe(config)
