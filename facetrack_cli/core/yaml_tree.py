@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, StringMark, YAMLError
 
-from facetrack_cli.core.errors import RecipeError
+from facetrack_cli.core.errors import RecipeError, visible
 
 MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe has a page
 MAX_DEPTH = 20
@@ -62,11 +62,11 @@ class Span:
         line = lines[self.line] if self.line < len(lines) else ""
         first = 0 if self.column < 0.8 * EXCERPT_WIDTH else self.column - EXCERPT_WIDTH // 2
         shown = line[first : first + EXCERPT_WIDTH]
-        before = printable(shown[: self.column - first])
-        under = printable(shown[self.column - first : max(self.end, self.column + 1) - first])
+        before = visible(shown[: self.column - first])
+        under = visible(shown[self.column - first : max(self.end, self.column + 1) - first])
         gutter = f"{self.line + 1:>5} | " if self.source.is_file else "    "
         margin = f"{'|':>7} " if self.source.is_file else gutter
-        return f"{gutter}{printable(shown)}\n{margin}{' ' * cell_len(before)}{'^' * max(1, cell_len(under))}"
+        return f"{gutter}{visible(shown)}\n{margin}{' ' * cell_len(before)}{'^' * max(1, cell_len(under))}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +161,7 @@ def assign(root: Node, option: str, assignment: str) -> None:
 
     The value is YAML. Missing mappings on the way are made. Raises YamlProblems with the place.
     """
-    source = Source(f"{option} {printable(assignment)}", assignment, Path(), is_file=False)
+    source = Source(f"{option} {visible(assignment)}", assignment, Path(), is_file=False)
     path, equals, _ = assignment.partition("=")
     names = path.split(".")
     if not equals or "\n" in path or not all(map(str.strip, names)):
@@ -266,8 +266,3 @@ def _refused(event: Any) -> Iterator[str]:
 def _lines(text: str) -> Sequence[str]:
     """The lines as YAML counts them, as its marks do; at least one."""
     return re.split(r"\r\n|[\n\r\x85\u2028\u2029]", text)
-
-
-def printable(text: str) -> str:
-    """The text without what would break a line or a terminal."""
-    return "".join(char if char.isprintable() else " " if char == "\t" else "?" for char in text)

@@ -20,7 +20,6 @@ from facetrack_cli.core.yaml_tree import (
     YamlProblems,
     assign,
     parse,
-    printable,
     read_source,
 )
 from facetrack_cli.recipe.messages import problems
@@ -244,7 +243,7 @@ def gallery_file(file: str) -> Path:
     with suppress(OSError, ValueError):  # a name that the file system does not take
         if Path(file).is_file():
             return Path(file)
-    raise InputError(f"--gallery {printable(file)}: no such file; name one {_MADE_BY}")
+    raise InputError(f"--gallery {file}: no such file; name one {_MADE_BY}")
 
 
 def put_gallery(recipe: Recipe, file: str) -> Recipe:

@@ -1,16 +1,13 @@
 """The kinds of recipe and their JSON Schema; sections are in the files beside this. No numerics are imported here."""
 
-import ast
 import inspect
-import textwrap
 from collections.abc import Iterable, Mapping
-from functools import cache
-from itertools import pairwise
 from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar
 
 from pydantic import BaseModel, Field, PrivateAttr, TypeAdapter, ValidationError
+from pydantic._internal._docs_extraction import extract_docstrings_from_cls
 from pydantic.json_schema import GenerateJsonSchema
 
 from facetrack_cli.core.errors import RecipeError
@@ -399,29 +396,11 @@ class _Described(GenerateJsonSchema):
     def model_schema(self, schema: Any) -> dict[str, Any]:
         described = super().model_schema(schema)
         cls = schema["cls"]
-        texts = {name: text for base in reversed(cls.__mro__) for name, text in _docstrings(base).items()}
+        bases = (base for base in reversed(cls.__mro__) if issubclass(base, BaseModel))
+        texts = {name: text for base in bases for name, text in extract_docstrings_from_cls(base, True).items()}
         if type_of(cls):
             texts.setdefault("type", (inspect.getdoc(cls) or "").partition("\n\n")[0])
         for name, field in described.get("properties", {}).items():
             if name in texts:
                 field.setdefault("description", texts[name])
         return described
-
-
-@cache
-def _docstrings(model: type) -> dict[str, str]:
-    """The attributes of a model's own body and the docstrings below them; none without its source."""
-    if not issubclass(model, BaseModel) or model is BaseModel:
-        return {}
-    try:
-        source = inspect.getsource(model)
-    except (OSError, TypeError):
-        return {}
-    body = ast.parse(textwrap.dedent(source)).body[0]
-    assert isinstance(body, ast.ClassDef)
-    texts = {}
-    for field, below in pairwise(body.body):
-        match field, below:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                texts[name] = inspect.cleandoc(text)
-    return texts

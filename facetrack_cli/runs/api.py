@@ -21,7 +21,7 @@ from typing import Any, Final, Literal, TypeAlias
 import cv2
 import numpy as np
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, named_as_arguments
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS, DetectorName
 from facetrack_cli.core.npz import Kind, Stored, flat_value, read_value
 from facetrack_cli.core.numbers import dumps
@@ -47,7 +47,6 @@ Init: TypeAlias = str | Path | Start | Box
 IMAGES = "the images"
 
 
-@named_as_arguments()
 def track_video(
     path: str | Path,
     recipe: str | Path | Recipe | None = None,
@@ -148,8 +147,7 @@ def track_frames(
     if lag:
         check_smoothing(tracker.recipe)
     results = tracker._follow(frames_of_images(images, clock or (lambda index: index / fps)))
-    with named_as_arguments():
-        yield from lagged(results, lag) if lag else results
+    yield from lagged(results, lag) if lag else results
 
 
 class Recording:
@@ -199,7 +197,6 @@ class Recording:
         chosen, self._rate = chosen_recipe(recipe, None, None), _rate(fps)
         self.job = Job(Path(clip), chosen, Path(out), formats=tuple(formats), video=video, overwrite=overwrite)
 
-    @named_as_arguments()
     def __enter__(self) -> Recording:
         with contextlib.ExitStack() as opened:
             folder = opened.enter_context(RunFolder(resolve(self.job)))
@@ -347,7 +344,6 @@ class Tracker:
         if state is not None:
             self._load(Path(state))
 
-    @named_as_arguments()
     def update(self, image: Image, time_s: float | None = None) -> FrameResult | None:
         """Track one image more.
 

@@ -387,7 +387,7 @@ class Table(Sink):
     def __init__(self, out: Path | None, form: Format) -> None:
         self._form: Format = form
         self.path = None if out is None else out / f"trajectory.{form}"
-        self._sink: files.FileSink | files.StreamSink | None = None
+        self._sink: files.BytesSink | None = None
 
     def begin(self, clip: ClipFacts, header: Header, mark: files.Place | None) -> None:
         if self.path is None:

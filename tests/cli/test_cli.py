@@ -6,10 +6,8 @@ import types
 from pathlib import Path
 
 import click
-import numpy as np
 import pytest
 
-from facetrack_cli import Recording, track_frames, track_video
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli import app as cli
 from facetrack_cli.core import __version__
@@ -303,16 +301,6 @@ def test_init_finds_all_faces_of_a_frame(tmp_path, capsys):
     capsys.readouterr()
     assert main(["init", str(tmp_path / "two"), "--faces", "all", "--box", "1,1,50,50"]) == ExitCode.USAGE
     assert "leave out --box" in capsys.readouterr().err
-
-
-def test_errors_for_python_name_its_arguments(tmp_path):
-    with pytest.raises(InputError, match=r"change start or stop, or begin elsewhere with init or a box as init$"):
-        track_video(FOLDER / "map.mp4", "mil", start=5, stop=9)
-    with pytest.raises(InputError, match=r"give its box with a box as init .*, an init file with init FILE"):
-        [*track_frames([np.zeros((60, 80, 3), np.uint8)], "face")]
-    (tmp_path / "out").write_text("")
-    with pytest.raises(OutputError, match=r"name another with out$"), Recording(tmp_path / "out", "sir"):
-        pass
 
 
 def test_a_project_is_a_folder(capsys):

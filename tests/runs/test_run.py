@@ -366,7 +366,7 @@ def test_a_full_disk_keeps_what_was_tracked(run, clip, monkeypatch):
     write = FileSink._write
 
     def full(self, data):
-        room = 5000 - self._written
+        room = 5000 - self._file.tell()
         write(self, data if self.path.suffix != ".csv" else data[: max(room, 0)])
         if self.path.suffix == ".csv" and len(data) > room:
             self._full = True
