@@ -21,8 +21,7 @@ import click
 from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.core.errors import ExitCode, UsageError
-from facetrack_cli.core.errors import write_line as say
+from facetrack_cli.core.errors import ExitCode, UsageError, write_line
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
@@ -169,6 +168,7 @@ class Option(click.Option):
         return self._variable(ctx) if source is ParameterSource.ENVIRONMENT else super().get_error_hint(ctx)
 
 
+say = write_line  # on standard error
 option = functools.partial(click.option, cls=Option)
 flag = functools.partial(option, is_flag=True)
 

@@ -265,11 +265,8 @@ def calibrated(settings: Mapping[str, Any]) -> bool:
 
     The calibration of a shipped recipe holds for that recipe, unchanged. Any other file is taken to fit.
     """
-    for file in (files := _files(settings)):
-        ours = _shipped(PurePath(file).stem)
-        if ours is not None and file == ours["confidence"]["calibration"] and _bare(completed(settings)) != ours:
-            return False
-    return bool(files)
+    files = _files(settings)
+    return bool(files) and all(_shipped(file) in (None, _bare(completed(settings))) for file in files)
 
 
 def fitted(settings: Mapping[str, Any]) -> bool:
@@ -287,12 +284,13 @@ def _files(settings: Mapping[str, Any]) -> list[str]:
 
 
 @lru_cache
-def _shipped(name: str) -> dict[str, Any] | None:
-    """The settings of the shipped recipe of this name that has a calibration; None if there is none."""
-    if all(file.stem != name for file in shipped_recipes()):
+def _shipped(file: str) -> dict[str, Any] | None:
+    """The settings of the shipped recipe whose calibration this is; None for a file of somebody else."""
+    name = PurePath(file).stem
+    if all(recipe.stem != name for recipe in shipped_recipes()):
         return None
     ours = _bare(to_dict(load_recipe(name, installed=False)))  # whatever networks this machine has
-    return ours if (ours.get("confidence") or {}).get("calibration") else None
+    return ours if file == (ours.get("confidence") or {}).get("calibration") else None
 
 
 def _bare(settings: Mapping[str, Any]) -> dict[str, Any]:

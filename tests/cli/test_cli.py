@@ -19,7 +19,6 @@ from facetrack_cli.video.source import open_source
 from tests.fuzz import guided
 from tests.support.media import write_pictures
 from tests.support.samples import FOLDER
-from tests.support.terminal import read_all
 
 HEAVY = {"numpy", "cv2", "numba", "pydantic", "rich", "imageio", "imageio_ffmpeg", "ruamel"}
 PACKAGE = Path(cli.__file__).parents[1]
@@ -152,17 +151,17 @@ def test_a_command_has_an_example_and_help_of_80_columns_and_twelve_options(name
         (click.UsageError("No such thing."), 2, "error: No such thing (see facetrack boom --help)"),
         (click.FileError("x.csv", "gone"), 2, "error: Could not open file 'x.csv': gone"),
         (KeyboardInterrupt(), 130, "interrupted"),
+        (
+            RecipeError("r.yaml:1:2: wrong", "    1 | ab\n      |  ^"),
+            2,
+            "error: r.yaml:1:2: wrong\n    1 | ab\n      |  ^",
+        ),
     ],
 )
 def test_an_error_is_one_line(boom, capsys, error, code, said):
     assert boom(raising(error)) == code
     out, err = capsys.readouterr()
     assert out == "" and err.strip() == f"facetrack: {said}"
-
-
-def test_a_recipe_error_has_its_excerpt(boom, capsys):
-    assert boom(raising(RecipeError("r.yaml:1:2: wrong", "    1 | ab\n      |  ^"))) == 2
-    assert capsys.readouterr().err == "facetrack: error: r.yaml:1:2: wrong\n    1 | ab\n      |  ^\n"
 
 
 def test_a_crash_is_an_internal_error_in_one_line(boom, capsys, monkeypatch):
@@ -200,6 +199,10 @@ def test_a_command_may_return_its_exit_code_or_leave_with_it(boom, code):
         (["recipes", "show"], "Missing argument 'RECIPE' (see facetrack recipes show --help)"),
         (["people", "out", "--save", "p.txt"], "p.txt: cannot tell the kind of file; let its name end in .npz"),
         (["export", "run"], "Missing option '--to'. Choose from: csv-wide, pose,"),
+        (
+            ["app", str(FOLDER / "map.mp4")],
+            "map.mp4: is a file; name a folder for the project, and add clips on its page",
+        ),
         (["recipes", "show", "factorised"], '"factorised" is neither a file nor a shipped recipe; did you mean'),
     ],
 )
@@ -260,25 +263,12 @@ def test_every_shipped_recipe_has_one_task():
     assert {default_recipe(box=False), default_recipe(box=True)} <= {*TAKE}
 
 
-@pytest.mark.skipif(os.name == "nt", reason="needs a pseudo-terminal")
-def test_on_a_terminal_there_are_a_table_and_colours():
-    def seen(*arguments, **environment):
-        import pty
-
-        ours, theirs = pty.openpty()
-        command = [sys.executable, "-m", "facetrack_cli", *arguments]
-        plain = {name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "FORCE_COLOR")}
-        terminal = {**plain, "TERM": "xterm-256color", "COLUMNS": "80", **environment}
-        with subprocess.Popen(command, stdout=theirs, stderr=theirs, env=terminal) as process:
-            os.close(theirs)
-            said = read_all(ours)
-        assert process.returncode == 0
-        return said
-
-    table = seen("recipes")
-    assert "a face and its features" in table and "\x1b[1m" in table and "\t" not in table
-    plain = re.sub(r"\x1b\[[0-9;]*m", "", table)
-    marked = [line.split()[1] for line in plain.splitlines() if line.startswith("-> ") and "is the one" not in line]
+def test_on_a_terminal_recipes_are_listed_by_task(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert main(["recipes"]) == 0
+    listed = capsys.readouterr().out
+    assert all(f"{task}:" in listed for task in TASKS) and "\t" not in listed
+    marked = re.findall(r"^  -> (\w+) ", listed, re.MULTILINE)
     assert marked == [*TAKE] == ["face", "correlation_filter", "signer", "adaptive_recognition"]
 
 
@@ -301,11 +291,6 @@ def test_init_finds_all_faces_of_a_frame(tmp_path, capsys):
     capsys.readouterr()
     assert main(["init", str(tmp_path / "two"), "--faces", "all", "--box", "1,1,50,50"]) == ExitCode.USAGE
     assert "leave out --box" in capsys.readouterr().err
-
-
-def test_a_project_is_a_folder(capsys):
-    assert main(["app", str(FOLDER / "map.mp4")]) == ExitCode.USAGE
-    assert "map.mp4: is a file; name a folder for the project, and add clips on its page" in capsys.readouterr().err
 
 
 @pytest.fixture

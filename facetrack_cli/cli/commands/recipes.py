@@ -121,20 +121,11 @@ def _list() -> None:
         for recipe in recipes:
             click.echo(f"{recipe.name}\t{recipe.particles or '-'}\t{descriptions[recipe.name]}")
         return
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
+    table = click.get_current_context().make_formatter()
     for task, names in TASKS.items():
-        console.print(f"[bold]{task}[/bold]")
-        group = Table(box=None, pad_edge=False, show_header=False)
-        group.add_column(width=2)
-        group.add_column(no_wrap=True, style="bold")
-        group.add_column()
-        for name in names:
-            group.add_row("->" if name in TAKE else "", name, descriptions[name])
-        console.print(group)
-    console.print("-> is the one to take; docs/recipes.md says when another")
+        with table.section(task):
+            table.write_dl([(f"{'->' if name in TAKE else '  '} {name}", descriptions[name]) for name in names])
+    click.echo(f"{table.getvalue()}\n-> is the one to take; docs/recipes.md says when another")
 
 
 @click.group(name="models", invoke_without_command=True)
@@ -270,16 +261,12 @@ def fit_gallery(
         faces = read_faces(people, reading, warn, lambda done: shown.update(done, total))
     try:
         gallery = fit(
-            faces.patches,
-            faces.persons,
-            template,
-            images=faces.images,
-            negatives=faces.negatives,
+            faces.patches, faces.persons, template, images=faces.images, negatives=faces.negatives,
             proportion=faces.proportion,
-        )
+        )  # fmt: skip
     except InputError as e:
-        more = "" if jitter else ", or let copies stand for it with --jitter 4"
-        raise InputError(f"{folder}: {e}{more}") from None
+        copies = "" if jitter else ", or let copies stand for it with --jitter 4"
+        raise InputError(f"{folder}: {e}{copies}") from None
     gallery.save(out)
     if quiet:
         return
