@@ -1,7 +1,6 @@
 """--log-format json: an object a line on standard error; NO_COLOR."""
 
 import json
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from facetrack_cli.core.errors import LOG_FORMAT, log_line
 from facetrack_cli.recipe.load import find_recipe, read_recipe
 from facetrack_cli.runs import progress as module
 from facetrack_cli.runs.progress import progress
-from facetrack_cli.video.writer import VideoWriter
+from tests.support.media import write_video
 from tests.support.samples import FOLDER
 
 
@@ -60,11 +59,8 @@ def test_lines_of_several_clips_say_which(tmp_path, capfd):
 
 def test_the_search_for_a_face_is_told(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(module, "EVERY_JSON_S", 0.0)
-    clip = tmp_path / "nobody.mp4"
-    with VideoWriter(clip, (96, 96), Fraction(25)) as video:
-        for i in range(12):
-            video.write(np.full((96, 96, 3), 90, np.uint8), i / 25)
-    assert main(["--log-format", "json", "run", str(clip), "-o", str(tmp_path / "out")]) == 3
+    write_video(tmp_path / "nobody.mp4", frames=[np.full((96, 96, 3), 90, np.uint8)] * 12)
+    assert main(["--log-format", "json", "run", str(tmp_path / "nobody.mp4"), "-o", str(tmp_path / "out")]) == 3
     steps = [one for one in objects(capfd.readouterr().err) if "progress" in one["message"]]
     assert {one["message"] for one in steps} == {"progress, looking for a face"}
     assert [one["done"] for one in steps] == [*range(1, 13)] and {one["total"] for one in steps} == {12}

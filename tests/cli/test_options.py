@@ -46,10 +46,8 @@ def test_what_is_completed(line, first, words):
 
 
 def test_recipes_are_completed_without_loading_anything_heavy():
-    done = facetrack(
-        flags=["-X", "importtime"],
-        _FACETRACK_COMPLETE="bash_complete", COMP_WORDS="facetrack run --config f", COMP_CWORD="3",
-    )  # fmt: skip
+    words = {"_FACETRACK_COMPLETE": "bash_complete", "COMP_WORDS": "facetrack run --config f", "COMP_CWORD": "3"}
+    done = facetrack(flags=["-X", "importtime"], **words)
     imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
     assert "plain,face" in done.stdout.split() and "facetrack_cli.cli.options" in imported
     assert {name.partition(".")[0] for name in imported} & HEAVY == set()
@@ -99,13 +97,14 @@ def test_the_order_is_command_line_environment_ours(given, words, variables, opt
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("RUN_JOBS", "x", "Invalid value for FACETRACK_RUN_JOBS: 'x' is not a valid whole number"),
-        ("RUN_QUIET", "maybe", "Invalid value for FACETRACK_RUN_QUIET: 'maybe' is not a valid boolean"),
-        ("LOG_FORMAT", "xml", "Invalid value for FACETRACK_LOG_FORMAT: 'xml' is not one of 'text', 'json'"),
+        ("RUN_JOBS", "x", "'x' is not a valid whole number"),
+        ("RUN_QUIET", "maybe", "'maybe' is not a valid boolean"),
+        ("LOG_FORMAT", "xml", "'xml' is not one of 'text', 'json'"),
     ],
 )
 def test_a_wrong_variable_is_one_line(given, name, value, said):
-    assert refusal(given("run", "a.mp4", **{name: value}), 2).startswith(f"facetrack: error: {said}")
+    line = refusal(given("run", "a.mp4", **{name: value}), 2)
+    assert line.startswith(f"facetrack: error: Invalid value for FACETRACK_{name}: {said}")
 
 
 def test_commands_below_commands_have_theirs(given):

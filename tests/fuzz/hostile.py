@@ -1,13 +1,10 @@
-"""Damage to bytes, texts, trees and arrays: functions of a random.Random, the same for the same seed."""
+"""Damage to bytes, texts and arrays: functions of a random.Random, the same for the same seed."""
 
 from __future__ import annotations
 
-import copy
 import io
-import json
 import re
 import zipfile
-from collections.abc import Iterator
 from random import Random
 from typing import Any
 
@@ -24,10 +21,6 @@ WORDS = (
     "a:b", "\\ud800", "\\u0000", "type", "frame", "box", "nose", "NOSE", "=1+1", "<script>alert(1)</script>", "|", ">",
     "%", "@",
 )  # fmt: skip
-VALUES: tuple[Any, ...] = (
-    *(None, True, False, 0, -1, 1, 0.5, 1e308, -1e308, float("nan"), float("inf"), 2**31, 2**63, 10**40, 1e-320, ""),
-    *("x", "nan", "0.1", "\x1b[2J", "\ud800", "a" * 10_000, [], {}, [[]], [None], {"": {}}, [1, 2, 3], [0.1] * 1000),
-)
 
 
 def data(rng: Random, whole: bytes) -> bytes:
@@ -58,19 +51,7 @@ def _damaged(rng: Random, whole: bytes) -> bytes:
         new = rng.choice((b"\0", b"\xff\xfe", b"\xed\xa0\x80", b"\r", b"\n\n", rng.randbytes(40)))
         return whole[:a] + new + whole[a:]
     if how == "replace":
-        others = (
-            b"",
-            b"\n",
-            b"\0" * 1000,
-            b"{}",
-            b"[]",
-            b"null",
-            b"---\n",
-            b"PK\x03\x04",
-            b"%PDF-1.7\n",
-            b"\x89PNG\r\n",
-        )
-        return rng.choice(others)
+        return rng.choice((b"", b"\n", b"\0" * 1000, b"{}", b"[]", b"null", b"---\n", b"PK\x03\x04", b"%PDF-1.7\n"))
     text = whole.decode("utf-8", "replace")
     recoded = (text.encode("utf-16"), text.encode("utf-32"), text.encode("latin-1", "replace") + b"\xe9")
     return rng.choice((b"\xef\xbb\xbf" + whole, whole.replace(b"\n", b"\r\n"), whole.replace(b"\n", b"\r"), *recoded))
@@ -94,42 +75,6 @@ def _at(rng: Random, pattern: str, whole: str, values: tuple[str, ...]) -> str:
     # places at the start are chosen more often: headers, and the first frames
     one = found[min(rng.randrange(len(found)), rng.randrange(len(found)))]
     return whole[: one.start()] + rng.choice(values) + whole[one.end() :]
-
-
-def tree(rng: Random, whole: Any) -> bytes:
-    """A tree of lists and mappings with hostile values, keys or depth, as JSON, which is YAML too."""
-    whole = {"": copy.deepcopy(whole)}
-    for _ in range(rng.choice((1, 1, 2, 3))):
-        places = list(_places(whole))
-        holder, key = places[min(rng.randrange(len(places)), rng.randrange(len(places)))]
-        how = rng.choice(("value", "value", "value", "delete", "unknown", "deep", "many", "rename"))
-        if how == "value":
-            holder[key] = copy.deepcopy(rng.choice(VALUES))
-        elif how == "delete" and holder is not whole:
-            del holder[key]
-        elif how == "unknown" and isinstance(holder, dict) and holder is not whole:
-            holder[rng.choice(WORDS)] = copy.deepcopy(rng.choice(VALUES))
-        elif how == "deep":
-            depth = rng.choice((3, 60, 900))
-            holder[key] = json.loads("[" * depth + "1" + "]" * depth)
-        elif how == "many":
-            holder[key] = [holder[key]] * rng.choice((2, 500))
-        elif how == "rename" and isinstance(holder, dict) and holder is not whole:
-            holder[rng.choice(WORDS)] = holder.pop(key)
-    return json.dumps(whole[""], ensure_ascii=rng.random() < 0.5).encode("utf-8", "surrogatepass")
-
-
-def _places(holder: Any) -> Iterator[tuple[Any, Any]]:
-    """Every place in a tree, in the order of breadth, so that those near the root come first."""
-    level = [holder]
-    while level:
-        below = []
-        for one in level:
-            for key, value in list(one.items() if isinstance(one, dict) else enumerate(one)):
-                yield one, key
-                if isinstance(value, (dict, list)) and value:
-                    below.append(value)
-        level = below
 
 
 class Opens:
