@@ -131,11 +131,8 @@ def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
     try:
         text = data.decode()
     except UnicodeDecodeError as error:
-        before = data[: error.start].decode()
-        lines = _lines(before)
-        span = Span(Source(name, before, path.parent), len(lines) - 1, len(lines[-1]), 0)
-        message = f"byte 0x{data[error.start]:02x} is not UTF-8; is it a text file? Save it as UTF-8"
-        raise YamlProblems(Problem(span, message)) from None
+        message = f"byte {error.start + 1} is not UTF-8; is it a text file? Save it as UTF-8"
+        raise YamlProblems(Problem(start, message)) from None
     return Source(name, text, path.parent)
 
 

@@ -23,7 +23,7 @@ from facetrack_cli.core.yaml_tree import (
     read_source,
 )
 from facetrack_cli.recipe.messages import problems
-from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, completed, to_dict
+from facetrack_cli.recipe.model import KINDS, ParticleRecipe, ParticlesRecipe, Recipe, above, completed, to_dict
 from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.trackers.appearance.settings import AffineSettings
 
@@ -110,7 +110,17 @@ def load_recipe(
     """
     if isinstance(overrides, Mapping):
         overrides = [f"{key}={json.dumps(value)}" for key, value in overrides.items()]
-    return _load(find_recipe(name_or_path), overrides, installed=installed)
+    path = find_recipe(name_or_path)
+    source = read_recipe(path)
+    recipe, more = _made(path, source, tuple(overrides)), list[str]()
+    for name, head in recipe.heads.items():
+        network, key = head.landmarks.network, f"{above(name)}head.landmarks."
+        if network == "auto":
+            network = "mesh" if installed and model_path("mesh") else None
+            more.append(f"{key}network={network or 'null'}")
+        if head.landmarks.iris == "auto":
+            more.append(f"{key}iris={'iris' if network and installed and model_path('iris') else 'null'}")
+    return _made(path, source, (*overrides, *more)) if more else recipe  # what continues a run uses the same networks
 
 
 def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Problem]:
@@ -132,7 +142,7 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
         Where there is no such recipe.
     """
     try:
-        files_of(_load(find_recipe(name_or_path), overrides))
+        files_of(load_recipe(name_or_path, overrides))
     except YamlProblems as refused:
         return list(refused.problems)
     return []
@@ -150,19 +160,6 @@ def files_of(recipe: Recipe) -> list[Path]:
         if head.landmarks.network not in (None, "mesh"):
             files[f"{above(name)}head.landmarks.network"] = head.landmarks.network
     return [resolve_file(recipe, file, key) for key, file in files.items()]
-
-
-def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Recipe:
-    source = read_recipe(path)
-    recipe, more = _made(path, source, tuple(overrides)), []
-    for name, head in recipe.heads.items():
-        network, key = head.landmarks.network, f"{above(name)}head.landmarks."
-        if network == "auto":
-            network = "mesh" if installed and model_path("mesh") else None
-            more.append(f"{key}network={network or 'null'}")
-        if head.landmarks.iris == "auto":
-            more.append(f"{key}iris={'iris' if network and installed and model_path('iris') else 'null'}")
-    return _made(path, source, (*overrides, *more)) if more else recipe  # what continues a run uses the same networks
 
 
 @lru_cache(8)  # a run asks twice, once to see whether its calibration holds
@@ -183,18 +180,14 @@ def _made(path: Path, source: Source, overrides: tuple[str, ...]) -> Recipe:
 
 
 def _kind(root: Node) -> type[Recipe]:
-    """The model of a recipe by its `type`: a particle filter where none is given."""
+    """The model of a recipe by its `type`: a particle filter where none is given, or several."""
     keys = root.value if isinstance(root.value, dict) else {}
-    kind, targets = keys.get("type"), keys.get("targets")
-    if targets and "target" not in keys and (kind is None or kind.value == "particle_filter"):
-        message = '"targets" is a key of several particle filters; write type: particle_filters'
-        raise YamlProblems(Problem(kind.span if kind else targets.key or targets.span, message))
-    if kind is None:
-        return ParticleRecipe
-    name = kind.value if isinstance(kind.value, str) else ""
+    if (given := keys.get("type")) is None:
+        return ParticlesRecipe if "targets" in keys and "target" not in keys else ParticleRecipe
+    name = given.value if isinstance(given.value, str) else ""
     if name not in KINDS:
         hint = suggest(name, list(KINDS), "it is one of")
-        raise YamlProblems(Problem(kind.span, f'unknown type of recipe "{name}"; {hint}'))
+        raise YamlProblems(Problem(given.span, f'unknown type of recipe "{name}"; {hint}'))
     return KINDS[name]
 
 
@@ -217,11 +210,10 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
                 raise UsageError(f"--gallery is missing: {who}; {remedy}")
         return list(recipes)
     gallery_file(file)
-    recognising = any(map(_recognising, recipes))
-    if not recognising and not any(map(_affine, recipes)):
+    takes = _recognising if any(map(_recognising, recipes)) else _affine
+    if not any(map(takes, recipes)):
         what = f"{recipes[0].name} follows no affine target, by which alone people are recognised"
         raise UsageError(f"--gallery: {what}; take adaptive_recognition, or leave --gallery out")
-    takes = _recognising if recognising else _affine
     return [put_gallery(recipe, file) if takes(recipe) else recipe for recipe in recipes]
 
 

@@ -311,8 +311,6 @@ def test_every_format_goes_to_standard_output_and_beside_the_trajectory(track, t
     [
         (["--to", "otb", "--target", "hand"], 2, "has no 'hand'; choose among face, face/nose, face/lip_upper"),
         (["--to", "eaf", "--media", "nowhere.mp4"], 3, "nowhere.mp4: no such file; correct --media"),
-        (["--to", "mot", "--media", "x.mp4"], 2, "--media is for openface, coco, eaf, cvat, labelstudio"),
-        (["--to", "dlc", "--box", "points"], 2, "dlc has no boxes"),
         (["--to", "eaf", "--drop-lost"], 2, "--drop-lost is not for eaf"),
         (["--to", "eaf"], 3, "trajectory.csv: does not name its video"),
         (["--to", "coco"], 3, "trajectory.csv: does not say how large and how fast its frames are"),

@@ -295,7 +295,7 @@ WRONG = {
     "list": ("- a\n- b\n", 1, 1, "a recipe is a mapping of keys", "-"),
     "empty": ("", 1, 1, "the recipe is empty; start from a shipped", None),
     "deep": (GOOD + "seed: " + "[" * 5000, 14, 27, "nested more than 20 deep", "["),
-    "not UTF-8": (GOOD.encode() + b"seed: \xff\xfe", 14, 7, "byte 0xff is not UTF-8", None),
+    "not UTF-8": (b"seed: \xff\xfe", 1, 1, "byte 7 is not UTF-8", None),
     "two documents": (GOOD + "---\n" + GOOD, 14, 1, "expected a single document", None),
     "escape": (GOOD + 'seed: "\\UFFFFFFFF"', 1, 1, "not valid YAML", None),
     "too large": ("#" * (MAX_BYTES + 1), 1, 1, "larger than 100 kB", None),

@@ -112,8 +112,7 @@ def test_no_noise_is_a_length_of_dynamics():
 @pytest.mark.parametrize(
     ("old", "new", "marked", "said"),
     [
-        ("type: particle_filters\n", "", "targets", '"targets" is a key of several particle filters'),
-        ("type: particle_filters\n", "type: particle_filter\n", "particle_filter", "write type: particle_filters"),
+        ("type: particle_filters\n", "", "d", 'the recipe lacks the key "type"; add it'),
         ("  left_hand:\n", "  left_hand:\n    colour: red\n", "colour", 'unknown key "colour" in "targets.left_hand"'),
         ("inner: 1.0}", "iner: 1.0}", "iner", 'unknown key "iner" in "targets.head.likelihood.skin"; did you mean'),
         ("  right_hand:\n", "  left_hand:\n", "left_hand", 'the key "left_hand" is repeated'),

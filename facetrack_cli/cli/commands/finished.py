@@ -14,7 +14,7 @@ import click
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import Command, flag, frame_at, moment, option, refuse, say, words, working
 from facetrack_cli.core.errors import ExitCode, InputError, UsageError
-from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_BOXES, OF_MEDIA
+from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_MEDIA
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -113,25 +113,20 @@ def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) ->
 
     folder = fixer.run.folder
     unsaved, left_out = folder / UNSAVED, list[str]()
-
-    def note(line: str) -> None:
-        left_out.append(line)
-        if not quiet:
-            say(f"facetrack: warning: {line}")
-
     if unsaved.is_file() and not (file.is_file() and file.samefile(unsaved)):
-        raise UsageError(
-            f"{unsaved}: corrections that were not saved are there; facetrack fix {folder} goes on with them, "
-            f"--init {unsaved} takes them; or remove it"
-        )
+        remedy = f"facetrack fix {folder} goes on with them, --init {unsaved} takes them; or remove it"
+        raise UsageError(f"{unsaved}: corrections that were not saved are there; {remedy}")
     if not adds:
         corrections = corrections_of(file, fixer.run)
-    elif not (corrections := imported_corrections(file, fixer.run, fixer.rows, note)):
-        say(f"facetrack: {file} is {'otherwise ' * bool(left_out)}as the run has it; nothing was written")
-        return ExitCode.DONE
     else:
         parts, find = fixer.run.parts, fixer.find
-        corrections = tuple(merged(fix, find(fix.frame, fix.target), parts[fix.target]) for fix in corrections)
+        found = imported_corrections(file, fixer.run, fixer.rows, left_out.append)
+        for line in () if quiet else left_out:
+            say(f"facetrack: warning: {line}")
+        if not found:
+            say(f"facetrack: {file} is {'otherwise ' * bool(left_out)}as the run has it; nothing was written")
+            return ExitCode.DONE
+        corrections = tuple(merged(fix, find(fix.frame, fix.target), parts[fix.target]) for fix in found)
     with working(quiet, folder.name or str(folder), f"{folder} is as it was") as (stop, shown):
         (fixer.put if adds else fixer.apply)(corrections, report=shown.update, stop=stop)
         if adds:
@@ -331,8 +326,6 @@ def export_command(
     to = ALIASES.get(to, to)
     refuse(
         (into and to != "eaf", f"--into adds the tiers of eaf to a file of ELAN; {to} has none"),
-        (media and to not in OF_MEDIA, f"--media is for {', '.join(OF_MEDIA)}; {to} does not name the clip"),
-        (box and to not in OF_BOXES, f"--box is for {', '.join(OF_BOXES)}; {to} has no boxes"),
         (drop_lost and to == "eaf", "--drop-lost is not for eaf, which has a tier for what was lost; leave it out"),
         (out == "-" and to == "dlc-h5", "dlc-h5 is not text, and does not go to standard output; name a file with -o"),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -112,21 +112,28 @@ def init_command(
       facetrack init clip.mp4 --pick --open
       facetrack init frames/ -o - > start.yaml
     """
+    from facetrack_cli.core.files import check_new
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.runs.plan import ClipRequest
     from facetrack_cli.runs.progress import progress
-    from facetrack_cli.start.init_file import default_path, write_init
+    from facetrack_cli.start.init_file import SUFFIXES, default_path, write_init
     from facetrack_cli.trackers.face.detectors import detector
     from facetrack_cli.video.overlay import write_preview
 
     others = faces == "all" and (box is not None or pick)
     refuse((others, "--faces all is of a search; leave out --box and --pick"))
     path = None if out == "-" else Path(out) if out else default_path(clip)
-    _check_files(clip, path, preview, overwrite)
+    if path is not None and path.suffix.lower() not in SUFFIXES:
+        raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
+    for file in filter(None, (path, preview)):  # before the search what would be refused after it
+        check_new(file, overwrite=overwrite)
+    if preview is not None and clip.is_dir() and preview.parent.resolve() == clip.resolve():
+        raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
     recipe = None if config is None else load_recipe(config)
+    run = _run_with(path, clip, config, recipe)
     if pick:
-        run = _run_with(path, clip, config, recipe)
-        return _pick(clip, path, recipe, init_frame, box, preview, page, run, overwrite=overwrite)
+        how: dict[str, Any] = {"recipe": recipe, "frame": init_frame, "box": box, "preview": preview, "next_": run}
+        return _pick(clip, path, page, overwrite=overwrite, **how)
     by = None if box is not None else detector().name
     request = ClipRequest(clip, init=by, faces=faces, box=box, init_frame=init_frame)
     with progress(path is None) as shown:
@@ -140,21 +147,8 @@ def init_command(
     else:
         write_init(path, start, clip=clip.name, overwrite=overwrite)
         what = ", ".join(start.targets) if len(start.targets) > 1 else "a face"
-        say(f"{path}: {what} in frame {start.frame}; edit it, then: {_run_with(path, clip, config, recipe)}")
+        say(f"{path}: {what} in frame {start.frame}; edit it, then: {run}")
     return ExitCode.DONE
-
-
-def _check_files(clip: Path, path: Path | None, preview: Path | None, overwrite: bool) -> None:
-    """Refuse before the search what would be refused after it."""
-    from facetrack_cli.core.files import check_new
-    from facetrack_cli.start.init_file import SUFFIXES
-
-    if path is not None and path.suffix.lower() not in SUFFIXES:
-        raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
-    for file in filter(None, (path, preview)):
-        check_new(file, overwrite=overwrite)
-    if preview is not None and clip.is_dir() and preview.parent.resolve() == clip.resolve():
-        raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
 
 
 def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe | None) -> str:
@@ -169,28 +163,22 @@ def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe 
     return f"facetrack run {clip}{words}"
 
 
-def _pick(
-    clip: Path, path: Path | None, recipe: Recipe | None, frame: int | None, box: Box | None, preview: Path | None,
-    page: Page, run: str, *, overwrite: bool,
-) -> int:  # fmt: skip
-    """Let somebody choose on the page; the exit code."""
+def _pick(clip: Path, path: Path | None, page: Page, *, overwrite: bool, **how: Any) -> int:
+    """Let somebody choose on the page, with `how` of its session; the exit code."""
     from facetrack_cli.editor.pick_session import NOTHING, PickSession
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.start.init_file import default_path, read_init, write_init
 
     beside, start = path or default_path(clip), NOTHING
     unsaved = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
-    source = unsaved if box is None and unsaved.is_file() else path
+    source = unsaved if how["box"] is None and unsaved.is_file() else path
     if source is not None and source.is_file():
         try:
             start = read_init(source)
         except InputError as e:  # it will be replaced in any case
             say(f"facetrack: warning: {e}; the page begins without it")
     with Stop().listening() as stop:
-        session = PickSession(
-            clip, out=path, overwrite=overwrite, recipe=recipe, frame=frame, box=box, previous=start,
-            next_=run, preview=preview, unsaved=unsaved,
-        )  # fmt: skip
+        session = PickSession(clip, out=path, overwrite=overwrite, previous=start, unsaved=unsaved, **how)
         code = page.serve(session, stop)
     if code == ExitCode.DONE and source == unsaved:
         unsaved.unlink(missing_ok=True)
