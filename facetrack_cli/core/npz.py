@@ -16,8 +16,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
-from typing import IO, Any, BinaryIO, Final, TypeAlias, TypeVar
-from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
+from typing import Any, BinaryIO, Final, TypeAlias, TypeVar
+from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,19 +140,13 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], blocks: Sequenc
     """
     try:
         with ZipFile(temporary_path(path), "w", ZIP_DEFLATED, compresslevel=1) as archive:
-
-            def member(name: str) -> IO[bytes]:
-                info = ZipInfo(name)  # of 1980
-                info.compress_type = ZIP_DEFLATED
-                return archive.open(info, "w")
-
             for name, array in arrays.items():
-                with member(f"{name}.npy") as file:
+                with archive.open(f"{name}.npy", "w") as file:  # of 1980
                     np.lib.format.write_array(file, array, allow_pickle=False)
-            for block in blocks:
-                with ZipFile(block) as before:
-                    for name in before.namelist():
-                        with before.open(name) as old, member(name) as file:
+            for block in map(ZipFile, blocks):
+                with block:
+                    for name in block.namelist():
+                        with block.open(name) as old, archive.open(name, "w") as file:
                             shutil.copyfileobj(old, file)
     except (OSError, BadZipFile) as e:
         raise cannot_write(path, e if isinstance(e, OSError) else OSError(errno.EIO, str(e))) from e

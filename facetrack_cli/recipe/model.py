@@ -14,7 +14,6 @@ from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.yaml_tree import Node, Problem, Source, Span, YamlProblems
 from facetrack_cli.recipe import sections
-from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.sections import (
     Component,
     FilterSettings,
@@ -216,7 +215,7 @@ class Recipe(Section):
     def span(self, key: str) -> Span:
         """The place of a key of this recipe, as of `prior.file`, or of the nearest above it."""
         nowhere = Span(Source(str(self._path), "", self._path.parent), 0, 0, 1)
-        return nowhere if self._root is None else locate(self._root, tuple(key.split(".")))[0].span
+        return nowhere if self._root is None else self._root.at(key.split("."))[0].span
 
     def error(self, key: str, message: str) -> RecipeError:
         """An error that points at a key of this recipe; for rules that only building can check."""

@@ -249,7 +249,7 @@ class Length:
         return f"{self.value!r}px".replace(".0px", "px") if self.px else self.value
 
     @classmethod
-    def read(cls, value: object) -> Length:
+    def read(cls, value: Any) -> Length:
         """From what stands in a recipe; raises PydanticCustomError (a ValueError)."""
         value = value.written() if isinstance(value, Length) else value
         px = isinstance(value, str) and re.fullmatch(NUMBER + " ?px", value) is not None

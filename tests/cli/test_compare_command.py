@@ -120,8 +120,10 @@ def test_an_interrupt_keeps_what_is_complete(facetrack, monkeypatch):
 
 
 def test_what_does_not_fit_the_truth_is_told_before_anything_runs(facetrack, monkeypatch):
-    boxes = "".join(f"{n},106,74,106,106\n" for n in range(4))
-    Path("boxes.csv").write_text("frame,x,y,w,h\n" + boxes, encoding="utf-8")
+    def truth(left):
+        Path("boxes.csv").write_text("frame,x,y,w,h\n" + "".join(f"{n},{left},74,106,106\n" for n in range(4)))
+
+    truth(106)
     started = []
     whole = runs.run_plans
     monkeypatch.setattr(compare, "run_plans", lambda plans, *more: started.extend(plans) or whole(plans, *more))
@@ -131,12 +133,11 @@ def test_what_does_not_fit_the_truth_is_told_before_anything_runs(facetrack, mon
     code, out, _ = facetrack(*arguments, *TWO, "--config", "mil")
     assert code == ExitCode.BATCH and out.count("not run: boxes.csv") == 2 and [one.label for one in started] == ["mil"]
     started.clear()
-    code, _, err = facetrack(*arguments, "--config", "mil", "--rank-by", "points.mean_px", "-o", "other")
+    mil = [*arguments, "--config", "mil", "-o", "other"]
+    code, _, err = facetrack(*mil, "--rank-by", "points.mean_px")
     assert code == ExitCode.USAGE and "measures boxes of mil" in err and not started and not Path("other").exists()
-
-    far = "".join(f"{n},1106,74,106,106\n" for n in range(4))
-    Path("boxes.csv").write_text("frame,x,y,w,h\n" + far, encoding="utf-8")
-    code, _, err = facetrack(*arguments, "--config", "mil", "-o", "other")
+    truth(1106)
+    code, _, err = facetrack(*mil)
     assert code == ExitCode.INPUT and "outside of the image of 320x240" in err and not started
 
 

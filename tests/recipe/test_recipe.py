@@ -80,12 +80,9 @@ def test_a_shipped_recipe_is_good_and_reads_like_a_method_section(name, write):
 
 
 def test_a_dump_has_lengths_as_they_were_written():
-    given = ["motion.sigma={nose: 2.5px, default: 0.1}", "target.windows=[12px, 0.3]"]
-    settings = to_dict(load_recipe("sir", given))
+    settings = to_dict(load_recipe("sir", ["motion.sigma={nose: 2.5px, default: 0.1}", "target.windows=[12px, 0.3]"]))
     assert settings["motion"]["sigma"] == {"nose": "2.5px", "default": 0.1}
     assert settings["target"]["windows"] == ["12px", 0.3]
-    settings = to_dict(load_recipe("contour", ["motion.position.B=[[0.1, 2px], [0, 0.05]]"]))
-    assert settings["motion"]["position"]["B"] == [[0.1, "2px"], [0.0, 0.05]]
 
 
 def test_a_gallery_is_sought_like_any_file_of_a_recipe(write, tmp_path, monkeypatch):
@@ -102,16 +99,14 @@ def test_a_gallery_is_sought_like_any_file_of_a_recipe(write, tmp_path, monkeypa
 def test_the_type_of_a_recipe_says_which_keys_it_has(write):
     whole = load_recipe(write("type: particle_filter\n" + GOOD))
     assert to_dict(whole) == to_dict(load_recipe(write(GOOD))) and whole.points == ("nose", "chin")
-    with pytest.raises(RecipeError, match=r':1:7: unknown type of recipe "open_cv"; did you mean "opencv"\?'):
-        load_recipe(write("type: open_cv\ntracker: mil\ndescription: d\n"))
-    with pytest.raises(RecipeError, match=r":1:7: unknown type of recipe"):
-        load_recipe(write("type: [opencv]\ntracker: mil\ndescription: d\n"))
-    with pytest.raises(RecipeError, match=r':4:1: unknown key "filter"'):
-        load_recipe(write("type: opencv\ntracker: mil\ndescription: d\nfilter: {type: sir}\n"))
-    with pytest.raises(
-        RecipeError, match=r":2:10: tracker must be 'mil', 'csrt', 'kcf' or 'mosse', not the text .goturn."
+    for text, said in (
+        ("type: open_cv\ntracker: mil", r':1:7: unknown type of recipe "open_cv"; did you mean "opencv"\?'),
+        ("type: [opencv]\ntracker: mil", r":1:7: unknown type of recipe"),
+        ("type: opencv\ntracker: mil\nfilter: {type: sir}", r':3:1: unknown key "filter"'),
+        ("type: opencv\ntracker: goturn", r":2:10: tracker must be 'mil', 'csrt', 'kcf' or 'mosse', not the text"),
     ):
-        load_recipe(write("type: opencv\ntracker: goturn\ndescription: d\n"))
+        with pytest.raises(RecipeError, match=said):
+            load_recipe(write(f"{text}\ndescription: d\n"))
 
 
 # finding
@@ -129,15 +124,12 @@ def test_a_recipe_is_found_by_name_and_by_path(write, tmp_path, monkeypatch):
 
 
 def test_a_miss_names_the_nearest_and_all(tmp_path):
-    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?$'):
-        load_recipe("factorised.yaml")
-    for name in ("zzzz", "recipes/mine.yaml"):
-        with pytest.raises(
-            RecipeError, match="neither a file nor a shipped recipe; the shipped recipes are: adaptive, "
-        ):
-            load_recipe(name)
-    for name in (str(tmp_path), "x" * 300):
-        with pytest.raises(RecipeError, match="neither a file"):
+    every = "neither a file nor a shipped recipe; the shipped recipes are: adaptive, "
+    for name, said in (
+        ("factorised.yaml", r'did you mean "factorized"\?$'), ("zzzz", every), ("recipes/mine.yaml", every),
+        (str(tmp_path), "neither a file"), ("x" * 300, "neither a file"),
+    ):  # fmt: skip
+        with pytest.raises(RecipeError, match=said):
             load_recipe(name)
 
 
@@ -187,9 +179,6 @@ def test_values_and_lengths(write):
     assert isinstance(recipe.likelihood, ColourRatioSettings) and recipe.likelihood.sigma == 1.5
     with pytest.raises(ValidationError):
         recipe.seed = 3
-
-
-def test_a_window_may_be_a_pair(write):
     recipe = load_recipe(write(GOOD), ["target.windows={nose: [0.5, 8 px], chin: [1, .25]}"])
     assert recipe.target.window("nose") == (Length(0.5), Length(8, px=True))
     assert recipe.target.window("chin") == (Length(1), Length(0.25))
@@ -227,10 +216,7 @@ def test_overrides_in_order_and_of_every_kind():
     ("override", "message", "under"),
     [
         ("filter.particels=200", 'unknown key "particels" in "filter"; did you mean "particles"?', "particels"),
-        ("filtre.particles=200", 'unknown key "filtre"; did you mean "filter"?', "filtre"),
         ("filter.particles='200'", "must be a whole number, not the text \"200\"", "'200'"),
-        ("filter.particles=0", "filter.particles must be at least 1, not 0", "0"),
-        ("filter.type=sri", 'filter.type cannot be the text "sri"; did you mean "sir"?', "sri"),
         ("target.type=sphere", "it is one of: points, region, cloud, affine", "sphere"),
         ("seed.x=1", '"seed" holds no keys', "x"),
         ("seed", "write --set KEY=VALUE", "seed"),
@@ -238,7 +224,6 @@ def test_overrides_in_order_and_of_every_kind():
         ("a..b=1", "no value, or no name, is given", "a..b"),
         ("filter=[a", "not valid YAML", " "),
         ("seed=!!python/object:x 1", 'the tag "', "!!python/object:x 1"),
-        ("seed={a: 1, a: 2}", 'the key "a" is repeated', "a"),
         ("seed=é{", "must be a whole number", "é{"),
     ],
 )  # fmt: skip
@@ -255,22 +240,17 @@ def test_a_wrong_override_is_shown_with_a_caret(override, message, under):
 
 WRONG = {
     "unknown key": (GOOD + "sed: 3\n", 14, 1, 'unknown key "sed"; did you mean "seed"?', "sed"),
-    "unlike key": (GOOD + "xyzzy: 3\n", 14, 1, "the keys there are: type, description, seed, target", "xyzzy"),
     "foreign key": (GOOD + "  reweight: prior\n", 14, 3, '"reweight" in "filter"; the keys there are', "reweight"),
     "missing key": (GOOD.replace("  particles: 10\n", ""), 11, 1, '"filter" lacks the key "particles"', "filter"),
     "missing type": (GOOD.replace("  type: sir\n", ""), 11, 1, 'lacks the key "type"; it is one of: sir,', "filter"),
     "unknown type": (GOOD.replace("sir", "siri"), 12, 9, 'the text "siri"; did you mean "sir"?', "siri"),
     "text for number": (GOOD.replace("10", '"10"'), 13, 14, 'must be a whole number, not the text "10"', '"10"'),
     "bool for int": (GOOD.replace("10", "true"), 13, 14, "must be a whole number, not true", "true"),
-    "float for int": (GOOD.replace("10", "10.5"), 13, 14, "must be a whole number, not 10.5", "10.5"),
     "bool for float": (GOOD + "confidence: {lost_below: yes}\n", 14, 26, "must be a number, not the text", "yes"),
-    "number for text": (GOOD.replace("A recipe for tests", "5"), 1, 14, "must be a text, not 5", "5"),
     "zero particles": (GOOD.replace("10", "0"), 13, 14, "must be at least 1, not 0", "0"),
-    "many particles": (GOOD.replace("10", "10000000"), 13, 14, "at most 1000000,", "10000000"),
     "zero length": (GOOD.replace("0.05", "0"), 8, 10, "must be a length above 0", "0"),
     "huge pixels": (GOOD.replace("0.05", "9e999px"), 8, 10, "must be a length above 0", "9e999px"),
     "NaN": (GOOD.replace("0.05", ".nan"), 8, 10, ".nan is not a finite number", ".nan"),
-    "infinite": (GOOD.replace("0.05", "1e999"), 8, 10, "1e999 is not a finite number", "1e999"),
     "digits": (GOOD.replace("10", "1" * 40), 13, 14, "must be a whole number", "1" * 40),
     "scalar section": (GOOD + "confidence: 3\n", 14, 13, "must be a mapping of keys, not 3", "3"),
     "part of no target": (GOOD.replace("0.05", "{nos: 1, default: 1}"), 8, 11,
@@ -280,14 +260,12 @@ WRONG = {
     "part's name": (GOOD.replace("chin", "Chin"), 4, 17, 'does not fit: a name has small', "Chin"),
     "no parts": (GOOD.replace("[nose, chin]", "[]"), 4, 10, "must have at least 1 item, not 0", "[]"),
     "three sides": (GOOD.replace("12px", "[1, 2, 3]"), 5, 33, "must have at most 2 items, not 3", "[1, 2, 3]"),
-    "window's side": (GOOD.replace("12px", "[1, x]"), 5, 37, "must be a length above 0", "x"),
     "scale for l1": (GOOD.replace("colour_ratio", "colour_ratio\n  scale: 1"), 11, 10, "no meaning for robust", "1"),
     "floor": (GOOD.replace("colour_ratio", "colour_ratio\n  floor: 1"), 11, 10, "must be less than 0, not 1", "1"),
     "enum": (GOOD + "  resampling: systemtic\n", 14, 15, "must be 'systematic' or 'multinomial'", "systemtic"),
     "repeated key": (GOOD + "motion: 3\n", 14, 1, 'the key "motion" is repeated (first on line 6)', "motion"),
     "anchor": (GOOD.replace("10", "&n 10"), 13, 14, '"&n" is an anchor', "&n 10"),
     "tag": (GOOD.replace("10", "!!python/object:os.system x"), 13, 14, "is not allowed; remove it", None),
-    "known tag": (GOOD.replace("10", '!!str 10'), 13, 14, 'the tag "!!str" is', None),
     "half a character": (GOOD + 'seed: "\\ud800"', 14, 7, "half of a surrogate pair", None),
     "merge key": (GOOD + "<<: {seed: 3}\n", 14, 1, 'unknown key "<<"', "<<"),
     "complex key": (GOOD + "? [a]\n: b\n", 14, 3, "a key must be a name", "[a]"),

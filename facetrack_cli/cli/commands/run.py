@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 
 _UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "f": 1.0}
-MOST_THREADS = 4  # of a clip: with 8 and 16 on 16 cores it takes a fifth longer
 MAX_DONE_LINES = 20  # for clips that were done before; of more clips there is one line
+MOST_THREADS = 4  # of a clip: with 8 and 16 on 16 cores it takes a fifth longer
 
 
 def _shard(value: str) -> tuple[int, int]:
