@@ -31,30 +31,22 @@ def data(rng: Random, whole: bytes) -> bytes:
 
 
 def _damaged(rng: Random, whole: bytes) -> bytes:
-    how = rng.choice(("flip", "flip", "cut", "cut", "delete", "repeat", "fill", "insert", "recode", "replace"))
     a = rng.randrange(len(whole) + 1)
     b = min(len(whole), a + rng.choice((1, 2, 7, 64, 1000, len(whole) // 3 + 1)))
-    if how == "flip":
-        found = bytearray(whole)
-        for _ in range(min(len(found), rng.choice((1, 1, 3, 30)))):
-            found[rng.randrange(len(found))] ^= 1 << rng.randrange(8)
-        return bytes(found)
-    if how == "cut":
-        return whole[:a]
-    if how == "delete":
-        return whole[:a] + whole[b:]
-    if how == "repeat":
-        return whole[:b] + whole[a:b] * rng.choice((1, 2, 50)) + whole[b:]
-    if how == "fill":
-        return whole[:a] + rng.choice((b"\0", b"\xff")) * (b - a) + whole[b:]
-    if how == "insert":
-        new = rng.choice((b"\0", b"\xff\xfe", b"\xed\xa0\x80", b"\r", b"\n\n", rng.randbytes(40)))
-        return whole[:a] + new + whole[a:]
-    if how == "replace":
-        return rng.choice((b"", b"\n", b"\0" * 1000, b"{}", b"[]", b"null", b"---\n", b"PK\x03\x04", b"%PDF-1.7\n"))
+    flipped = bytearray(whole)
+    for _ in range(min(len(whole), rng.choice((1, 1, 3, 30)))):
+        flipped[rng.randrange(len(whole))] ^= 1 << rng.randrange(8)
+    inserted = rng.choice((b"\0", b"\xff\xfe", b"\xed\xa0\x80", b"\r", b"\n\n", rng.randbytes(40)))
     text = whole.decode("utf-8", "replace")
     recoded = (text.encode("utf-16"), text.encode("utf-32"), text.encode("latin-1", "replace") + b"\xe9")
-    return rng.choice((b"\xef\xbb\xbf" + whole, whole.replace(b"\n", b"\r\n"), whole.replace(b"\n", b"\r"), *recoded))
+    lines = (b"\xef\xbb\xbf" + whole, whole.replace(b"\n", b"\r\n"), whole.replace(b"\n", b"\r"))
+    others = (b"", b"\n", b"\0" * 1000, b"{}", b"[]", b"null", b"---\n", b"PK\x03\x04", b"%PDF-1.7\n", b"\x89PNG\r\n")
+    return rng.choice((
+        bytes(flipped), bytes(flipped), whole[:a], whole[:a], whole[:a] + whole[b:],
+        whole[:b] + whole[a:b] * rng.choice((1, 2, 50)) + whole[b:],
+        whole[:a] + rng.choice((b"\0", b"\xff")) * (b - a) + whole[b:],
+        whole[:a] + inserted + whole[a:], rng.choice((*recoded, *lines)), rng.choice(others),
+    ))  # fmt: skip
 
 
 def text(rng: Random, whole: str) -> bytes:
@@ -89,7 +81,7 @@ def npz(found: dict[str, np.ndarray], **lies: tuple[int, ...]) -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, one in found.items():
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), npy(np.asarray(one), lies.get(name)))
+            archive.writestr(f"{name}.npy", npy(np.asarray(one), lies.get(name)))
     return file.getvalue()
 
 
