@@ -349,11 +349,13 @@ class Page:
     port: int | None
     browse: bool
 
-    def serve(self, session: PageSession, stop: Stop) -> int:
+    def serve(self, session: PageSession) -> int:
         """Serve a page until it is saved or stopped, and say what it did; the exit code."""
         from facetrack_cli.editor.server import run_page
+        from facetrack_cli.runs.signals import Stop
 
-        run_page(session, stop, say, port=self.port or 0, browse=self.browse)
+        with Stop().listening() as stop:
+            run_page(session, stop, say, port=self.port or 0, browse=self.browse)
         if session.ended is None:
             say(f"facetrack: {stop.reason}; {session.left()}")
             return stop.code or ExitCode.FAULT
@@ -370,17 +372,17 @@ page_options = gathered(
 
 
 @contextmanager
-def working(quiet: bool, name: str, stopped: str) -> Iterator[tuple[Stop, Progress]]:
-    """Work on `name` that Ctrl-C ends: then `stopped` says what became of it, and the command leaves."""
+def working(quiet: bool, folder: Path, stopped: str = "") -> Iterator[tuple[Stop, Progress]]:
+    """Work on a run that Ctrl-C ends: then `stopped` says what became of it, and the command leaves."""
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop, StoppedError
 
     with Stop().listening() as stop, progress(quiet) as shown:
         try:
-            shown.begin(name)
+            shown.begin(folder.name or str(folder))
             yield stop, shown
         except StoppedError:
-            shown.say(f"facetrack: {stop.reason}; {stopped}")
+            shown.say(f"facetrack: {stop.reason}; {stopped or f'{folder} is as it was'}")
             raise click.exceptions.Exit(stop.code or ExitCode.FAULT) from None
 
 

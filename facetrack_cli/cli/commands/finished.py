@@ -84,7 +84,6 @@ def fix_command(
     from facetrack_cli.editor.save import open_track
     from facetrack_cli.run_folder.finished import open_run
     from facetrack_cli.runs.people import people_in, rows_in
-    from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.reader import PEOPLE
     from facetrack_cli.trajectory.views import Clock
 
@@ -98,8 +97,7 @@ def fix_command(
         at = frame_at(person[1], Clock(rows_in(folder), people_in(folder).fps))
         opened = open_track(folder, person[0], at, clip)
     if file is None:
-        with Stop().listening() as stop:
-            return page.serve(FixSession(opened, video=not no_video), stop)
+        return page.serve(FixSession(opened, video=not no_video))
     with fixing(opened) as (fixer, _):
         return _apply(fixer, file, quiet, adds=init is None, video=not no_video)
 
@@ -127,7 +125,7 @@ def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) ->
             say(f"facetrack: {file} is {'otherwise ' * bool(left_out)}as the run has it; nothing was written")
             return ExitCode.DONE
         corrections = tuple(merged(fix, find(fix.frame, fix.target), parts[fix.target]) for fix in found)
-    with working(quiet, folder.name or str(folder), f"{folder} is as it was") as (stop, shown):
+    with working(quiet, folder) as (stop, shown):
         (fixer.put if adds else fixer.apply)(corrections, report=shown.update, stop=stop)
         if adds:
             frames = ", ".join(str(frame) for frame in sorted({correction.frame for correction in corrections})[:10])
@@ -152,7 +150,7 @@ def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: 
         say(f"facetrack: {file}: the names are the run's, nothing was written; segments count with --person NAME@TIME")
         return ExitCode.DONE
     changes = [(f"rename {old}={name}", partial(rename, name=old, to=name)) for old, name in names.items()]
-    with working(quiet, folder.name or str(folder), f"{folder} is as it was") as (stop, shown):
+    with working(quiet, folder) as (stop, shown):
         recast(folder, changes, clip=clip, video=video, report=shown.looked, stop=stop)
         shown.say(f"{folder}: {', '.join(f'{old} is {name}' for old, name in names.items())}")
     return ExitCode.DONE
@@ -211,19 +209,16 @@ def people_command(
     changes = _changes(clock, split, give, merge, rename)
     if edit:
         from facetrack_cli.editor.fix_session import CastSession
-        from facetrack_cli.runs.signals import Stop
 
-        with Stop().listening() as stop:
-            return page.serve(CastSession(folder, clip, video=not no_video), stop)
+        return page.serve(CastSession(folder, clip, video=not no_video))
     if save is not None:
         check_new(save, overwrite=overwrite)
-    name = folder.name or str(folder)
     if changes:
-        with working(quiet, name, f"{folder} is as it was") as (stop, shown):
+        with working(quiet, folder) as (stop, shown):
             people = recast(folder, changes, clip=clip, video=not no_video, report=shown.looked, stop=stop)
     if save is not None:
         left = f"{save} was not written" + "; the changes are" * bool(changes)
-        with working(quiet, name, left) as (stop, shown):
+        with working(quiet, folder, left) as (stop, shown):
             shown.say(f"{save}: {', '.join(save_looks(folder, save, clip, shown.looked, stop))}")
     if as_json or as_csv:
         click.echo(people.text().decode() if as_json else _intervals(people), nl=False)

@@ -166,7 +166,6 @@ def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe 
 def _pick(clip: Path, path: Path | None, page: Page, *, overwrite: bool, **how: Any) -> int:
     """Let somebody choose on the page, with `how` of its session; the exit code."""
     from facetrack_cli.editor.pick_session import NOTHING, PickSession
-    from facetrack_cli.runs.signals import Stop
     from facetrack_cli.start.init_file import default_path, read_init, write_init
 
     beside, start = path or default_path(clip), NOTHING
@@ -177,9 +176,8 @@ def _pick(clip: Path, path: Path | None, page: Page, *, overwrite: bool, **how: 
             start = read_init(source)
         except InputError as e:  # it will be replaced in any case
             say(f"facetrack: warning: {e}; the page begins without it")
-    with Stop().listening() as stop:
-        session = PickSession(clip, out=path, overwrite=overwrite, previous=start, unsaved=unsaved, **how)
-        code = page.serve(session, stop)
+    session = PickSession(clip, out=path, overwrite=overwrite, previous=start, unsaved=unsaved, **how)
+    code = page.serve(session)
     if code == ExitCode.DONE and source == unsaved:
         unsaved.unlink(missing_ok=True)
     if path is None and session.saved is not None:
