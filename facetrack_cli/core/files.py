@@ -287,7 +287,7 @@ def check_readable(path: Path, most: int, what: str = "file") -> None:
     status = path.stat()
     if stat.S_ISFIFO(status.st_mode):
         raise InputError(f"{path}: is a pipe, and can be read only once; save it in a file, and name that")
-    if stat.S_ISCHR(status.st_mode) or stat.S_ISBLK(status.st_mode) or stat.S_ISSOCK(status.st_mode):
+    if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
         raise InputError(f"{path}: is a device, not a {what}; name a file")
     if status.st_size > most:
         size = f"{status.st_size / 1e6:.0f} MB, and at most {most / 1e6:.0f} MB are read"

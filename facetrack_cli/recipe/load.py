@@ -224,9 +224,8 @@ def wants_gallery(recipe: Recipe) -> bool:
 
 def gallery_file(file: str) -> Path:
     """The path of a file of --gallery. Raises InputError for what is no file."""
-    with suppress(OSError, ValueError):  # a name that the file system does not take
-        if Path(file).is_file():
-            return Path(file)
+    if Path(file).is_file():
+        return Path(file)
     raise InputError(f"--gallery {file}: no such file; name one {_MADE_BY}")
 
 

@@ -86,7 +86,6 @@ def given(monkeypatch, capfd):
         ("run a.mp4 -j 2", {"JOBS": "4", "SEED": "5", "SHARD": "1/2"}, {"jobs": 2, "seed": 5, "shard": (1, 2)}),
         ("run a.mp4", {"SET": "a=1 b=2", "FORMAT": "csv"}, {"overrides": ("a=1", "b=2"), "formats": ("csv",)}),
         ("run a.mp4", {"QUIET": "0", "JOBS": ""}, {"quiet": False, "jobs": 1}),
-        ("track a.mp4", {"JOBS": "3"}, {"jobs": 3}),
     ],
 )
 def test_the_order_is_command_line_environment_ours(given, words, variables, options):
