@@ -158,8 +158,7 @@ class FileSink(BytesSink):
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__(self._write)
-        self.path, self._full = path, False
+        self.path, self._records, self._full = path, 0, False
         self._ends = deque([0], maxlen=_LAST_RECORDS)
         with writing(path):
             self._file: BinaryIO = self._open()
@@ -168,8 +167,10 @@ class FileSink(BytesSink):
         return temporary_path(self.path).open("wb", buffering=0)
 
     def write(self, record: str) -> None:
-        self._ends.append(self._ends[-1] + len(_bytes(record)))
-        super().write(record)
+        data = _bytes(record)
+        self._records += 1
+        self._ends.append(self._ends[-1] + len(data))
+        self._write(data)
 
     def place(self) -> Place:
         """Where the next record begins."""

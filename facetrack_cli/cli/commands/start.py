@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -14,6 +15,7 @@ from facetrack_cli.core.errors import ExitCode, InputError, OutputError, flat
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box
+    from facetrack_cli.editor.pick_session import PickSession
     from facetrack_cli.recipe.model import Recipe
 
 
@@ -130,10 +132,12 @@ def init_command(
     if preview is not None and clip.is_dir() and preview.parent.resolve() == clip.resolve():
         raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
     recipe = None if config is None else load_recipe(config)
-    run = _run_with(path, clip, config, recipe)
     if pick:
-        how: dict[str, Any] = {"recipe": recipe, "frame": init_frame, "box": box, "preview": preview, "next_": run}
-        return _pick(clip, path, page, overwrite=overwrite, **how)
+        from facetrack_cli.editor.pick_session import PickSession
+
+        run = _run_with(path, clip, config, recipe)
+        session = partial(PickSession, clip, out=path, overwrite=overwrite, recipe=recipe, frame=init_frame, box=box)
+        return _pick(partial(session, preview=preview, next_=run), clip, path, box, page)
     by = None if box is not None else detector().name
     request = ClipRequest(clip, init=by, faces=faces, box=box, init_frame=init_frame)
     with progress(path is None) as shown:
@@ -147,7 +151,7 @@ def init_command(
     else:
         write_init(path, start, clip=clip.name, overwrite=overwrite)
         what = ", ".join(start.targets) if len(start.targets) > 1 else "a face"
-        say(f"{path}: {what} in frame {start.frame}; edit it, then: {run}")
+        say(f"{path}: {what} in frame {start.frame}; edit it, then: {_run_with(path, clip, config, recipe)}")
     return ExitCode.DONE
 
 
@@ -163,20 +167,20 @@ def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe 
     return f"facetrack run {clip}{words}"
 
 
-def _pick(clip: Path, path: Path | None, page: Page, *, overwrite: bool, **how: Any) -> int:
-    """Let somebody choose on the page, with `how` of its session; the exit code."""
-    from facetrack_cli.editor.pick_session import NOTHING, PickSession
+def _pick(make: partial[PickSession], clip: Path, path: Path | None, box: Box | None, page: Page) -> int:
+    """Let somebody choose on the page, from what was there before on; the exit code."""
+    from facetrack_cli.editor.pick_session import NOTHING
     from facetrack_cli.start.init_file import default_path, read_init, write_init
 
     beside, start = path or default_path(clip), NOTHING
     unsaved = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
-    source = unsaved if how["box"] is None and unsaved.is_file() else path
+    source = unsaved if box is None and unsaved.is_file() else path
     if source is not None and source.is_file():
         try:
             start = read_init(source)
         except InputError as e:  # it will be replaced in any case
             say(f"facetrack: warning: {e}; the page begins without it")
-    session = PickSession(clip, out=path, overwrite=overwrite, previous=start, unsaved=unsaved, **how)
+    session = make(previous=start, unsaved=unsaved)
     code = page.serve(session)
     if code == ExitCode.DONE and source == unsaved:
         unsaved.unlink(missing_ok=True)
