@@ -190,8 +190,8 @@ _KINDS: Final[Mapping[type, tuple[Callable[[Any], Iterable[Any]], Callable[[list
 _MAKERS: Final = {kind.__name__: make for kind, (_, make) in _KINDS.items()}
 
 
-def flatten(value: Any) -> tuple[str, Arrays]:
-    """The value as a text and the arrays in it. TypeError for what is of another kind, as an object of OpenCV."""
+def flatten(name: str, value: Any) -> Arrays:
+    """The value as arrays of an .npz file, under a name. TypeError for another kind, as an object of OpenCV."""
     arrays: Arrays = {}
 
     def flat(value: Any) -> Any:
@@ -199,7 +199,7 @@ def flatten(value: Any) -> tuple[str, Arrays]:
         if value is None or kind in (bool, int, float, str):
             return value
         if kind is np.ndarray and value.dtype.hasobject is False and value.dtype.names is None:
-            key, axes = str(len(arrays)), sorted(range(value.ndim), key=lambda i: (-value.strides[i], i))
+            key, axes = f"{name}/{len(arrays)}", sorted(range(value.ndim), key=lambda i: (-value.strides[i], i))
             # as it lies in memory
             arrays[key] = np.ascontiguousarray(value.transpose(axes)).reshape([value.shape[i] for i in axes])
             return {"array": [key, axes]}
@@ -211,11 +211,11 @@ def flatten(value: Any) -> tuple[str, Arrays]:
                 return {known.__name__: [flat(part) for part in _KINDS[known][0](value)]}
         raise TypeError(f"{kind.__module__}.{kind.__qualname__} cannot be stored")
 
-    return json.dumps(flat(value)), arrays
+    return {name: np.array(json.dumps(flat(value))), **arrays}
 
 
-def restore(text: str, arrays: Mapping[str, NDArray[Any]]) -> Any:
-    """The value of a text and its arrays. ValueError for what `flatten` does not write."""
+def restore(name: str, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    """The value that `flatten` gave to a file under a name. ValueError for anything else."""
 
     def value(flat: Any) -> Any:
         if not isinstance(flat, dict):
@@ -229,7 +229,7 @@ def restore(text: str, arrays: Mapping[str, NDArray[Any]]) -> Any:
         return _MAKERS[kind]([value(part) for part in held])
 
     try:
-        return value(json.loads(text))
+        return value(json.loads(str(arrays[name])))
     except (KeyError, TypeError, AttributeError, IndexError, OverflowError, ImportError) as e:
         raise ValueError(f"is no stored value ({type(e).__name__}: {e})") from e
 
@@ -255,16 +255,3 @@ def _made(name: str, fields: dict[str, Any]) -> Any:
     for field, is_stored in names.items():
         object.__setattr__(made, field, fields[field] if is_stored else None)
     return made
-
-
-def flat_value(name: str, value: Any) -> Arrays:
-    """The value as arrays of an .npz file, under a name."""
-    text, arrays = flatten(value)
-    return {name: np.array(text), **{f"{name}/{key}": array for key, array in arrays.items()}}
-
-
-def read_value(stored: Stored, name: str) -> Any:
-    """The value that `flat_value` gave to a file. ValueError for anything else."""
-    prefix = f"{name}/"
-    names = [key for key in stored.file.files if key.startswith(prefix)]
-    return restore(stored.text(name), {key.removeprefix(prefix): stored.file[key] for key in names})

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, StringMark, YAMLError
@@ -25,7 +25,6 @@ MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe has a p
 MAX_DEPTH = 20
 MAX_DIGITS = 30  # of a whole number
 EXCERPT_WIDTH = 100
-Scalar: TypeAlias = "str | int | float | bool | None"
 _WORDS = {**dict.fromkeys(("null", "Null", "NULL", "~", "")), **dict.fromkeys(("true", "True", "TRUE"), True)}
 _WORDS |= dict.fromkeys(("false", "False", "FALSE"), False)
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
@@ -87,7 +86,7 @@ class Node:
     """A value and its place; `key` is the place of its key, or None."""
 
     span: Span
-    value: Scalar | list[Node] | dict[str, Node]
+    value: str | int | float | bool | list[Node] | dict[str, Node] | None
     key: Span | None = None
 
     def plain(self) -> Any:
@@ -248,7 +247,7 @@ class _Reader:
                 children[name.value] = Node(value.span, value.value, key.span)
         return children, name
 
-    def plain(self, text: str, span: Span) -> Scalar:
+    def plain(self, text: str, span: Span) -> str | int | float | bool | None:
         """The value of a text without quotes."""
         if text in _WORDS:
             return _WORDS[text]

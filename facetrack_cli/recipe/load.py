@@ -164,23 +164,18 @@ def _made(path: Path, source: Source, overrides: tuple[str, ...]) -> Recipe:
         raise YamlProblems(Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this"))
     for override in overrides:
         assign(root, "--set", override)
-    kind = _kind(root)
+    several = "targets" in root.value and "target" not in root.value
+    kind: type[Recipe] = ParticlesRecipe if several else ParticleRecipe
+    if (given := root.value.get("type")) is not None:
+        name = given.value if isinstance(given.value, str) else ""
+        if name not in KINDS:
+            hint = suggest(name, list(KINDS), "it is one of")
+            raise YamlProblems(Problem(given.span, f'unknown type of recipe "{name}"; {hint}'))
+        kind = KINDS[name]
     try:
         return kind.model_validate(root.plain(), context={"path": path, "root": root})
     except ValidationError as error:
         raise YamlProblems(*problems(error, kind, root)) from None
-
-
-def _kind(root: Node) -> type[Recipe]:
-    """The model of a recipe by its `type`: a particle filter where none is given, or several."""
-    keys = root.value if isinstance(root.value, dict) else {}
-    if (given := keys.get("type")) is None:
-        return ParticlesRecipe if "targets" in keys and "target" not in keys else ParticleRecipe
-    name = given.value if isinstance(given.value, str) else ""
-    if name not in KINDS:
-        hint = suggest(name, list(KINDS), "it is one of")
-        raise YamlProblems(Problem(given.span, f'unknown type of recipe "{name}"; {hint}'))
-    return KINDS[name]
 
 
 # --- the people of `--gallery` ---------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import check_plain
-from facetrack_cli.core.npz import Arrays, Kind, Stored, flat_value, read_value
+from facetrack_cli.core.npz import Arrays, Kind, Stored, flatten, restore
 from facetrack_cli.run_folder.lease import sweep
 
 FOLDER: Final = ".checkpoint"
@@ -50,7 +50,7 @@ class Checkpoints:
             if stored.text("key") != self._key:
                 return None
             self._last_frames = int(stored.file["frames"])
-            return read_value(stored, "run")
+            return restore("run", stored.file)
 
         if (self.folder / STATE).is_file():
             sweep(self.folder)
@@ -70,7 +70,7 @@ class Checkpoints:
         The `steps` come before.
         """
         self._last_s, self._last_frames = time.monotonic(), frames
-        self._ready = {"frames": np.array(frames), **flat_value("run", state)}, steps
+        self._ready = {"frames": np.array(frames), **flatten("run", state)}, steps
 
     def release(self) -> None:
         """Keep what is marked."""

@@ -23,7 +23,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS, DetectorName
-from facetrack_cli.core.npz import Kind, Stored, flat_value, read_value
+from facetrack_cli.core.npz import Kind, Stored, flatten, restore
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.engine.loop import TrackState, track
@@ -418,7 +418,7 @@ class Tracker:
         kept = [] if self._search is None else [(frame.index, frame.time_s, frame.bgr) for frame in self._search.kept]
         state = self.start, self._at, self._size, self._next, self._last_s, kept
         try:
-            arrays = flat_value("known", state)
+            arrays = flatten("known", state)
         except TypeError:  # what is behind Python has no state to write
             why = f"a tracker of OpenCV, as in {self.recipe.name}, does not give its state away"
             raise UsageError(f"{path}: {why}; take another recipe, or begin it again") from None
@@ -428,7 +428,7 @@ class Tracker:
         def make(stored: Stored) -> Any:
             if stored.text("of") != self._key:
                 raise InputError(f"{path}: is of another recipe or seed; give the tracker those that it was saved with")
-            return read_value(stored, "known")
+            return restore("known", stored.file)
 
         self.start, self._at, self._size, self._next, self._last_s, kept = KIND.read(path, make)
         if kept:

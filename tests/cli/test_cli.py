@@ -271,15 +271,6 @@ def test_on_a_terminal_recipes_are_listed_by_task(monkeypatch, capsys):
     assert marked == [*TAKE] == ["face", "correlation_filter", "signer", "adaptive_recognition"]
 
 
-def test_out_of_memory_is_no_fault_of_ours(monkeypatch, capsys):
-    def refuse(*_):
-        raise MemoryError("Unable to allocate 73 TiB")
-
-    monkeypatch.setattr("facetrack_cli.core.models.shipped_recipes", refuse)
-    assert main(["recipes"]) == 1
-    assert capsys.readouterr().err.startswith("facetrack: error: not enough memory (Unable to allocate 73 TiB); take")
-
-
 def test_init_finds_all_faces_of_a_frame(tmp_path, capsys):
     with open_source(FOLDER / "film.mp4", start=92, stop=96) as source:
         write_pictures(tmp_path / "two", [frame.bgr for frame in source])

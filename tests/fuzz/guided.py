@@ -25,7 +25,7 @@ FEW = 3  # images of a pipe
 def parsers() -> dict[str, Callable[[Path, bytes], object]]:
     """By name; each gets an empty folder, and bytes. The package is loaded here, under atheris if that guides."""
     from facetrack_cli.core.errors import InputError
-    from facetrack_cli.core.npz import read_value
+    from facetrack_cli.core.npz import restore
     from facetrack_cli.engine.confidence import load_calibration
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.run_folder import lease
@@ -52,7 +52,7 @@ def parsers() -> dict[str, Callable[[Path, bytes], object]]:
 
     def arrays(folder: Path, data: bytes) -> None:
         path = put(folder, "x.npz", data)
-        state = partial(KIND.read, make=lambda stored: read_value(stored, "run"))
+        state = partial(KIND.read, make=lambda stored: restore("run", stored.file))
         for read in (load_gallery, load_people, load_prior, state):
             with contextlib.suppress(InputError):
                 read(path)

