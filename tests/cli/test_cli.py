@@ -104,9 +104,8 @@ def test_help_lists_the_commands_and_options_in_sections(capsys):
     assert said() == listed
     assert said("--version") == f"facetrack {__version__}\n"
     run = said("run", "--help-all")
-    places = [
-        run.index(one) for one in ("Where the track begins:", "\n  --box X,Y", "Many clips and long", "\n  --shard")
-    ]
+    parts = ("Where the track begins:", "\n  --box X,Y", "Many clips and long", "\n  --shard")
+    places = [run.index(part) for part in parts]
     assert places == sorted(places) and run.count("\n  --split") == 1 and "Options:\n  -h, --help" in run
 
 

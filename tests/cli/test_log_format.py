@@ -50,11 +50,9 @@ def test_lines_of_several_clips_say_which(tmp_path, capfd):
     assert main(["--log-format", "json", *words, *set_, "-o", str(tmp_path / "out")]) == 5
     said = objects(capfd.readouterr().err)
     for clip in clips:
-        mine = [one for one in said if clip.name in one["message"]]
-        assert mine and {one.get("clip") for one in mine} == {clip.name}
-    assert [one["message"] for one in said if "clip" not in one and one["message"] != "progress"] == [
-        "1 of 3 inputs failed"
-    ]
+        assert {one.get("clip") for one in said if clip.name in one["message"]} == {clip.name}
+    of_all = [one["message"] for one in said if "clip" not in one and one["message"] != "progress"]
+    assert of_all == ["1 of 3 inputs failed"]
 
 
 def test_the_search_for_a_face_is_told(tmp_path, capfd, monkeypatch):

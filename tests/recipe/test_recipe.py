@@ -185,12 +185,8 @@ def test_values_and_lengths(write):
 
 
 def test_yaml_1_2(write):
-    def value(text):
-        return load_recipe(write(GOOD + f"seed: {text}\n")).seed
-
-    assert value("010") == 10
-    assert value("0x10") == 16
-    assert value("0o10") == 8
+    for text, seed in (("010", 10), ("0x10", 16), ("0o10", 8)):
+        assert load_recipe(write(GOOD + f"seed: {text}\n")).seed == seed
     assert load_recipe(write(GOOD.replace("0.05", "1e-3"))).motion.sigma.of("nose") == Length(1e-3)
     assert load_recipe(write(GOOD.replace("A recipe for tests", "no"))).description == "no"
     assert load_recipe(write(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())).filter.particles == 10
@@ -277,6 +273,7 @@ WRONG = {
     "two documents": (GOOD + "---\n" + GOOD, 14, 1, "expected a single document", None),
     "escape": (GOOD + 'seed: "\\UFFFFFFFF"', 1, 1, "not valid YAML", None),
     "too large": ("#" * (MAX_BYTES + 1), 1, 1, "larger than 100 kB", None),
+    "long line": (GOOD.replace("[nose, chin]", "[nose, " + "a, " * 60 + "Chin]"), 4, 197, "does not fit", "Chin"),
     "wide characters": (GOOD + "confidence: {脸脸: 1}\n", 14, 14, 'unknown key "脸脸" in "confidence"', None),
 }  # fmt: skip
 
@@ -290,13 +287,9 @@ def test_wrong_recipe(case, write):
     assert (found_line, found_column) == (line, column)
     assert message in said
     assert all(char.isprintable() or char == "\n" for char in excerpt)
+    assert max(map(len, excerpt.splitlines()), default=0) < 120
     if under is not None:
         assert under_caret(excerpt) == under
-
-
-def test_excerpt_of_a_long_line_shows_the_place(write):
-    *_, excerpt = refused(write(GOOD.replace("[nose, chin]", "[nose, " + "a, " * 60 + "Chin]")))
-    assert under_caret(excerpt) == "Chin" and max(map(len, excerpt.splitlines())) < 120
 
 
 def test_all_errors_are_listed_in_the_order_of_the_text(write):
