@@ -37,7 +37,7 @@ SECTIONS = {
     },
     "Recipes and models": {
         "recipes": "List, show and check the recipes of trackers.",
-        "prior": "Learn shape priors from annotated frames, and draw them.",
+        "prior": "Learn shape priors from annotated frames, and show them.",
         "gallery": "Learn who is who from images and videos, and draw it.",
     },
     "Others": {
@@ -54,7 +54,6 @@ MODULES = {
     **dict.fromkeys((*SECTIONS["Recipes and models"], *SECTIONS["Others"]), "recipes"),
 }
 """The file in commands/ of a command; others have one of their own name."""
-ALIASES = {"track": "run"}
 SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True, "auto_envvar_prefix": "FACETRACK"}
 
 READER_GONE = 141
@@ -82,7 +81,6 @@ class LazyGroup(click.Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        cmd_name = ALIASES.get(cmd_name, cmd_name)
         if cmd_name not in COMMANDS:
             return None
         module = import_module(f"facetrack_cli.cli.commands.{MODULES.get(cmd_name, cmd_name)}")
@@ -98,10 +96,9 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        args = [ALIASES.get(args[0], args[0]), *args[1:]]
         name = args[0]
         if name not in COMMANDS and not name.startswith("-"):
-            near = get_close_matches(name, [*COMMANDS, *ALIASES], n=1)
+            near = get_close_matches(name, COMMANDS, n=1)
             hint = f'did you mean "{near[0]}"?' if near else f"there are: {', '.join(COMMANDS)}"
             ctx.fail(f'no command "{name}"; {hint}')
         return super().resolve_command(ctx, args)

@@ -21,7 +21,7 @@ import click
 from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.core.errors import ExitCode, UsageError, log_line
+from facetrack_cli.core.errors import ExitCode, UsageError, write_line
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from facetrack_cli.trajectory.trajectory import Trajectory
     from facetrack_cli.trajectory.views import Clock
 
-Complete: TypeAlias = Callable[[click.Context, str], list[CompletionItem]]
 FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
 
 
@@ -50,29 +49,31 @@ class Whole(click.IntRange):
 
 
 class Text(click.ParamType):  # type: ignore[type-arg]  # it has arguments since Click 8.4
-    """A value that the help calls `metavar`.
+    """A value that the help calls `metavar`, which `parse` reads, or refuses by BadParameter.
 
-    `parse` reads it and raises BadParameter, `complete` completes it. An option that is not to be empty is told to name
-    `what`.
+    A shell completes it as a "file" or a "dir", and by what `names` gives.
     """
 
     name = "text"
 
     def __init__(
-        self, metavar: str, parse: Callable[[str], Any] = str, complete: Complete | None = None, what: str = ""
-    ) -> None:
-        self.metavar, self.parse, self.complete, self.what = metavar, parse, complete, what
+        self, metavar: str, parse: Callable[[str], Any] = str, completed: str = "",
+        names: Callable[[], Iterable[str]] = tuple,
+    ) -> None:  # fmt: skip
+        self.metavar, self.parse, self.completed, self.names = metavar, parse, completed, names
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         return self.metavar
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if value == "" and self.what and isinstance(param, click.Option):
-            raise UsageError(f"{max(param.opts, key=len)} is empty; name {self.what}")
+        if value == "" and self.completed and isinstance(param, click.Option):
+            raise UsageError(f"{max(param.opts, key=len)} is empty; give a name, or leave it out")
         return self.parse(value) if isinstance(value, str) else value
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        return self.complete(ctx, incomplete) if self.complete else []
+        # files first: Bash then takes them only where no name fits
+        files = [CompletionItem(incomplete, type=self.completed)] if self.completed else []
+        return files + [CompletionItem(name) for name in self.names() if name.startswith(incomplete)]
 
 
 def words(metavar: str, pattern: str, remedy: str) -> Text:
@@ -86,34 +87,6 @@ def words(metavar: str, pattern: str, remedy: str) -> Text:
         return each
 
     return Text(metavar, parse)
-
-
-# what a shell completes
-
-
-def _files(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-    return [CompletionItem(incomplete, type="file")]
-
-
-def _folders(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-    return [CompletionItem(incomplete, type="dir")]
-
-
-def _runs(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-    """Folders of runs; without one, any folder."""
-    above, slash, prefix = incomplete.rpartition("/")
-    runs: list[Path] = []
-    with contextlib.suppress(OSError):
-        folders = sorted(path for path in Path(f"{above}{slash}" or ".").iterdir() if path.name.startswith(prefix))
-        runs = [path for path in folders if (path / "run.json").is_file() or (path / "trajectory.json").is_file()]
-    return _folders(ctx, incomplete) + [CompletionItem(f"{above}{slash}{path.name}") for path in runs]
-
-
-def _recipes(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-    """Names of shipped recipes, and files."""
-    names = [path.stem for path in shipped_recipes()]
-    # files first: Bash then takes them only where no name fits
-    return _files(ctx, incomplete) + [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
 # how values are read
@@ -145,23 +118,16 @@ def _file(metavar: str, *endings: str) -> Text:
             raise UsageError(f"{value}: cannot tell the kind of file; let its name end in {listed}")
         return Path(value)
 
-    return Text(metavar, parse, _files, f"a file that ends in {listed}")
+    return Text(metavar, parse, "file")
 
 
-FILE, INPUT = Text("FILE", Path, _files, "a file"), Text("INPUT", Path, _files)
+FILE, INPUT, TRAJECTORY = (Text(metavar, Path, "file") for metavar in ("FILE", "INPUT", "TRAJECTORY"))
+FOLDER, PROJECT, RUN = (Text(metavar, Path, "dir") for metavar in ("DIR", "PROJECT", "RUN_DIR"))
 PNG, NPZ, FIGURE = _file("FILE.png", "png"), _file("FILE.npz", "npz"), _file("FILE", *FIGURES)
-FOLDER, PROJECT = Text("DIR", Path, _folders, "a folder"), Text("PROJECT", Path, _folders)
-RUN = Text("RUN_DIR", Path, _runs)
-TRAJECTORY = Text("TRAJECTORY", Path, lambda ctx, incomplete: _files(ctx, incomplete) + _runs(ctx, incomplete)[1:])
-FILE_OR_DASH = Text("FILE", complete=_files, what="a file, or - for standard output")
-FOLDER_OR_DASH = Text("DIR", complete=_folders, what="a folder, or - for standard output")
-GALLERY = Text("FILE", complete=_files, what="a gallery, as facetrack gallery fit writes it")
-INIT = Text(
-    "FILE", lambda value: value if value in ("haar", "yunet") else Path(value), _files,
-    "an init file, or haar to look for a face",
-)  # fmt: skip
-RECIPE, KEY = Text("RECIPE", complete=_recipes), Text("KEY=VALUE")
-BOX, RATE = Text("X,Y,W,H", _box), Text("RATE", _rate)
+FILE_OR_DASH, FOLDER_OR_DASH, GALLERY = Text("FILE", str, "file"), Text("DIR", str, "dir"), Text("FILE", str, "file")
+INIT = Text("FILE", lambda value: value if value in ("haar", "yunet") else Path(value), "file")
+RECIPE = Text("RECIPE", str, "file", lambda: (path.stem for path in shipped_recipes()))
+KEY, BOX, RATE = Text("KEY=VALUE"), Text("X,Y,W,H", _box), Text("RATE", _rate)
 FRAME = Whole(min=0)
 
 
@@ -202,6 +168,7 @@ class Option(click.Option):
         return self._variable(ctx) if source is ParameterSource.ENVIRONMENT else super().get_error_hint(ctx)
 
 
+say = write_line  # on standard error
 option = functools.partial(click.option, cls=Option)
 flag = functools.partial(option, is_flag=True)
 
@@ -229,15 +196,12 @@ class Command(click.Command):
         )  # fmt: skip
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        *params, help_all, own = (param for param in self.get_params(ctx) if isinstance(param, click.Option))
-        params = [own, help_all, *params] if self.sections else [*params, help_all, own]  # --help is of no section
-        title = "Options"
-        rows: dict[str, list[tuple[str, str]]] = {}
-        for param in params:
-            name, row = str(param.name), param.get_help_record(ctx)
-            title = self.sections.get(name, title)
-            if row is not None and (name in self.basic or ctx.meta.get(EVERY)):
-                rows.setdefault(title, []).append(row)
+        title, rows = "Options", dict[str, list[tuple[str, str]]]()
+        params = self.get_params(ctx)  # --help is the last
+        for param in params[-1:] + params[:-1] if self.sections else params:
+            title, row = self.sections.get(str(param.name), title), param.get_help_record(ctx)
+            if row is not None and (param.name in self.basic or ctx.meta.get(EVERY)):
+                rows.setdefault("Options" if param.name == "help_all" else title, []).append(row)
         for title, listed in rows.items():
             with formatter.section(title):
                 formatter.write_dl(listed)
@@ -356,12 +320,6 @@ class TruthOptions:
     partial: bool
     target: str | None
 
-    def refuse(self, *, target: bool) -> None:
-        """UsageError, since there is no file, for an option that says how to read it; for --target only if `target`."""
-        given = self.truth_format != "auto" or self.shift or self.partial or (target and self.target)
-        names = f"--truth-format, --shift{', --partial and --target' if target else ' and --partial'}"
-        refuse((given, f"{names} say how to use ground truth; give its file with --truth FILE"))
-
     def read(self, path: Path, beside: Trajectory | None = None) -> Trajectory:
         from facetrack_cli.trajectory.formats.boxes import read_truth
 
@@ -391,15 +349,13 @@ class Page:
     port: int | None
     browse: bool
 
-    def refuse(self, remedy: str) -> None:
-        """UsageError if there is to be no page, but an option of it was given."""
-        refuse((self.port, f"--port is for the page; {remedy}"), (self.browse, f"--open is for the page; {remedy}"))
-
-    def serve(self, session: PageSession, stop: Stop) -> int:
+    def serve(self, session: PageSession) -> int:
         """Serve a page until it is saved or stopped, and say what it did; the exit code."""
         from facetrack_cli.editor.server import run_page
+        from facetrack_cli.runs.signals import Stop
 
-        run_page(session, stop, say, port=self.port or 0, browse=self.browse)
+        with Stop().listening() as stop:
+            run_page(session, stop, say, port=self.port or 0, browse=self.browse)
         if session.ended is None:
             say(f"facetrack: {stop.reason}; {session.left()}")
             return stop.code or ExitCode.FAULT
@@ -415,23 +371,18 @@ page_options = gathered(
 )  # fmt: skip
 
 
-def say(line: str) -> None:
-    """A line on standard error, also where a name holds line breaks."""
-    click.echo(log_line(line), err=True)
-
-
 @contextmanager
-def working(quiet: bool, name: str, stopped: str) -> Iterator[tuple[Stop, Progress]]:
-    """Work on `name` that Ctrl-C ends: then `stopped` says what became of it, and the command leaves."""
+def working(quiet: bool, folder: Path, stopped: str = "") -> Iterator[tuple[Stop, Progress]]:
+    """Work on a run that Ctrl-C ends: then `stopped` says what became of it, and the command leaves."""
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop, StoppedError
 
     with Stop().listening() as stop, progress(quiet) as shown:
         try:
-            shown.begin(name)
+            shown.begin(folder.name or str(folder))
             yield stop, shown
         except StoppedError:
-            shown.say(f"facetrack: {stop.reason}; {stopped}")
+            shown.say(f"facetrack: {stop.reason}; {stopped or f'{folder} is as it was'}")
             raise click.exceptions.Exit(stop.code or ExitCode.FAULT) from None
 
 

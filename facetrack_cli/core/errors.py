@@ -18,7 +18,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -127,30 +126,12 @@ def needed(what: str, package: str, extra: str = "plot") -> Iterator[None]:
         raise UsageError(f"{package} cannot be loaded: {said}; install it again: {remedy}") from e
 
 
-_SAME = ("init", "start", "stop", "fps", "lag", "faces", "out", "overwrite", "media", "target", "clip")
-_OTHER = {"--box": "a box as init", "--init-frame": "start", "--config": "recipe", "--set": "overrides"}
-ARGUMENTS = {**{f"--{name}": name for name in _SAME}, **_OTHER}
-
-
-@contextmanager
-def named_as_arguments() -> Iterator[None]:
-    """Around what is for Python: errors name its arguments in place of options of the command line."""
-    try:
-        yield
-    except FacetrackError as error:
-        message = re.sub(r"(?<!\S)--[a-z]+(-[a-z]+)*", lambda option: ARGUMENTS.get(option[0], option[0]), str(error))
-        error.args = (message, *error.args[1:])
-        raise
-
-
 LOG_FORMAT: Final = "FACETRACK_LOG_FORMAT"  # a variable, so that the processes of a batch know too
 _LEVELS: Final = {"error: ": "error", "warning: ": "warning", "note: ": "info"}
-
-
 _clip: str | None = None
 
 
-@contextlib.contextmanager
+@contextmanager
 def about(clip: str) -> Iterator[None]:
     """Within this all lines of this process are about a clip of that name."""
     global _clip

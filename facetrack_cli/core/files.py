@@ -17,11 +17,11 @@ import stat
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from facetrack_cli.core.errors import InputError, OutputError, reason
 
-_TAIL_BYTES = 1 << 17  # of whole records at the end of a file, in which there is space for its end
+_LAST_RECORDS = 2000  # at the end of a file, in which there is space for its end
 MAX_TABLE_BYTES = 1 << 30  # of a table of rows: ten hours of a face and its points
 MAX_FILE_BYTES = 1 << 26  # of any other file that is read whole
 TABLES = ("trajectory.csv", "trajectory.json", "trajectory.jsonl")  # by one of which the folder of a run is known
@@ -101,6 +101,13 @@ def _bytes(text: str) -> bytes:
     return text.encode(errors="backslashreplace")
 
 
+def _pass_on(data: bytes, file: Any) -> None:
+    """All of the bytes to an unbuffered file, which may take them in parts. OSError."""
+    rest = memoryview(data)
+    while rest:
+        rest = rest[file.write(rest) :]
+
+
 class Place(NamedTuple):
     """A place between two records of a file: the bytes and the records before it."""
 
@@ -108,100 +115,8 @@ class Place(NamedTuple):
     records: int
 
 
-class FileSink:
-    """Records into the temporary file of a path, each of them at once: a process that is killed loses none.
-
-    Raises OutputError when the file cannot be written; `finish` may still be called then, and keeps what fits.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        with writing(path):
-            self._file: BinaryIO = self._open()
-        self._written = self._records = 0  # bytes in the file, and records
-        self._ends: deque[int] = deque()  # where the last records end
-        self._full = False
-
-    def _open(self) -> BinaryIO:
-        return temporary_path(self.path).open("wb", buffering=0)
-
-    def write(self, record: str) -> None:
-        data = _bytes(record)
-        self._records += 1
-        self._ends.append((self._ends[-1] if self._ends else 0) + len(data))
-        self._write(data)
-        while len(self._ends) > 1 and self._ends[0] < self._written - _TAIL_BYTES:
-            self._ends.popleft()
-
-    def place(self) -> Place:
-        """Where the next record begins."""
-        return Place(self._written, self._records)
-
-    def go_on(self, file: Path, place: Place) -> None:
-        """Begin with the contents of a file up to a place. Raises OSError."""
-        left = place.bytes
-        with file.open("rb") as before:
-            while left and (block := before.read(min(left, 1 << 20))):
-                self._file.write(block)
-                left -= len(block)
-        if left:
-            raise OSError(errno.EIO, f"{file} is too short")
-        self._written, self._records = place
-        self._ends.append(place.bytes)
-
-    def sync(self) -> None:
-        """Bring what is written to the disk. Raises OSError."""
-        os.fsync(self._file.fileno())
-
-    def finish(self, tail: Callable[[int], str]) -> None:
-        """End the file with `tail(number of records)` and close it."""
-        try:
-            if self._full:
-                self._cut(tail)
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            try:
-                self._write(_bytes(tail(self._records)))
-            except OutputError:
-                self._cut(tail)
-                raise
-        except OSError as e:
-            raise cannot_write(self.path, e) from e
-        finally:
-            self._file.close()
-
-    def discard(self) -> None:
-        """Close and remove the temporary file, if it is still there."""
-        with contextlib.suppress(OSError):
-            self._file.close()
-        discard(self.path)
-
-    def _write(self, data: bytes) -> None:
-        view = memoryview(data)
-        try:
-            while view:
-                n = self._file.write(view)
-                self._written += n
-                view = view[n:]
-        except OSError as e:
-            self._full = True
-            raise cannot_write(self.path, e) from e
-
-    def _cut(self, tail: Callable[[int], str]) -> None:
-        """End the file within the bytes that reached it, after as many whole records as leave space for the tail."""
-        for kept, place in zip(range(self._records, 0, -1), reversed(self._ends), strict=False):
-            end = _bytes(tail(kept))
-            if place + len(end) <= self._written:
-                self._file.seek(place)
-                self._file.write(end)
-                self._file.truncate(place + len(end))
-                return
-        self._file.truncate(0)
-
-
 class BytesSink:
     """Records encoded and handed to `write`, as that of an open file."""
-
-    path: Path | None = None
 
     def __init__(self, write: Callable[[bytes], object]) -> None:
         self._write, self._records = write, 0
@@ -211,6 +126,7 @@ class BytesSink:
         self._write(_bytes(record))
 
     def finish(self, tail: Callable[[int], str]) -> None:
+        """End with `tail(number of records)`."""
         if end := tail(self._records):
             self._write(_bytes(end))
 
@@ -222,19 +138,95 @@ class StreamSink(BytesSink):
     """Records to an open binary stream, each passed on at once. BrokenPipeError when the reader has closed it."""
 
     def __init__(self, stream: BinaryIO) -> None:
-        super().__init__(self._pass_on)
+        super().__init__(self._to_stream)
         # unbuffered: what a reader did not take must not be written again at exit
         self._stream = getattr(stream, "raw", stream)
 
-    def _pass_on(self, data: bytes) -> None:
+    def _to_stream(self, data: bytes) -> None:
         try:
-            rest = memoryview(data)
-            while rest:
-                rest = rest[self._stream.write(rest) :]
+            _pass_on(data, self._stream)
         except BrokenPipeError:
             raise
         except OSError as e:
             raise cannot_write(Path("standard output"), e) from e
+
+
+class FileSink(BytesSink):
+    """Records into the temporary file of a path, each of them at once: a process that is killed loses none.
+
+    Raises OutputError when the file cannot be written; `finish` may still be called then, and keeps what fits.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._records, self._full = path, 0, False
+        self._ends = deque([0], maxlen=_LAST_RECORDS)
+        with writing(path):
+            self._file: BinaryIO = self._open()
+
+    def _open(self) -> BinaryIO:
+        return temporary_path(self.path).open("wb", buffering=0)
+
+    def write(self, record: str) -> None:
+        data = _bytes(record)
+        self._records += 1
+        self._ends.append(self._ends[-1] + len(data))
+        self._write(data)
+
+    def place(self) -> Place:
+        """Where the next record begins."""
+        return Place(self._file.tell(), self._records)
+
+    def go_on(self, file: Path, place: Place) -> None:
+        """Begin with the contents of a file up to a place. Raises OSError."""
+        left = place.bytes
+        with file.open("rb") as before:
+            while left and (block := before.read(min(left, 1 << 20))):
+                self._file.write(block)
+                left -= len(block)
+        if left:
+            raise OSError(errno.EIO, f"{file} is too short")
+        self._records = place.records
+        self._ends.append(place.bytes)
+
+    def sync(self) -> None:
+        """Bring what is written to the disk. Raises OSError."""
+        os.fsync(self._file.fileno())
+
+    def finish(self, tail: Callable[[int], str]) -> None:
+        """End the file with `tail(number of records)` and close it."""
+        with contextlib.closing(self._file), writing(self.path):
+            try:
+                if self._full:
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                super().finish(tail)
+            except (OSError, OutputError):
+                self._cut(tail)
+                raise
+
+    def discard(self) -> None:
+        """Close and remove the temporary file, if it is still there."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+        discard(self.path)
+
+    def _write(self, data: bytes) -> None:
+        try:
+            _pass_on(data, self._file)
+        except OSError as e:
+            self._full = True
+            raise cannot_write(self.path, e) from e
+
+    def _cut(self, tail: Callable[[int], str]) -> None:
+        """End the file within the bytes that reached it, after as many whole records as leave space for the tail."""
+        reached = self._file.tell()
+        for kept, place in zip(range(self._records, 0, -1), reversed(self._ends), strict=False):
+            end = _bytes(tail(kept))
+            if place + len(end) <= reached:
+                self._file.seek(place)
+                self._file.write(end)
+                self._file.truncate(place + len(end))
+                return
+        self._file.truncate(0)
 
 
 def check_new(path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = ()) -> None:
@@ -296,7 +288,7 @@ def check_readable(path: Path, most: int, what: str = "file") -> None:
     status = path.stat()
     if stat.S_ISFIFO(status.st_mode):
         raise InputError(f"{path}: is a pipe, and can be read only once; save it in a file, and name that")
-    if stat.S_ISCHR(status.st_mode) or stat.S_ISBLK(status.st_mode) or stat.S_ISSOCK(status.st_mode):
+    if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
         raise InputError(f"{path}: is a device, not a {what}; name a file")
     if status.st_size > most:
         size = f"{status.st_size / 1e6:.0f} MB, and at most {most / 1e6:.0f} MB are read"

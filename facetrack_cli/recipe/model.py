@@ -3,8 +3,7 @@
 import ast
 import inspect
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from functools import cache
 from itertools import pairwise
 from numbers import Integral
@@ -16,9 +15,8 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.face_points import HANDS
-from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems
+from facetrack_cli.core.yaml_tree import Node, Problem, Source, Span, YamlProblems
 from facetrack_cli.recipe import sections
-from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.sections import (
     Component,
     FilterSettings,
@@ -217,12 +215,14 @@ class Recipe(Section):
         confidence = ConfidenceSettings() if settings is None else settings.confidence
         return confidence.lost_below if confidence.calibration is None else LIKELY
 
+    def span(self, key: str) -> Span:
+        """The place of a key of this recipe, as of `prior.file`, or of the nearest above it."""
+        nowhere = Span(Source(str(self._path), "", self._path.parent), 0, 0, 1)
+        return nowhere if self._root is None else self._root.at(key.split("."))[0].span
+
     def error(self, key: str, message: str) -> RecipeError:
-        """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
-        if self._root is None:
-            return RecipeError(f"{self._path}: {message}")
-        node, _ = locate(self._root, tuple(key.split(".")))
-        return error_of([Problem(node.span, message)])
+        """An error that points at a key of this recipe; for rules that only building can check."""
+        return YamlProblems(Problem(self.span(key), message))
 
 
 class OpenCvRecipe(Recipe):
@@ -377,21 +377,6 @@ def completed(settings: Mapping[str, Any]) -> dict[str, Any]:
         return to_dict(kind.model_validate(dict(settings)))
     except ValidationError:
         return dict(settings)
-
-
-@contextmanager
-def one_error() -> Iterator[None]:
-    """RecipeError in place of YamlProblems: the first problem, and how many more there are."""
-    try:
-        yield
-    except YamlProblems as refused:
-        raise error_of(refused.problems) from None
-
-
-def error_of(problems: Sequence[Problem]) -> RecipeError:
-    first, others = problems[0], len(problems) - 1
-    more = f" (and {others} more: facetrack recipes check lists all)" if others else ""
-    return RecipeError(f"{first}{more}", first.span.excerpt())
 
 
 def json_schema() -> dict[str, Any]:

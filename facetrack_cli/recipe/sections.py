@@ -6,7 +6,6 @@ paper. Its engine computes with it. No numerics are imported here: an engine is 
 
 from __future__ import annotations
 
-import math
 import pkgutil
 import re
 import typing
@@ -250,23 +249,18 @@ class Length:
         return f"{self.value!r}px".replace(".0px", "px") if self.px else self.value
 
     @classmethod
-    def read(cls, value: object) -> Length:
+    def read(cls, value: Any) -> Length:
         """From what stands in a recipe; raises PydanticCustomError (a ValueError)."""
-        if isinstance(value, Length):
-            value = value.written()
-        if cls.least == 0 and isinstance(value, int | float) and value == 0 and not isinstance(value, bool):
-            return cls(0.0)
-        length = cls(math.nan)
-        if isinstance(value, str) and re.fullmatch(NUMBER + " ?px", value):
-            length = cls(float(value.removesuffix("px")), px=True)
-        elif isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300:
-            length = cls(float(value))
-        if not MIN_LENGTH <= length.value <= MAX_LENGTH:  # also nan
+        value = value.written() if isinstance(value, Length) else value
+        px = isinstance(value, str) and re.fullmatch(NUMBER + " ?px", value) is not None
+        length = float(value.removesuffix("px")) if px else value
+        number = isinstance(length, int | float) and not isinstance(length, bool)
+        if not number or not (MIN_LENGTH <= length <= MAX_LENGTH or length == cls.least):
             units = "a number in units of the target's size, or pixels as in 12px"
             bound = "a length above 0" if cls.least else "0 or a length"
             hint = f"must be {bound} (and no more than a million): {units}"
             raise PydanticCustomError("length", hint)  # type: ignore[arg-type, unused-ignore]
-        return length
+        return cls(float(length), px)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import InputError, UsageError, reading
+from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
 from facetrack_cli.core.numbers import document, places
 from facetrack_cli.run_folder.lease import holder, is_held, left_in
@@ -51,16 +51,6 @@ def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[s
     if not path.exists():
         write_new(path, data, overwrite=True)
     return path
-
-
-def check_networks(folders: Iterable[Path], networks: Sequence[str]) -> None:
-    """Refuse to go on with a batch whose runs took other networks. UsageError."""
-    for folder in folders:
-        run = read_manifest(folder)
-        if run is not None and run.files and sorted(run.networks) != sorted(networks):
-            was, now = (each.network or "without a network" for each in (run, Manifest(networks=tuple(networks))))
-            remedy = "name another folder, or track all anew with --overwrite"
-            raise UsageError(f"{folder}: its clip was tracked {was}, and this batch would be {now}; {remedy}")
 
 
 def batches(folder: Path) -> Iterator[BatchFile]:

@@ -18,9 +18,9 @@ from typing import Any, Final, Literal, TypeAlias
 import cv2
 import numpy as np
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, named_as_arguments
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS, DetectorName
-from facetrack_cli.core.npz import Kind, Stored, flat_value, read_value
+from facetrack_cli.core.npz import Kind, Stored, flatten, restore
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.engine.loop import TrackState, track
@@ -46,7 +46,6 @@ Init: TypeAlias = str | Path | Start | Box
 IMAGES = "the images"
 
 
-@named_as_arguments()
 def track_video(
     path: str | Path,
     recipe: str | Path | Recipe | None = None,
@@ -149,8 +148,7 @@ def track_frames(
         check_smoothing(tracker.recipe)
     shown = clock or (lambda index: index / fps)
     results = tracker._follow(frames_of((shown(index), image) for index, image in enumerate(images)))
-    with named_as_arguments():
-        yield from lagged(results, lag) if lag else results
+    yield from lagged(results, lag) if lag else results
 
 
 class Recording:
@@ -200,7 +198,6 @@ class Recording:
         chosen, self._rate = chosen_recipe(recipe, None, None), _rate(fps)
         self.job = Job(Path(clip), chosen, Path(out), formats=tuple(formats), video=video, overwrite=overwrite)
 
-    @named_as_arguments()
     def __enter__(self) -> Recording:
         self._into = Recorder(resolve(self.job)).__enter__()
         self._into.open(outputs(self._into))
@@ -350,7 +347,6 @@ class Tracker:
         if state is not None:
             self._load(Path(state))
 
-    @named_as_arguments()
     def update(self, image: Image, time_s: float | None = None) -> FrameResult | None:
         """Track one image more.
 
@@ -433,7 +429,7 @@ class Tracker:
         kept = [(frame.index, frame.time_s, frame.bgr) for frame in self._waiting]
         state = self.start, self._at, self._size, self._next, self._last_s, kept
         try:
-            arrays = flat_value("known", state)
+            arrays = flatten("known", state)
         except TypeError:  # what is behind Python has no state to write
             why = f"a tracker of OpenCV, as in {self.recipe.name}, does not give its state away"
             raise UsageError(f"{path}: {why}; take another recipe, or begin it again") from None
@@ -443,7 +439,7 @@ class Tracker:
         def make(stored: Stored) -> Any:
             if stored.text("of") != self._key:
                 raise InputError(f"{path}: is of another recipe or seed; give the tracker those that it was saved with")
-            return read_value(stored, "known")
+            return restore("known", stored.file)
 
         self.start, self._at, self._size, self._next, self._last_s, kept = KIND.read(path, make)
         for index, time_s, image in kept:

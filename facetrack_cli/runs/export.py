@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, UsageError, named_as_arguments
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.files import check_new, temporary_path, write_new
 from facetrack_cli.run_folder.manifest import VIDEO
 from facetrack_cli.runs.plan import silent
@@ -28,7 +28,6 @@ from facetrack_cli.video import images
 from facetrack_cli.video.source import open_source
 
 
-@named_as_arguments()
 def export(
     trajectory: Trajectory,
     form: str,
@@ -189,7 +188,6 @@ class Video:
         return f'<video controls style="max-width: 100%" src="data:video/mp4;base64,{src}"></video>'
 
 
-@named_as_arguments()
 def annotated_video(trajectory: Trajectory, *, media: str | Path | None = None) -> Video:
     """The clip with its trajectory: the run's own annotated video, or one that is drawn from the rows.
 

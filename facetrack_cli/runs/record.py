@@ -27,7 +27,7 @@ import numpy as np
 
 from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.npz import Arrays, Kind, Stored, flat_value, read_value
+from facetrack_cli.core.npz import Arrays, Kind, Stored, flatten, restore
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
 from facetrack_cli.engine.loop import TrackState
@@ -148,7 +148,7 @@ class Checkpoints:
             if stored.text("key") != self._key:
                 return None
             self._last_frames = int(stored.file["frames"])
-            return read_value(stored, "run")
+            return restore("run", stored.file)
 
         if (self.folder / STATE).is_file():
             sweep(self.folder)
@@ -166,7 +166,7 @@ class Checkpoints:
         The `steps` come before.
         """
         self._last_s, self._last_frames = time.monotonic(), frames
-        self._ready = {"frames": np.array(frames), **flat_value("run", state)}, steps
+        self._ready = {"frames": np.array(frames), **flatten("run", state)}, steps
 
     def release(self) -> None:
         """Keep what is marked."""
@@ -425,7 +425,7 @@ class Table(Sink):
     def __init__(self, out: Path | None, form: Format) -> None:
         self._form: Format = form
         self.path = None if out is None else out / f"trajectory.{form}"
-        self._sink: files.FileSink | files.StreamSink | None = None
+        self._sink: files.BytesSink | None = None
 
     def begin(self, clip: ClipFacts, header: Header, mark: files.Place | None) -> None:
         if self.path is None:

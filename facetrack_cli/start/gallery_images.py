@@ -17,7 +17,6 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.types import Array, Box, Frame, Start
-from facetrack_cli.core.yaml_tree import printable
 from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.start.init_file import SUFFIXES as INIT_SUFFIXES
 from facetrack_cli.start.init_file import check_start, default_path, find_init, read_init
@@ -92,7 +91,7 @@ def _person(folder: Path, warn: Warn) -> Person:
     # letters with marks may be written in two ways, which look alike
     name = unicodedata.normalize("NFC", folder.name).strip()
     if problem := name_problem(name):
-        raise InputError(f"{printable(str(folder))}: {problem}; rename the folder")
+        raise InputError(f"{folder}: {problem}; rename the folder")
     items = []
     for entry in _entries(folder):
         if entry.is_dir() and not images.listing(entry):

@@ -35,7 +35,7 @@ from facetrack_cli.core.files import write_new
 from facetrack_cli.core.geometry import centre, inside
 from facetrack_cli.core.types import BOX, Point, Start
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
-from facetrack_cli.recipe.messages import locate, problems
+from facetrack_cli.recipe.load import problems
 from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.trajectory.reader import CorrectedTarget, StartRecord, TargetRecord, corrected, to_record, whole
 
@@ -236,17 +236,17 @@ def _check(record: StartRecord, tree: Node) -> None:
         if len(path) == 4 and isinstance(path[3], str) and not NAME.fullmatch(path[3]):
             _refuse(node, f'"{path[3]}" cannot name a part; use letters, digits, _ and -', at_key=True)
     for name, target in record.targets.items():
-        at = locate(tree, ("targets", name))[0]
+        at = tree.at(("targets", name))[0]
         if target.box is None and not target.points:
             _refuse(at, f"no box or points of {name}; add box: [left, top, width, height] or points:")
         for part in target.windows:
-            _check_part(locate(at, ("windows", part))[0], "windows", part, tuple(target.points))
+            _check_part(at.at(("windows", part))[0], "windows", part, tuple(target.points))
     seen: set[tuple[int, str]] = set()
     for number, fix in enumerate(record.corrections):
-        at, name = locate(tree, ("corrections", number))[0], fix.target
+        at, name = tree.at(("corrections", number))[0], fix.target
         if fix.frame <= record.frame:
             begins = f"the track begins in frame {record.frame}; corrections come after it"
-            _refuse(locate(at, ("frame",))[0], f"corrects frame {fix.frame}, but {begins}")
+            _refuse(at.at(("frame",))[0], f"corrects frame {fix.frame}, but {begins}")
         if (fix.frame, name) in seen:
             _refuse(at, f"{name} is corrected in frame {fix.frame} already; join them", at_key=True)
         seen.add((fix.frame, name))
@@ -263,7 +263,7 @@ def _check(record: StartRecord, tree: Node) -> None:
         lists = {"absent": fix.absent, "confirmed": fix.confirmed}
         for key, names in {"points": fix.points, "kept": fix.kept, **lists}.items():
             for place, part in enumerate(() if names is True else names):
-                child = locate(at, (key, place if key in lists else part))[0]
+                child = at.at((key, place if key in lists else part))[0]
                 if part in placed:
                     _refuse(child, f"{part} is in {placed[part]} already; leave it in one place", at_key=True)
                 _check_part(child, key, part, parts)
@@ -286,7 +286,7 @@ def _mapping(node: Node, what: str, example: str) -> dict[str, Node]:
 def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
     """Refuse the value of a node. An empty value has no place, so the error points at its key."""
     span = node.key if (at_key or node.value is None) and node.key is not None else node.span
-    raise YamlProblems([Problem(span, message)])
+    raise YamlProblems(Problem(span, message))
 
 
 def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frames: int | None = None) -> None:

@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from facetrack_cli.core import __version__
-from facetrack_cli.core.files import BytesSink, FileSink
+from facetrack_cli.core.files import BytesSink
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, KNOWN, Diagnostics
@@ -86,7 +86,7 @@ class Writer:
     one to a line, so that neither writing nor `grep` holds them all. jsonl is for programs that read meanwhile.
     """
 
-    def __init__(self, form: Format, sink: FileSink | BytesSink, header: Header, *, resumed: bool = False) -> None:
+    def __init__(self, form: Format, sink: BytesSink, header: Header, *, resumed: bool = False) -> None:
         """`resumed`: the sink holds the header and some frames already."""
         self._form, self._sink, self._between = form, sink, ",\n" * resumed
         if resumed:

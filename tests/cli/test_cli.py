@@ -6,10 +6,8 @@ import types
 from pathlib import Path
 
 import click
-import numpy as np
 import pytest
 
-from facetrack_cli import Recording, track_frames, track_video
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli import app as cli
 from facetrack_cli.core import __version__
@@ -21,7 +19,6 @@ from facetrack_cli.video.source import open_source
 from tests.fuzz import guided
 from tests.support.media import write_pictures
 from tests.support.samples import FOLDER
-from tests.support.terminal import read_all
 
 HEAVY = {"numpy", "cv2", "numba", "pydantic", "rich", "imageio", "imageio_ffmpeg", "ruamel"}
 PACKAGE = Path(cli.__file__).parents[1]
@@ -105,12 +102,10 @@ def test_help_lists_the_commands_and_options_in_sections(capsys):
     titles = [f"{title}:" for title in cli.SECTIONS]
     assert sorted(titles, key=listed.index) == titles
     assert said() == listed
-    assert "Usage: facetrack run" in said("track", "--help")
     assert said("--version") == f"facetrack {__version__}\n"
     run = said("run", "--help-all")
-    places = [
-        run.index(one) for one in ("Where the track begins:", "\n  --box X,Y", "Many clips and long", "\n  --shard")
-    ]
+    parts = ("Where the track begins:", "\n  --box X,Y", "Many clips and long", "\n  --shard")
+    places = [run.index(part) for part in parts]
     assert places == sorted(places) and run.count("\n  --split") == 1 and "Options:\n  -h, --help" in run
 
 
@@ -154,17 +149,17 @@ def test_a_command_has_an_example_and_help_of_80_columns_and_twelve_options(name
         (click.UsageError("No such thing."), 2, "error: No such thing (see facetrack boom --help)"),
         (click.FileError("x.csv", "gone"), 2, "error: Could not open file 'x.csv': gone"),
         (KeyboardInterrupt(), 130, "interrupted"),
+        (
+            RecipeError("r.yaml:1:2: wrong", "    1 | ab\n      |  ^"),
+            2,
+            "error: r.yaml:1:2: wrong\n    1 | ab\n      |  ^",
+        ),
     ],
 )
 def test_an_error_is_one_line(boom, capsys, error, code, said):
     assert boom(raising(error)) == code
     out, err = capsys.readouterr()
     assert out == "" and err.strip() == f"facetrack: {said}"
-
-
-def test_a_recipe_error_has_its_excerpt(boom, capsys):
-    assert boom(raising(RecipeError("r.yaml:1:2: wrong", "    1 | ab\n      |  ^"))) == 2
-    assert capsys.readouterr().err == "facetrack: error: r.yaml:1:2: wrong\n    1 | ab\n      |  ^\n"
 
 
 def test_a_crash_is_an_internal_error_in_one_line(boom, capsys, monkeypatch):
@@ -202,6 +197,10 @@ def test_a_command_may_return_its_exit_code_or_leave_with_it(boom, code):
         (["recipes", "show"], "Missing argument 'RECIPE' (see facetrack recipes show --help)"),
         (["people", "out", "--save", "p.txt"], "p.txt: cannot tell the kind of file; let its name end in .npz"),
         (["export", "run"], "Missing option '--to'. Choose from: csv-wide, pose,"),
+        (
+            ["app", str(FOLDER / "map.mp4")],
+            "map.mp4: is a file; name a folder for the project, and add clips on its page",
+        ),
         (["recipes", "show", "factorised"], '"factorised" is neither a file nor a shipped recipe; did you mean'),
     ],
 )
@@ -262,35 +261,13 @@ def test_every_shipped_recipe_has_one_task():
     assert {default_recipe(box=False), default_recipe(box=True)} <= {*TAKE}
 
 
-@pytest.mark.skipif(os.name == "nt", reason="needs a pseudo-terminal")
-def test_on_a_terminal_there_are_a_table_and_colours():
-    def seen(*arguments, **environment):
-        import pty
-
-        ours, theirs = pty.openpty()
-        command = [sys.executable, "-m", "facetrack_cli", *arguments]
-        plain = {name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "FORCE_COLOR")}
-        terminal = {**plain, "TERM": "xterm-256color", "COLUMNS": "80", **environment}
-        with subprocess.Popen(command, stdout=theirs, stderr=theirs, env=terminal) as process:
-            os.close(theirs)
-            said = read_all(ours)
-        assert process.returncode == 0
-        return said
-
-    table = seen("recipes")
-    assert "a face and its features" in table and "\x1b[1m" in table and "\t" not in table
-    plain = re.sub(r"\x1b\[[0-9;]*m", "", table)
-    marked = [line.split()[1] for line in plain.splitlines() if line.startswith("-> ") and "is the one" not in line]
+def test_on_a_terminal_recipes_are_listed_by_task(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert main(["recipes"]) == 0
+    listed = capsys.readouterr().out
+    assert all(f"{task}:" in listed for task in TASKS) and "\t" not in listed
+    marked = re.findall(r"^  -> (\w+) ", listed, re.MULTILINE)
     assert marked == [*TAKE] == ["face", "correlation_filter", "signer", "adaptive_recognition"]
-
-
-def test_out_of_memory_is_no_fault_of_ours(monkeypatch, capsys):
-    def refuse(*_):
-        raise MemoryError("Unable to allocate 73 TiB")
-
-    monkeypatch.setattr("facetrack_cli.core.models.shipped_recipes", refuse)
-    assert main(["recipes"]) == 1
-    assert capsys.readouterr().err.startswith("facetrack: error: not enough memory (Unable to allocate 73 TiB); take")
 
 
 def test_init_finds_all_faces_of_a_frame(tmp_path, capsys):
@@ -303,21 +280,6 @@ def test_init_finds_all_faces_of_a_frame(tmp_path, capsys):
     capsys.readouterr()
     assert main(["init", str(tmp_path / "two"), "--faces", "all", "--box", "1,1,50,50"]) == ExitCode.USAGE
     assert "leave out --box" in capsys.readouterr().err
-
-
-def test_errors_for_python_name_its_arguments(tmp_path):
-    with pytest.raises(InputError, match=r"change start or stop, or begin elsewhere with init or a box as init$"):
-        track_video(FOLDER / "map.mp4", "mil", start=5, stop=9)
-    with pytest.raises(InputError, match=r"give its box with a box as init .*, an init file with init FILE"):
-        [*track_frames([np.zeros((60, 80, 3), np.uint8)], "face")]
-    (tmp_path / "out").write_text("")
-    with pytest.raises(OutputError, match=r"name another with out$"), Recording(tmp_path / "out", "sir"):
-        pass
-
-
-def test_a_project_is_a_folder(capsys):
-    assert main(["app", str(FOLDER / "map.mp4")]) == ExitCode.USAGE
-    assert "map.mp4: is a file; name a folder for the project, and add clips on its page" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """--log-format json: an object a line on standard error; NO_COLOR."""
 
 import json
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from facetrack_cli.core.errors import LOG_FORMAT, log_line
 from facetrack_cli.recipe.load import find_recipe, read_recipe
 from facetrack_cli.runs import progress as module
 from facetrack_cli.runs.progress import progress
-from facetrack_cli.video.writer import VideoWriter
+from tests.support.media import write_video
 from tests.support.samples import FOLDER
 
 
@@ -51,20 +50,15 @@ def test_lines_of_several_clips_say_which(tmp_path, capfd):
     assert main(["--log-format", "json", *words, *set_, "-o", str(tmp_path / "out")]) == 5
     said = objects(capfd.readouterr().err)
     for clip in clips:
-        mine = [one for one in said if clip.name in one["message"]]
-        assert mine and {one.get("clip") for one in mine} == {clip.name}
-    assert [one["message"] for one in said if "clip" not in one and one["message"] != "progress"] == [
-        "1 of 3 inputs failed"
-    ]
+        assert {one.get("clip") for one in said if clip.name in one["message"]} == {clip.name}
+    of_all = [one["message"] for one in said if "clip" not in one and one["message"] != "progress"]
+    assert of_all == ["1 of 3 inputs failed"]
 
 
 def test_the_search_for_a_face_is_told(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(module, "EVERY_JSON_S", 0.0)
-    clip = tmp_path / "nobody.mp4"
-    with VideoWriter(clip, (96, 96), Fraction(25)) as video:
-        for i in range(12):
-            video.write(np.full((96, 96, 3), 90, np.uint8), i / 25)
-    assert main(["--log-format", "json", "run", str(clip), "-o", str(tmp_path / "out")]) == 3
+    write_video(tmp_path / "nobody.mp4", frames=[np.full((96, 96, 3), 90, np.uint8)] * 12)
+    assert main(["--log-format", "json", "run", str(tmp_path / "nobody.mp4"), "-o", str(tmp_path / "out")]) == 3
     steps = [one for one in objects(capfd.readouterr().err) if "progress" in one["message"]]
     assert {one["message"] for one in steps} == {"progress, looking for a face"}
     assert [one["done"] for one in steps] == [*range(1, 13)] and {one["total"] for one in steps} == {12}
@@ -75,7 +69,7 @@ def test_errors_are_objects(tmp_path, capfd):
     (said,) = objects(capfd.readouterr().err)
     assert said["level"] == "error" and "none" in said["message"] and "facetrack" not in said["message"][:9]
     recipe = tmp_path / "r.yaml"
-    recipe.write_text(read_recipe(find_recipe("sir")).replace("seed: 0", "seed: -1"), encoding="utf-8")
+    recipe.write_text(read_recipe(find_recipe("sir")).text.replace("seed: 0", "seed: -1"), encoding="utf-8")
     assert main(["--log-format", "json", "run", str(FOLDER / "map.mp4"), "--config", str(recipe)]) == 2
     (said,) = objects(capfd.readouterr().err)
     assert "seed must be at least 0" in said["message"] and "seed: -1" in said["excerpt"]

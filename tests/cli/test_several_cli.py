@@ -57,9 +57,6 @@ def rows(text):
     return {name: [x - (w - 1) / 2, y - (h - 1) / 2, w, h] for name, (x, y, w, h) in numbers.items()}
 
 
-# --- where to begin --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("config", "begin"),
     [
@@ -95,11 +92,7 @@ def test_a_start_that_does_not_do_is_told_in_one_line(facetrack, begin, said):
     assert said in refusal(run(facetrack, *init(**begin)), 3)
 
 
-LEFT_OUT = ("targets.right_hand=null", "exclusion={strength: 1, reach: 10, first: [head, head]}", "exclusion=null",
-            "targets.foot=null")  # fmt: skip
-
-
-@pytest.mark.parametrize("override", LEFT_OUT)
+@pytest.mark.parametrize("override", ["targets.right_hand=null", "exclusion=null", "targets.foot=null"])
 def test_boxes_at_the_border_large_and_tiny_ones_are_followed(facetrack, override):
     """Whatever the recipe leaves out, which is passed over in the init file."""
     options = init(head="[0, 0, 320, 240]", left_hand="[-20, 138, 48, 57]", right_hand="[290, 200, 6, 6]")
@@ -119,15 +112,19 @@ def test_a_grey_clip_is_refused_by_its_name_and_with_a_remedy(facetrack, clips, 
     assert f"{clips}/grey: " in said and "of the face's box have a colour" in said and "as ncc" in said
 
 
+def test_fail_on_lost_has_its_exit_code(facetrack):
+    options = [*init(head=HEAD, **BOTH), "--set", "targets.left_hand.confidence.patience=1", "--fail-on-lost"]
+    assert run(facetrack, *options, "-o", "there")[0] == 0
+    assert run(facetrack, *options, "-o", "gone", name="gone")[0] == 4
+    assert "left_hand/box" in json.loads(Path("gone/trajectory.json").read_text())["lost_frames"]
+
+
 def test_a_face_is_looked_for_until_hands_show_too(facetrack):
     code, out, err = run(facetrack, "-o", "-", name="late")
     assert (code, err) == (0, "")
     assert out.splitlines()[1].startswith("2,") and list(rows(out)) == ALL
     said = refusal(run(facetrack, name="bare"), 3)
     assert "frame 0 shows no region of skin beside the head" in said and said.endswith("; no frame to 2 shows more")
-
-
-# --- what is told ----------------------------------------------------------------------------------------------------
 
 
 def test_a_fallback_is_told_once_and_kept(facetrack):
@@ -158,16 +155,6 @@ def test_of_a_batch_each_line_names_its_clip_once_and_what_worked_is_kept(facetr
         assert facetrack("run", "IN/sign", *options, "--threads", threads, "-o", f"t{threads}", "-q")[0] == 0
     alone, again, among = (Path(f, "trajectory.csv").read_bytes() for f in ("t1", "t2", folders["sign"]))
     assert alone == again == among
-
-
-def test_fail_on_lost_has_its_exit_code(facetrack):
-    options = [*init(head=HEAD, **BOTH), "--set", "targets.left_hand.confidence.patience=1"]
-    assert run(facetrack, *options, "--fail-on-lost", "-o", "there")[0] == 0
-    assert run(facetrack, *options, "--fail-on-lost", "-o", "gone", name="gone")[0] == 4
-    assert "left_hand/box" in json.loads(Path("gone/trajectory.json").read_text())["lost_frames"]
-
-
-# --- facetrack init --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("config", ["head_hands", "skin_ncc_robust", "factorized"])

@@ -1,6 +1,6 @@
 """run --smooth and --lag: the files that they write, and what they refuse."""
 
-import json
+import re
 import shutil
 from pathlib import Path
 
@@ -38,16 +38,19 @@ def refused(*args):
     return error.exit_code, str(error)
 
 
+def raising(error):
+    def fails(*_):
+        raise error
+
+    return fails
+
+
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
     """A run that was stopped before it was smoothed."""
     folder = tmp_path_factory.mktemp("smooth") / "run"
-
-    def stopped(*_):
-        raise StoppedError
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("facetrack_cli.runs.smooth.finish_run", stopped)
+        patch.setattr("facetrack_cli.runs.smooth.finish_run", raising(StoppedError))
         said = done(*RUN[:-1], "--smooth", "--no-video", "-o", folder).output
     assert "not smoothed; the same command again does it" in said and (folder / "posterior.npz").is_file()
     return folder
@@ -78,23 +81,18 @@ def test_the_same_command_again_smooths_what_was_not_and_leaves_what_was(run, tm
 
 
 def test_an_error_of_smoothing_leaves_what_was_tracked_and_is_the_command_s(tmp_path, monkeypatch):
-    def damaged(*_):
-        raise InputError("posterior.npz: odd")
-
-    monkeypatch.setattr("facetrack_cli.runs.smooth.finish_run", damaged)
+    monkeypatch.setattr("facetrack_cli.runs.smooth.finish_run", raising(InputError("posterior.npz: odd")))
     result = invoke(*RUN[:-1], "--smooth", "--no-video", "-o", tmp_path / "out")
     assert isinstance(result.exception, InputError) and "30 frames" in result.output
     assert (tmp_path / "out" / "posterior.npz").is_file() and len(read_trajectory(tmp_path / "out").frames) == 30
 
 
 def test_a_run_without_its_video_is_drawn_again(tmp_path, monkeypatch):
-    def full(*_):
-        raise OutputError("annotated.mp4: the disk is full")
-
+    full = "annotated.mp4: the disk is full"
     command = (*RUN[:3], "factorized", "--stop", "8", "-q", "--smooth", "-o", tmp_path / "out")
     with monkeypatch.context() as patched:
-        patched.setattr("facetrack_cli.video.writer.VideoWriter.write", full)
-        assert refused(*command) == (2, "annotated.mp4: the disk is full")
+        patched.setattr("facetrack_cli.video.writer.VideoWriter.write", raising(OutputError(full)))
+        assert refused(*command) == (2, full)
     done(*command)
     assert {"annotated.mp4", "trajectory.filtered.csv"} <= {path.name for path in (tmp_path / "out").iterdir()}
     assert "done before" in done(*(word for word in command if word != "-q")).output
@@ -181,13 +179,9 @@ def test_a_damaged_posterior_is_refused_in_one_line(damage, run):
 
 
 def test_a_posterior_of_before_corrections_is_refused(run):
-    text = (run / "trajectory.json").read_text()
-    head = json.loads(text)["init"]
-    head["corrections"] = [{"frame": 5, "target": "face", "points": {"nose": [1, 2]}}]
-    lines = text.split("\n")
-    at = next(i for i, line in enumerate(lines) if line.startswith('"init"'))
-    lines[at] = f'"init": {json.dumps(head)},'
-    (run / "trajectory.json").write_text("\n".join(lines))
+    fixed = '"corrections": [{"frame": 5, "target": "face", "points": {"nose": [1, 2]}}]'
+    text = re.sub(r'^("init": \{.*)\},$', rf"\1, {fixed}}},", (run / "trajectory.json").read_text(), flags=re.MULTILINE)
+    (run / "trajectory.json").write_text(text)
     (run / "run.json").unlink()
     with pytest.raises(InputError, match="before the run was corrected"):
         finish_run(Job(CLIP, load_recipe("factorized"), run, smooth=True), run, silent, never)

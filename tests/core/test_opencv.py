@@ -17,12 +17,10 @@ from facetrack_cli.trackers.face import detectors
 needs_4 = pytest.mark.skipif(not cv2.__version__.startswith("4."), reason="compares with OpenCV 4")
 
 
-@pytest.mark.parametrize("version", ["6.0.0", "3.4.20", "of nothing"])
-def test_another_version_is_refused_with_its_packages(version):
-    with pytest.raises(UsageError) as caught:
-        check_opencv(version)
-    said = str(caught.value)
-    assert f"cv2 is {version}" in said and "pip install 'opencv-python-headless" in said and "\n" not in said
+def test_another_version_is_refused_with_its_packages():
+    for version in ("6.0.0", "3.4.20", "of nothing"):
+        with pytest.raises(UsageError, match=f"cv2 is {version}: .* pip install 'opencv-python-headless"):
+            check_opencv(version)
 
 
 @pytest.mark.one_in(4)
@@ -36,11 +34,8 @@ def test_every_command_beside_opencv_6_ends_in_one_line(tmp_path, command):
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(__file__).parents[2])])},
         cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert done.returncode == 2, done.stderr
-    assert (
-        done.stderr.startswith("facetrack: error: OpenCV 4 or 5 is needed, and cv2 is 6.0.0")
-        and done.stderr.count("\n") == 1
-    )
+    assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+    assert done.stderr.startswith("facetrack: error: OpenCV 4 or 5 is needed, and cv2 is 6.0.0")
 
 
 @pytest.mark.parametrize("missing", ["class", "files"])
@@ -76,11 +71,6 @@ def test_a_warp_reads_where_opencv_4_reads(monkeypatch, channels, inverse):
             matrix = np.column_stack([linear, rng.normal(0, 30, 2)])
             warp = partial(geometry.warp_affine, image, matrix, (70, 50), border, inverse=inverse)
             assert np.array_equal(*both(monkeypatch, warp))
-
-
-@needs_4
-def test_a_map_reads_where_opencv_4_reads(monkeypatch):
-    rng = np.random.default_rng(0)
-    image = rng.normal(0, 50, (61, 83)).astype(np.float32)
     x, y = (rng.uniform(-5, side + 5, (40, 30)).astype(np.float32) for side in (83, 61))
-    assert np.array_equal(*both(monkeypatch, partial(geometry.remap, image, x, y, cv2.BORDER_REPLICATE)))
+    read = partial(geometry.remap, image.astype(np.float32), x, y, cv2.BORDER_REPLICATE)
+    assert np.array_equal(*both(monkeypatch, read))

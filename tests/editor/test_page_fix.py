@@ -344,8 +344,6 @@ def test_what_is_wrong_is_said_in_one_line(facetrack, out):
         (["nowhere"], 3, "is no folder"),
         ([out, "--clip", "gone.mp4"], 3, "gone.mp4: no such file"),
         ([out, "--init", "i.yaml"], 3, "i.yaml"),
-        ([out, "--init", "i.yaml", "--port", 9000], 2, "--port is for the page"),
-        ([out, "-q"], 2, "--quiet goes with --init"),
         ([out, "--init", "late.yaml"], 3, "nose of face at frame 9 at [950, 130] is outside"),
     ):
         assert said in refusal(facetrack("fix", *words), code)

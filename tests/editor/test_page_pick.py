@@ -346,8 +346,6 @@ def test_stopped_before_it_is_saved(clips, command, tmp_path, code, said, chosen
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["--port", "80"], 2, "--port is for the page; add --pick"),
-        (["--open"], 2, "--open is for the page; add --pick"),
         (["--pick", "--port", "99999"], 2, "--port"),
         (["--pick", "--init-frame", "3"], 3, "frame 3"),
         (["--pick", "--config", "nothing"], 2, "nothing"),

@@ -319,7 +319,6 @@ def test_a_golden_of_something_else_fails(
         (("--update", "--config", "sir"), ExitCode.INPUT, "has no clip with an init file beside it"),
         (("--update", "--config", "nonsense"), ExitCode.USAGE, '"nonsense" is neither a file nor a shipped recipe'),
         (("--update", "--set", "seed=1"), ExitCode.USAGE, "--update records recipes as they are"),
-        (("--stop", "30"), ExitCode.USAGE, "goes with --update"),
         (("none",), ExitCode.INPUT, "none: no such folder; name the folder that holds the clips"),
         (("clip.csv",), ExitCode.INPUT, "clip.csv: no such folder; name the folder that holds the clips"),
     ],

@@ -12,6 +12,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from random import Random
@@ -24,7 +25,7 @@ FEW = 3  # images of a pipe
 def parsers() -> dict[str, Callable[[Path, bytes], object]]:
     """By name; each gets an empty folder, and bytes. The package is loaded here, under atheris if that guides."""
     from facetrack_cli.core.errors import InputError
-    from facetrack_cli.core.npz import read_value
+    from facetrack_cli.core.npz import restore
     from facetrack_cli.engine.confidence import load_calibration
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.run_folder import lease
@@ -51,12 +52,8 @@ def parsers() -> dict[str, Callable[[Path, bytes], object]]:
 
     def arrays(folder: Path, data: bytes) -> None:
         path = put(folder, "x.npz", data)
-        for read in (
-            load_gallery,
-            load_people,
-            load_prior,
-            lambda path: KIND.read(path, lambda one: read_value(one, "run")),
-        ):
+        state = partial(KIND.read, make=lambda stored: restore("run", stored.file))
+        for read in (load_gallery, load_people, load_prior, state):
             with contextlib.suppress(InputError):
                 read(path)
 
@@ -110,14 +107,8 @@ def seeds(parser: str) -> Iterator[bytes]:
     samples = ROOT / "sample_videos"
     if parser == "people":
         track = {"person": "a", "first": 0, "stop": 9, "p": 0.9}
-        person = {
-            "name": "a",
-            "seconds": 0.4,
-            "p": 0.9,
-            "intervals": [[0, 9]],
-            "times": [[0.0, 0.36]],
-            "still": "people/1.jpg",
-        }
+        seen = {"intervals": [[0, 9]], "times": [[0.0, 0.36]], "still": "people/1.jpg"}
+        person = {"name": "a", "seconds": 0.4, "p": 0.9, **seen}
         whole = {"fps": 25.0, "shots": [{"first": 0, "stop": None}], "people": [person], "tracks": [track]}
         yield json.dumps({"format": "facetrack-people", "version": 1, **whole}).encode()
     elif parser == "arrays":
@@ -156,14 +147,8 @@ def damaged(parser: str, count: int) -> Iterator[bytes]:
     rng, whole = Random(parser), list(seeds(parser))
     for _ in range(count):
         one = rng.choice(whole)
-        if parser in ("arrays", "live") or rng.random() < 0.4:
-            yield hostile.data(rng, one)
-        elif one[:1] == b"{" and parser != "run" and rng.random() < 0.5:
-            with contextlib.suppress(ValueError):
-                one = hostile.tree(rng, json.loads(one))
-            yield one
-        else:
-            yield hostile.text(rng, one.decode())
+        of_bytes = parser in ("arrays", "live") or rng.random() < 0.4
+        yield hostile.data(rng, one) if of_bytes else hostile.text(rng, one.decode())
 
 
 def main() -> None:

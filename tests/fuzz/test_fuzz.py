@@ -117,6 +117,11 @@ def odd_calibration(valid):
     return json.dumps(tree).encode()
 
 
+def arrays_of(path):
+    with np.load(path) as file:
+        return dict(file)
+
+
 def pickled(valid):
     opens = np.array([hostile.Opens()], object)
     return hostile.npz({**arrays_of(valid / "gallery.npz"), "names": opens, "format": opens})
@@ -129,7 +134,6 @@ def odd_metadata(valid):
     return whole[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + whole[2:]
 
 
-ALIASES = "a0: &a0 [x, x, x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12))
 HEAD = "frame,time_s,target,part,x,y"
 APART = f"{HEAD},w,h,status\n0,0,face,box,10,10,5,5,tracked\n1000000000,1,face,box,10,10,5,5,lost\n"
 FACES = "".join(f"{t},{t / 25},face{i},nose,{i},10\n" for t in range(FRAMES) for i in range(1000))
@@ -145,10 +149,7 @@ NAMED = {
     "output-that-colours-the-terminal": ("plot IN/run -o \x1b]0;x\x07.png", "", "", ""),
     "one-frame-in-an-hour": (f"run IN/frames --fps 1/3600 {MIL} -o out -q --stop 3", "", "", ""),
     "frame-number-beyond-any-clip": (f"run IN/frames {MIL} -o out --init-frame {'9' * 30}", "", "", ""),
-    "recipe-of-aliases-of-aliases": (CHECK, "x.yaml", ALIASES, "x.yaml"),
-    "recipe-that-calls-python": (CHECK, "x.yaml", "description: !!python/object/apply:os.system ['x']\n", "x.yaml"),
     "recipe-of-9000-unknown-keys": (CHECK, "x.yaml", "".join(f"key{i}: {i}\n" for i in range(9000)), "x.yaml"),
-    "recipe-nested-100000-deep": (CHECK, "x.yaml", f"a: {'[' * 100_000}{']' * 100_000}", "x.yaml"),
     "trajectory-nested-100000-deep": ("export x.json --to dlc", "x.json", '{"a":' * 100_000 + "1" + "}" * 100_000, "x"),
     "line-of-20-megabytes": (
         "export x.jsonl --to dlc", "x.jsonl", f'{{"type":"header","a":"{"a" * 20_000_000}"}}\n', "x.jsonl",
@@ -163,18 +164,13 @@ NAMED = {
     ),
     "gallery-that-is-a-pickle": ("gallery show x.npz -o out.png", "x.npz", pickled, "x.npz"),
     "prior-whose-header-promises-much": (
-        "prior show x.npz -o out.png", "x.npz",
+        "prior show x.npz", "x.npz",
         lambda valid: hostile.npz(arrays_of(valid / "prior.npz"), shapes=(10**9, 5, 2)), "x.npz",
     ),
     "image-of-400-million-pixels": (f"run frames {MIL} {RUN}", "frames/0.png", lambda _: png(20_000, 20_000), "0.png"),
     "image-one-pixel-high": (f"run frames {MIL} {RUN}", "frames/0.png", lambda _: png(60_000, 1), "--box"),
     "image-with-damaged-metadata": (f"run frames {MIL} {RUN}", "frames/0.jpg", odd_metadata, "0.jpg"),
 }  # fmt: skip
-
-
-def arrays_of(path):
-    with np.load(path) as file:
-        return {key: file[key] for key in file.files}
 
 
 @pytest.mark.one_in(4)

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from facetrack_cli.core.errors import ExitCode, RecipeError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.yaml_tree import MAX_BYTES, Source, YamlProblems, parse
-from facetrack_cli.recipe.load import check_recipe, load_recipe, read_recipe, resolve_file
+from facetrack_cli.recipe.load import check_recipe, find_recipe, load_recipe, read_recipe, resolve_file
 from facetrack_cli.recipe.model import OpenCvRecipe, json_schema, to_dict
 from facetrack_cli.recipe.sections import FactorizedSettings, IndependentSettings, Length, SirSettings
 from facetrack_cli.trackers.points.settings import ColourRatioSettings, PointsSettings
@@ -80,17 +80,14 @@ def test_a_shipped_recipe_is_good_and_reads_like_a_method_section(name, write):
 
 
 def test_a_dump_has_lengths_as_they_were_written():
-    given = ["motion.sigma={nose: 2.5px, default: 0.1}", "target.windows=[12px, 0.3]"]
-    settings = to_dict(load_recipe("sir", given))
+    settings = to_dict(load_recipe("sir", ["motion.sigma={nose: 2.5px, default: 0.1}", "target.windows=[12px, 0.3]"]))
     assert settings["motion"]["sigma"] == {"nose": "2.5px", "default": 0.1}
     assert settings["target"]["windows"] == ["12px", 0.3]
-    settings = to_dict(load_recipe("contour", ["motion.position.B=[[0.1, 2px], [0, 0.05]]"]))
-    assert settings["motion"]["position"]["B"] == [[0.1, "2px"], [0.0, 0.05]]
 
 
 def test_a_gallery_is_sought_like_any_file_of_a_recipe(write, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text = read_recipe(next(path for path in shipped_recipes() if path.stem == "adaptive_recognition"))
+    text = read_recipe(find_recipe("adaptive_recognition")).text
     path = write(text.replace("recognition: {}", "recognition: {gallery: people.npz}"), "mine.yaml")
     (problem,) = check_recipe(path)
     assert 'there is no file "people.npz"' in str(problem)
@@ -102,16 +99,14 @@ def test_a_gallery_is_sought_like_any_file_of_a_recipe(write, tmp_path, monkeypa
 def test_the_type_of_a_recipe_says_which_keys_it_has(write):
     whole = load_recipe(write("type: particle_filter\n" + GOOD))
     assert to_dict(whole) == to_dict(load_recipe(write(GOOD))) and whole.points == ("nose", "chin")
-    with pytest.raises(RecipeError, match=r':1:7: unknown type of recipe "open_cv"; did you mean "opencv"\?'):
-        load_recipe(write("type: open_cv\ntracker: mil\ndescription: d\n"))
-    with pytest.raises(RecipeError, match=r":1:7: unknown type of recipe"):
-        load_recipe(write("type: [opencv]\ntracker: mil\ndescription: d\n"))
-    with pytest.raises(RecipeError, match=r':4:1: unknown key "filter"'):
-        load_recipe(write("type: opencv\ntracker: mil\ndescription: d\nfilter: {type: sir}\n"))
-    with pytest.raises(
-        RecipeError, match=r":2:10: tracker must be 'mil', 'csrt', 'kcf' or 'mosse', not the text .goturn."
+    for text, said in (
+        ("type: open_cv\ntracker: mil", r':1:7: unknown type of recipe "open_cv"; did you mean "opencv"\?'),
+        ("type: [opencv]\ntracker: mil", r":1:7: unknown type of recipe"),
+        ("type: opencv\ntracker: mil\nfilter: {type: sir}", r':3:1: unknown key "filter"'),
+        ("type: opencv\ntracker: goturn", r":2:10: tracker must be 'mil', 'csrt', 'kcf' or 'mosse', not the text"),
     ):
-        load_recipe(write("type: opencv\ntracker: goturn\ndescription: d\n"))
+        with pytest.raises(RecipeError, match=said):
+            load_recipe(write(f"{text}\ndescription: d\n"))
 
 
 # finding
@@ -129,22 +124,19 @@ def test_a_recipe_is_found_by_name_and_by_path(write, tmp_path, monkeypatch):
 
 
 def test_a_miss_names_the_nearest_and_all(tmp_path):
-    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?$'):
-        load_recipe("factorised.yaml")
-    for name in ("zzzz", "recipes/mine.yaml"):
-        with pytest.raises(
-            RecipeError, match="neither a file nor a shipped recipe; the shipped recipes are: adaptive, "
-        ):
-            load_recipe(name)
-    for name in (str(tmp_path), "x" * 300):
-        with pytest.raises(RecipeError, match="neither a file"):
+    every = "neither a file nor a shipped recipe; the shipped recipes are: adaptive, "
+    for name, said in (
+        ("factorised.yaml", r'did you mean "factorized"\?$'), ("zzzz", every), ("recipes/mine.yaml", every),
+        (str(tmp_path), "neither a file"), ("x" * 300, "neither a file"),
+    ):  # fmt: skip
+        with pytest.raises(RecipeError, match=said):
             load_recipe(name)
 
 
 def test_files_are_sought_beside_the_recipe_then_among_the_shipped(write, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "recipes").mkdir()
-    text = read_recipe(next(path for path in shipped_recipes() if path.stem == "factorized"))
+    text = read_recipe(find_recipe("factorized")).text
     path = write(text, "recipes/mine.yaml")
     recipe = load_recipe(path)
     assert resolve_file(recipe, "mouth_prior.npz", "prior.file").parent == shipped_recipes()[0].parent
@@ -187,21 +179,14 @@ def test_values_and_lengths(write):
     assert isinstance(recipe.likelihood, ColourRatioSettings) and recipe.likelihood.sigma == 1.5
     with pytest.raises(ValidationError):
         recipe.seed = 3
-
-
-def test_a_window_may_be_a_pair(write):
     recipe = load_recipe(write(GOOD), ["target.windows={nose: [0.5, 8 px], chin: [1, .25]}"])
     assert recipe.target.window("nose") == (Length(0.5), Length(8, px=True))
     assert recipe.target.window("chin") == (Length(1), Length(0.25))
 
 
 def test_yaml_1_2(write):
-    def value(text):
-        return load_recipe(write(GOOD + f"seed: {text}\n")).seed
-
-    assert value("010") == 10
-    assert value("0x10") == 16
-    assert value("0o10") == 8
+    for text, seed in (("010", 10), ("0x10", 16), ("0o10", 8)):
+        assert load_recipe(write(GOOD + f"seed: {text}\n")).seed == seed
     assert load_recipe(write(GOOD.replace("0.05", "1e-3"))).motion.sigma.of("nose") == Length(1e-3)
     assert load_recipe(write(GOOD.replace("A recipe for tests", "no"))).description == "no"
     assert load_recipe(write(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())).filter.particles == 10
@@ -227,10 +212,7 @@ def test_overrides_in_order_and_of_every_kind():
     ("override", "message", "under"),
     [
         ("filter.particels=200", 'unknown key "particels" in "filter"; did you mean "particles"?', "particels"),
-        ("filtre.particles=200", 'unknown key "filtre"; did you mean "filter"?', "filtre"),
         ("filter.particles='200'", "must be a whole number, not the text \"200\"", "'200'"),
-        ("filter.particles=0", "filter.particles must be at least 1, not 0", "0"),
-        ("filter.type=sri", 'filter.type cannot be the text "sri"; did you mean "sir"?', "sri"),
         ("target.type=sphere", "it is one of: points, region, cloud, affine", "sphere"),
         ("seed.x=1", '"seed" holds no keys', "x"),
         ("seed", "write --set KEY=VALUE", "seed"),
@@ -238,7 +220,6 @@ def test_overrides_in_order_and_of_every_kind():
         ("a..b=1", "no value, or no name, is given", "a..b"),
         ("filter=[a", "not valid YAML", " "),
         ("seed=!!python/object:x 1", 'the tag "', "!!python/object:x 1"),
-        ("seed={a: 1, a: 2}", 'the key "a" is repeated', "a"),
         ("seed=é{", "must be a whole number", "é{"),
     ],
 )  # fmt: skip
@@ -255,22 +236,17 @@ def test_a_wrong_override_is_shown_with_a_caret(override, message, under):
 
 WRONG = {
     "unknown key": (GOOD + "sed: 3\n", 14, 1, 'unknown key "sed"; did you mean "seed"?', "sed"),
-    "unlike key": (GOOD + "xyzzy: 3\n", 14, 1, "the keys there are: type, description, seed, target", "xyzzy"),
     "foreign key": (GOOD + "  reweight: prior\n", 14, 3, '"reweight" in "filter"; the keys there are', "reweight"),
     "missing key": (GOOD.replace("  particles: 10\n", ""), 11, 1, '"filter" lacks the key "particles"', "filter"),
     "missing type": (GOOD.replace("  type: sir\n", ""), 11, 1, 'lacks the key "type"; it is one of: sir,', "filter"),
     "unknown type": (GOOD.replace("sir", "siri"), 12, 9, 'the text "siri"; did you mean "sir"?', "siri"),
     "text for number": (GOOD.replace("10", '"10"'), 13, 14, 'must be a whole number, not the text "10"', '"10"'),
     "bool for int": (GOOD.replace("10", "true"), 13, 14, "must be a whole number, not true", "true"),
-    "float for int": (GOOD.replace("10", "10.5"), 13, 14, "must be a whole number, not 10.5", "10.5"),
     "bool for float": (GOOD + "confidence: {lost_below: yes}\n", 14, 26, "must be a number, not the text", "yes"),
-    "number for text": (GOOD.replace("A recipe for tests", "5"), 1, 14, "must be a text, not 5", "5"),
     "zero particles": (GOOD.replace("10", "0"), 13, 14, "must be at least 1, not 0", "0"),
-    "many particles": (GOOD.replace("10", "10000000"), 13, 14, "at most 1000000,", "10000000"),
     "zero length": (GOOD.replace("0.05", "0"), 8, 10, "must be a length above 0", "0"),
     "huge pixels": (GOOD.replace("0.05", "9e999px"), 8, 10, "must be a length above 0", "9e999px"),
     "NaN": (GOOD.replace("0.05", ".nan"), 8, 10, ".nan is not a finite number", ".nan"),
-    "infinite": (GOOD.replace("0.05", "1e999"), 8, 10, "1e999 is not a finite number", "1e999"),
     "digits": (GOOD.replace("10", "1" * 40), 13, 14, "must be a whole number", "1" * 40),
     "scalar section": (GOOD + "confidence: 3\n", 14, 13, "must be a mapping of keys, not 3", "3"),
     "part of no target": (GOOD.replace("0.05", "{nos: 1, default: 1}"), 8, 11,
@@ -280,14 +256,12 @@ WRONG = {
     "part's name": (GOOD.replace("chin", "Chin"), 4, 17, 'does not fit: a name has small', "Chin"),
     "no parts": (GOOD.replace("[nose, chin]", "[]"), 4, 10, "must have at least 1 item, not 0", "[]"),
     "three sides": (GOOD.replace("12px", "[1, 2, 3]"), 5, 33, "must have at most 2 items, not 3", "[1, 2, 3]"),
-    "window's side": (GOOD.replace("12px", "[1, x]"), 5, 37, "must be a length above 0", "x"),
     "scale for l1": (GOOD.replace("colour_ratio", "colour_ratio\n  scale: 1"), 11, 10, "no meaning for robust", "1"),
     "floor": (GOOD.replace("colour_ratio", "colour_ratio\n  floor: 1"), 11, 10, "must be less than 0, not 1", "1"),
     "enum": (GOOD.replace("colour_ratio", "colour_ratio\n  robust: l3"), 11, 11, "must be 'l1' or 'geman", "l3"),
     "repeated key": (GOOD + "motion: 3\n", 14, 1, 'the key "motion" is repeated (first on line 6)', "motion"),
     "anchor": (GOOD.replace("10", "&n 10"), 13, 14, '"&n" is an anchor', "&n 10"),
     "tag": (GOOD.replace("10", "!!python/object:os.system x"), 13, 14, "is not allowed; remove it", None),
-    "known tag": (GOOD.replace("10", '!!str 10'), 13, 14, 'the tag "!!str" is', None),
     "half a character": (GOOD + 'seed: "\\ud800"', 14, 7, "half of a surrogate pair", None),
     "merge key": (GOOD + "<<: {seed: 3}\n", 14, 1, 'unknown key "<<"', "<<"),
     "complex key": (GOOD + "? [a]\n: b\n", 14, 3, "a key must be a name", "[a]"),
@@ -295,10 +269,11 @@ WRONG = {
     "list": ("- a\n- b\n", 1, 1, "a recipe is a mapping of keys", "-"),
     "empty": ("", 1, 1, "the recipe is empty; start from a shipped", None),
     "deep": (GOOD + "seed: " + "[" * 5000, 14, 27, "nested more than 20 deep", "["),
-    "not UTF-8": (GOOD.encode() + b"seed: \xff\xfe", 14, 7, "byte 0xff is not UTF-8", None),
+    "not UTF-8": (b"seed: \xff\xfe", 1, 1, "byte 7 is not UTF-8", None),
     "two documents": (GOOD + "---\n" + GOOD, 14, 1, "expected a single document", None),
     "escape": (GOOD + 'seed: "\\UFFFFFFFF"', 1, 1, "not valid YAML", None),
     "too large": ("#" * (MAX_BYTES + 1), 1, 1, "larger than 100 kB", None),
+    "long line": (GOOD.replace("[nose, chin]", "[nose, " + "a, " * 60 + "Chin]"), 4, 197, "does not fit", "Chin"),
     "wide characters": (GOOD + "confidence: {脸脸: 1}\n", 14, 14, 'unknown key "脸脸" in "confidence"', None),
 }  # fmt: skip
 
@@ -312,13 +287,9 @@ def test_wrong_recipe(case, write):
     assert (found_line, found_column) == (line, column)
     assert message in said
     assert all(char.isprintable() or char == "\n" for char in excerpt)
+    assert max(map(len, excerpt.splitlines()), default=0) < 120
     if under is not None:
         assert under_caret(excerpt) == under
-
-
-def test_excerpt_of_a_long_line_shows_the_place(write):
-    *_, excerpt = refused(write(GOOD.replace("[nose, chin]", "[nose, " + "a, " * 60 + "Chin]")))
-    assert under_caret(excerpt) == "Chin" and max(map(len, excerpt.splitlines())) < 120
 
 
 def test_all_errors_are_listed_in_the_order_of_the_text(write):

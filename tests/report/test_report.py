@@ -268,7 +268,6 @@ def test_bad_input_gets_one_line(tmp_path, capsys, clip):
         ([run, "-o", tmp_path / "no" / "x.html"], ExitCode.USAGE, "no folder"),
         ([run, "-o", tmp_path], ExitCode.USAGE, "is a folder"),
         ([run, "--truth-format", "xml"], ExitCode.USAGE, "is not one of"),
-        ([run, "--truth-format", "otb"], ExitCode.USAGE, "give its file with --truth"),
         ([run, "--clip", tmp_path / "none.mp4"], ExitCode.INPUT, "no such file"),
         ([run, "--clip", small], ExitCode.INPUT, "is 32x24, not 64x48"),
         ([run, "--clip", short], ExitCode.INPUT, "there is no frame 12"),

@@ -95,7 +95,7 @@ def test_a_grey_image_is_tracked_and_drawn(images):
         (lambda: track(faces="both"), facetrack.FacetrackError, "faces 'both' is not one of one, all"),
         (lambda: track(lag=-1), facetrack.FacetrackError, "lag -1 is no whole number from 0 on"),
         (lambda: track(stop=2.5), facetrack.FacetrackError, "stop 2.5 is no whole number"),
-        (lambda: track(stop=0), facetrack.FacetrackError, "^stop 0 leaves no frame at all; it is the frame to stop"),
+        (lambda: track(stop=0), facetrack.FacetrackError, "^--stop 0 leaves no frame at all; it is the frame to stop"),
         (lambda: track(init=NOBODY), facetrack.InputError, "^x: has no targets; give one, with a box or points"),
         (lambda: follow([NOISE], init=NOBODY), facetrack.InputError, "^x: has no targets; give one"),
         (lambda: track(fps=0), facetrack.FacetrackError, "fps 0 is no rate"),

@@ -14,7 +14,7 @@ import click
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import Command, flag, frame_at, moment, option, refuse, say, words, working
 from facetrack_cli.core.errors import ExitCode, InputError, UsageError
-from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_BOXES, OF_MEDIA
+from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_MEDIA
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,18 +85,11 @@ def fix_command(
     from facetrack_cli.run_folder.finished import open_run
     from facetrack_cli.run_folder.manifest import read_run
     from facetrack_cli.runs.people import people_in
-    from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.reader import PEOPLE
     from facetrack_cli.trajectory.views import Clock
 
     file = init or imported
-    both = init is not None and imported is not None
-    refuse(
-        (both, "--import adds to the run's corrections, --init replaces them; leave one of them out"),
-        (quiet and file is None, "--quiet goes with --init and --import; the page's address must be said"),
-    )
-    if file is not None:
-        page.refuse(f"leave it or {'--init' if init else '--import'} out")
+    refuse((init and imported, "--import adds to the run's corrections, --init replaces them; leave one of them out"))
     if imported is not None and imported.suffix.lower() == ".eaf" and not person and (folder / PEOPLE).is_file():
         return _rename(folder, clip, imported, quiet, video=not no_video)
     if person is None:
@@ -105,8 +98,7 @@ def fix_command(
         at = frame_at(person[1], Clock(read_run(folder), people_in(folder).fps))
         opened = open_track(folder, person[0], at, clip)
     if file is None:
-        with Stop().listening() as stop:
-            return page.serve(FixSession(opened, video=not no_video), stop)
+        return page.serve(FixSession(opened, video=not no_video))
     with fixing(opened) as (fixer, _):
         return _apply(fixer, file, quiet, adds=init is None, video=not no_video)
 
@@ -120,26 +112,21 @@ def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) ->
 
     folder = fixer.run.folder
     unsaved, left_out = folder / UNSAVED, list[str]()
-
-    def note(line: str) -> None:
-        left_out.append(line)
-        if not quiet:
-            say(f"facetrack: warning: {line}")
-
     if unsaved.is_file() and not (file.is_file() and file.samefile(unsaved)):
-        raise UsageError(
-            f"{unsaved}: corrections that were not saved are there; facetrack fix {folder} goes on with them, "
-            f"--init {unsaved} takes them; or remove it"
-        )
+        remedy = f"facetrack fix {folder} goes on with them, --init {unsaved} takes them; or remove it"
+        raise UsageError(f"{unsaved}: corrections that were not saved are there; {remedy}")
     if not adds:
         corrections = corrections_of(file, fixer.run)
-    elif not (corrections := imported_corrections(file, fixer.run, fixer.rows, note)):
-        say(f"facetrack: {file} is {'otherwise ' * bool(left_out)}as the run has it; nothing was written")
-        return ExitCode.DONE
     else:
         parts, find = fixer.run.parts, fixer.find
-        corrections = tuple(merged(fix, find(fix.frame, fix.target), parts[fix.target]) for fix in corrections)
-    with working(quiet, folder.name or str(folder), f"{folder} is as it was") as (stop, shown):
+        found = imported_corrections(file, fixer.run, fixer.rows, left_out.append)
+        for line in () if quiet else left_out:
+            say(f"facetrack: warning: {line}")
+        if not found:
+            say(f"facetrack: {file} is {'otherwise ' * bool(left_out)}as the run has it; nothing was written")
+            return ExitCode.DONE
+        corrections = tuple(merged(fix, find(fix.frame, fix.target), parts[fix.target]) for fix in found)
+    with working(quiet, folder) as (stop, shown):
         (fixer.put if adds else fixer.apply)(corrections, report=shown.update, stop=stop)
         if adds:
             frames = ", ".join(str(frame) for frame in sorted({correction.frame for correction in corrections})[:10])
@@ -165,7 +152,7 @@ def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: 
         say(f"facetrack: {file}: the names are the run's, nothing was written; segments count with --person NAME@TIME")
         return ExitCode.DONE
     changes = [(f"rename {old}={name}", partial(rename, name=old, to=name)) for old, name in names.items()]
-    with working(quiet, folder.name or str(folder), f"{folder} is as it was") as (stop, shown):
+    with working(quiet, folder) as (stop, shown):
         recast(folder, changes, clip=clip, video=video, report=shown.looked, stop=stop)
         shown.say(f"{folder}: {', '.join(f'{old} is {name}' for old, name in names.items())}")
     return ExitCode.DONE
@@ -225,20 +212,16 @@ def people_command(
     changes = _changes(clock, split, give, merge, rename)
     if edit:
         from facetrack_cli.editor.fix_session import CastSession
-        from facetrack_cli.runs.signals import Stop
 
-        with Stop().listening() as stop:
-            return page.serve(CastSession(folder, clip, video=not no_video), stop)
-    page.refuse("give --page")
+        return page.serve(CastSession(folder, clip, video=not no_video))
     if save is not None:
         check_new(save, overwrite=overwrite)
-    name = folder.name or str(folder)
     if changes:
-        with working(quiet, name, f"{folder} is as it was") as (stop, shown):
+        with working(quiet, folder) as (stop, shown):
             people = recast(folder, changes, clip=clip, video=not no_video, report=shown.looked, stop=stop)
     if save is not None:
         left = f"{save} was not written" + "; the changes are" * bool(changes)
-        with working(quiet, name, left) as (stop, shown):
+        with working(quiet, folder, left) as (stop, shown):
             shown.say(f"{save}: {', '.join(save_looks(folder, save, clip, shown.looked, stop))}")
     if as_json or as_csv:
         click.echo(people.text().decode() if as_json else _intervals(people), nl=False)
@@ -341,8 +324,6 @@ def export_command(
     to = ALIASES.get(to, to)
     refuse(
         (into and to != "eaf", f"--into adds the tiers of eaf to a file of ELAN; {to} has none"),
-        (media and to not in OF_MEDIA, f"--media is for {', '.join(OF_MEDIA)}; {to} does not name the clip"),
-        (box and to not in OF_BOXES, f"--box is for {', '.join(OF_BOXES)}; {to} has no boxes"),
         (drop_lost and to == "eaf", "--drop-lost is not for eaf, which has a tier for what was lost; leave it out"),
         (out == "-" and to == "dlc-h5", "dlc-h5 is not text, and does not go to standard output; name a file with -o"),
     )
@@ -435,8 +416,6 @@ def report_command(
     from facetrack_cli.run_folder.status import is_batch
     from facetrack_cli.runs.progress import progress
 
-    if truth is None:
-        reference.refuse(target=True)
     batch = is_batch(folder)
     refuse((batch and (truth or clip), "--truth and --clip are of one run; name its folder, or leave them out"))
     if not batch:
@@ -489,9 +468,6 @@ def plot_command(
     from facetrack_cli.report.figures.page import measures_figure, page_figure
     from facetrack_cli.run_folder.manifest import PLOT, read_run
     from facetrack_cli.trajectory.views import choose
-
-    if truth is None:
-        reference.refuse(target=False)
 
     def draw() -> Figure:
         table = read_run(trajectory)

@@ -92,15 +92,8 @@ def eval_command(
     from facetrack_cli.trajectory.formats.boxes import read_results
     from facetrack_cli.trajectory.reader import clip_of, frame_size_of
 
-    outputs = {"--json": json_file, "--csv": csv_file, "--plot": plot}
-    files = {name: Path(file) for name, file in outputs.items() if file is not None and file != "-"}
-    same = len({os.path.realpath(path) for path in files.values()}) < len(files)
-    refuse(
-        (json_file == csv_file == "-", "--json - and --csv - both name standard output; write one of them to a file"),
-        (same, f"{' and '.join(files)} name the same file; name one for each"),
-    )
-    for path in files.values():
-        check_new(path, overwrite=overwrite)
+    both = json_file == csv_file == "-"
+    refuse((both, "--json - and --csv - both name standard output; write one of them to a file"))
     if plot is not None:
         from facetrack_cli.report.figures.compare import calibration_figure  # with it the tracker is loaded
         from facetrack_cli.report.figures.style import need_matplotlib, render
@@ -111,8 +104,9 @@ def eval_command(
     ours = read_results(trajectory, format)
     theirs = reference.read(truth or _truth_beside(ours), ours)
     clip = clip_of(ours)
-    for path in files.values():
-        check_new(path, overwrite=overwrite, inputs=(ours.path, theirs.path, clip))
+    for file in (json_file, csv_file, plot):
+        if file is not None and file != "-":
+            check_new(Path(file), overwrite=overwrite, inputs=(ours.path, theirs.path, clip))
     other = None if clip is None else other_clip(ours, clip)
     notes = [] if other is None else [other]
     persons = None
@@ -124,34 +118,35 @@ def eval_command(
     how: dict[str, Any] = {"normalise": normalise, "failure": failure, "size": frame_size_of(ours)}
     evaluation = evaluate(pairs, notes, reference=theirs.parts, people=persons, **how)
 
-    texts = {"--json": to_json, "--csv": to_csv}
-    both = ours, theirs
-    made = {name: texts[name](evaluation, *both).encode(errors="backslashreplace") for name in files if name in texts}
     if plot is not None:
         confidence = evaluation.all.confidence
         if confidence is None or not confidence.bins:
             nothing = "has no confidence from 0 to 1 in rows with known ground truth to draw; leave --plot out"
             raise InputError(f"{ours.path}: {nothing}")
-        made["--plot"] = render(calibration_figure(confidence.bins))
-    for name, content in made.items():
-        write_new(files[name], content, overwrite=overwrite)
-        say(f"{trajectory} -> {files[name]}")
-    if printed := next((texts[name] for name, to in outputs.items() if to == "-"), None):
-        click.echo(printed(evaluation, *both), nl=False)
+        write_new(plot, render(calibration_figure(confidence.bins)), overwrite=overwrite)
+        say(f"{trajectory} -> {plot}")
+    printed = ""
+    for text_of, file in ((to_json, json_file), (to_csv, csv_file)):
+        if file == "-":
+            printed = text_of(evaluation, ours, theirs)
+        elif file is not None:
+            text = text_of(evaluation, ours, theirs)
+            write_new(Path(file), text.encode(errors="backslashreplace"), overwrite=overwrite)
+            say(f"{trajectory} -> {file}")
+    if printed:
+        click.echo(printed, nl=False)
     else:
-        show(evaluation, *both)
+        show(evaluation, ours, theirs)
 
 
 def _truth_beside(ours: Trajectory) -> Path:
     """The ground truth beside the clip of a JSON trajectory."""
     from facetrack_cli.trajectory.reader import clip_of, is_there
 
-    clip = clip_of(ours)
-    if clip is None:
-        raise UsageError(
-            f"{ours.path}: does not name its clip, beside which the ground truth might be; give --truth FILE"
-        )
-    beside = clip.with_name(clip.stem + ".truth.csv") if clip.name else clip
+    if (clip := clip_of(ours)) is None:
+        unnamed = "does not name its clip, beside which the ground truth might be"
+        raise UsageError(f"{ours.path}: {unnamed}; give --truth FILE")
+    beside = clip.with_name(f"{clip.stem}.truth.csv") if clip.name else clip
     if not is_there(beside):
         raise UsageError(f"{ours.path}: beside its clip there is no {beside}; give --truth FILE")
     return beside
@@ -332,10 +327,8 @@ def regress_command(
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trackers.appearance.gallery import load_gallery
 
-    refuse(
-        (update and (overrides or junit), "--update records recipes as they are; leave --set and --junit to a check"),
-        (not update and stop, "--stop goes with --update; a check takes it from the golden"),
-    )
+    both = update and (overrides or junit)
+    refuse((both, "--update records recipes as they are; leave --set and --junit to a check"))
     if junit is not None:
         check_new(junit, overwrite=overwrite)
     if gallery is not None:  # a mistake in the option is no regression

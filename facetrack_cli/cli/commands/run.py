@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
@@ -14,7 +14,7 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Command, Extent, Text, Whole, extent_options, flag, option, refuse, say
-from facetrack_cli.core.errors import ExitCode, InputError, UsageError
+from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError, about
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 
 _UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "f": 1.0}
-MOST_THREADS = 4  # of a clip: with 8 and 16 on 16 cores it takes a fifth longer
 MAX_DONE_LINES = 20  # for clips that were done before; of more clips there is one line
+MOST_THREADS = 4  # of a clip: with 8 and 16 on 16 cores it takes a fifth longer
 
 
 def _shard(value: str) -> tuple[int, int]:
@@ -149,15 +149,21 @@ def run_command(
     130 interrupted, 143 terminated.
     """
     from facetrack_cli.engine.kernels import cache
-    from facetrack_cli.run_folder.status import check_networks, write_batch
+    from facetrack_cli.recipe.load import default_recipe, load_recipe
+    from facetrack_cli.recipe.model import seeded
+    from facetrack_cli.run_folder.status import write_batch
     from facetrack_cli.runs.batch import expand, folders, run_batch, variant_name
+    from facetrack_cli.runs.clip import run
     from facetrack_cli.runs.plan import Job, Split, check_smoothing, follows_everyone
     from facetrack_cli.runs.progress import progress
+    from facetrack_cli.runs.seeds import load_recipes
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.runs.workers import cores
+    from facetrack_cli.runs.workers import cores, share_threads
     from facetrack_cli.video.source import brings_rate, is_live
 
-    recipe = _recipe(config, overrides, seed, gallery, extent, faces)
+    wanted = (default_recipe(box=extent.box is not None) if config is None else config), overrides
+    cast = faces == "all" and follows_everyone(load_recipe(*wanted))  # people are named at the end, by the looks of all
+    recipe = seeded(load_recipes([wanted], None if cast else gallery)[0], seed)
     if live or any(is_live(path) for path in inputs):
         return _live(inputs, live, out, extent, recipe, faces, gallery)
     remote, csv_alone = cluster is not None, formats == ("csv",)
@@ -198,8 +204,6 @@ def run_command(
         names = [""] if out and not several else folders(clips, variant_name(recipe.name, overrides))
         places = [Path(out or ".") / name for name in names]
         if several and out:
-            if not overwrite:
-                check_networks(filter(None, places), recipe.networks)
             write_batch(Path(out), recipe.name, clips, names)
     first, step = (1, 1) if split else shard or (1, 1)
     clips, places = clips[first - 1 :: step], places[first - 1 :: step]
@@ -216,7 +220,7 @@ def run_command(
                 init_frame=init_frame,
                 stream=stream,
                 faces=faces,
-                gallery=Path(gallery) if gallery and faces == "all" and follows_everyone(recipe) else None,
+                gallery=Path(gallery) if gallery and cast else None,
                 overwrite=overwrite,
                 lag=lag or 0,
                 smooth=smooth,
@@ -231,27 +235,19 @@ def run_command(
             for clip, folder in zip(clips, places, strict=True)
         ]
         if split is not None:
-            code = _chunks(todo[0], workers, stop, shown, shard or (1, 1))
+            from facetrack_cli.runs.split import run_chunks
+
+            with about(clips[0].name):
+                code = _one(run_chunks(todo[0], workers, stop, shown, shard or (1, 1)), stop, shown)
         elif cluster is not None and local is None:
             code = _several(todo, partial(run_cluster, where=cluster), stop, shown)
         elif several or remote:
             code = _several(todo, partial(run_batch, workers=workers), stop, shown)
-        else:  # whose error is the command's
-            code = _one(todo[0], stop, shown)
+        else:
+            share_threads(todo[0].threads)
+            shown.begin(clips[0].name)
+            code = _one([("", run(todo[0], stop, shown.update, shown.looked))], stop, shown)
     return ExitCode.DONE if code is ExitCode.LOST and not fail_on_lost else code
-
-
-def _recipe(
-    config: str | None, overrides: tuple[str, ...], seed: int | None, gallery: str | None, extent: Extent, faces: str
-) -> Recipe:
-    from facetrack_cli.recipe.load import default_recipe, load_recipe
-    from facetrack_cli.recipe.model import seeded
-    from facetrack_cli.runs.plan import follows_everyone
-    from facetrack_cli.runs.seeds import load_recipes
-
-    wanted = (default_recipe(box=extent.box is not None) if config is None else config), overrides
-    cast = faces == "all" and follows_everyone(load_recipe(*wanted))  # people are named at the end, by the looks of all
-    return seeded(load_recipes([wanted], None if cast else gallery)[0], seed)
 
 
 def _live(
@@ -284,52 +280,31 @@ def _live(
     return stop.code or ExitCode.DONE
 
 
-def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
-    """Run one clip; its error is the command's."""
-    from facetrack_cli.runs.clip import run
-    from facetrack_cli.runs.workers import share_threads
-
-    share_threads(job.threads)
-    shown.begin(job.clip.name)
-    outcome = run(job, stop, shown.update, shown.looked)
+def _one(outcomes: Iterable[tuple[str, Outcome]], stop: Stop, shown: Progress) -> ExitCode:
+    """One clip, with "", after its chunks, if it has any. Their errors stop nothing; its own is the command's."""
+    whole, failed = None, False
+    for chunk, outcome in outcomes:
+        if not chunk:
+            whole = outcome
+        elif outcome.failure is not None:
+            failed = True
+            shown.say(f"facetrack: warning: {chunk}: {outcome.failure}")
+        elif not outcome.again and outcome.frames:
+            shown.say(outcome.summary())
     shown.close()
-    if isinstance(outcome.failure, BrokenPipeError):
-        raise outcome.failure
-    _report(outcome, shown)
-    if outcome.failure is not None:
-        raise outcome.failure
-    return stop.code or (ExitCode.LOST if outcome.lost_at_end else ExitCode.DONE)
-
-
-def _chunks(job: Job, workers: int, stop: Stop, shown: Progress, shard: tuple[int, int]) -> ExitCode:
-    """Track the chunks of a clip and join them. A chunk that fails does not stop the others."""
-    from facetrack_cli.core.errors import about
-    from facetrack_cli.runs.split import run_chunks
-
-    whole = None
-    with about(job.clip.name):
-        for chunk, outcome in run_chunks(job, workers, stop, shown, shard):
-            if not chunk:
-                whole = outcome
-            elif outcome.failure is not None:
-                shown.say(f"facetrack: warning: {chunk}: {outcome.failure}")
-            elif not outcome.again and outcome.frames:
-                shown.say(outcome.summary())
-        shown.close()
-        if whole is None:
-            return stop.code or ExitCode.DONE
-        if whole.failure is not None and not whole.frames:
-            raise whole.failure
+    if whole is None:
+        return stop.code or ExitCode.DONE
+    if whole.failure is None or (whole.frames and not isinstance(whole.failure, BrokenPipeError)):
         _report(whole, shown)
-        if whole.failure is not None:
-            shown.error(f"facetrack: error: {whole.failure}")
-            return stop.code or (ExitCode.INPUT if isinstance(whole.failure, InputError) else ExitCode.BATCH)
+    if whole.failure is not None:
+        if failed and isinstance(whole.failure, FacetrackError):
+            whole.failure.exit_code = ExitCode.BATCH
+        raise whole.failure
     return stop.code or (ExitCode.LOST if whole.lost_at_end else ExitCode.DONE)
 
 
 def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
-    from facetrack_cli.core.errors import about
     from facetrack_cli.run_folder.status import clip_status, worst
     from facetrack_cli.runs.batch import check_all
 
@@ -353,9 +328,8 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress) -> Exit
     if stop.code is not None:
         return stop.code
     rows = [clip_status(job.out, job.out.name, str(job.clip)) for job in jobs if job.out is not None]
-    if any(row.look for row in rows):  # what failed has been told
-        for line in worst(rows):
-            shown.say(line)
+    for line in worst(rows) if any(row.look for row in rows) else ():  # what failed has been told
+        shown.say(line)
     if failed:
         again = f", {before} of them before; --retry-failed tries those again" if before else ""
         shown.say(f"{failed} of {len(jobs)} inputs failed{again}")

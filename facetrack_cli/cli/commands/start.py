@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -14,6 +15,7 @@ from facetrack_cli.core.errors import ExitCode, InputError, OutputError, flat
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box
+    from facetrack_cli.editor.pick_session import PickSession
     from facetrack_cli.recipe.model import Recipe
 
 
@@ -112,23 +114,30 @@ def init_command(
       facetrack init clip.mp4 --pick --open
       facetrack init frames/ -o - > start.yaml
     """
+    from facetrack_cli.core.files import check_new
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.runs.plan import ClipRequest
     from facetrack_cli.runs.progress import progress
-    from facetrack_cli.start.init_file import default_path, write_init
+    from facetrack_cli.start.init_file import SUFFIXES, default_path, write_init
     from facetrack_cli.trackers.face.detectors import detector
     from facetrack_cli.video.overlay import write_preview
 
     others = faces == "all" and (box is not None or pick)
     refuse((others, "--faces all is of a search; leave out --box and --pick"))
-    if not pick:
-        page.refuse("add --pick")
     path = None if out == "-" else Path(out) if out else default_path(clip)
-    _check_files(clip, path, preview, overwrite)
+    if path is not None and path.suffix.lower() not in SUFFIXES:
+        raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
+    for file in filter(None, (path, preview)):  # before the search what would be refused after it
+        check_new(file, overwrite=overwrite)
+    if preview is not None and clip.is_dir() and preview.parent.resolve() == clip.resolve():
+        raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
     recipe = None if config is None else load_recipe(config)
     if pick:
+        from facetrack_cli.editor.pick_session import PickSession
+
         run = _run_with(path, clip, config, recipe)
-        return _pick(clip, path, recipe, init_frame, box, preview, page, run, overwrite=overwrite)
+        session = partial(PickSession, clip, out=path, overwrite=overwrite, recipe=recipe, frame=init_frame, box=box)
+        return _pick(partial(session, preview=preview, next_=run), clip, path, box, page)
     by = None if box is not None else detector().name
     request = ClipRequest(clip, init=by, faces=faces, box=box, init_frame=init_frame)
     with progress(path is None) as shown:
@@ -146,19 +155,6 @@ def init_command(
     return ExitCode.DONE
 
 
-def _check_files(clip: Path, path: Path | None, preview: Path | None, overwrite: bool) -> None:
-    """Refuse before the search what would be refused after it."""
-    from facetrack_cli.core.files import check_new
-    from facetrack_cli.start.init_file import SUFFIXES
-
-    if path is not None and path.suffix.lower() not in SUFFIXES:
-        raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
-    for file in filter(None, (path, preview)):
-        check_new(file, overwrite=overwrite)
-    if preview is not None and clip.is_dir() and preview.parent.resolve() == clip.resolve():
-        raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
-
-
 def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe | None) -> str:
     """The command that begins with the file, once it is there."""
     from facetrack_cli.recipe.load import wants_gallery
@@ -171,13 +167,9 @@ def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe 
     return f"facetrack run {clip}{words}"
 
 
-def _pick(
-    clip: Path, path: Path | None, recipe: Recipe | None, frame: int | None, box: Box | None, preview: Path | None,
-    page: Page, run: str, *, overwrite: bool,
-) -> int:  # fmt: skip
-    """Let somebody choose on the page; the exit code."""
-    from facetrack_cli.editor.pick_session import NOTHING, PickSession
-    from facetrack_cli.runs.signals import Stop
+def _pick(make: partial[PickSession], clip: Path, path: Path | None, box: Box | None, page: Page) -> int:
+    """Let somebody choose on the page, from what was there before on; the exit code."""
+    from facetrack_cli.editor.pick_session import NOTHING
     from facetrack_cli.start.init_file import default_path, read_init, write_init
 
     beside, start = path or default_path(clip), NOTHING
@@ -188,12 +180,8 @@ def _pick(
             start = read_init(source)
         except InputError as e:  # it will be replaced in any case
             say(f"facetrack: warning: {e}; the page begins without it")
-    with Stop().listening() as stop:
-        session = PickSession(
-            clip, out=path, overwrite=overwrite, recipe=recipe, frame=frame, box=box, previous=start,
-            next_=run, preview=preview, unsaved=unsaved,
-        )  # fmt: skip
-        code = page.serve(session, stop)
+    session = make(previous=start, unsaved=unsaved)
+    code = page.serve(session)
     if code == ExitCode.DONE and source == unsaved:
         unsaved.unlink(missing_ok=True)
     if path is None and session.saved is not None:

@@ -53,13 +53,9 @@ EXPORTS: Final = {
 ALIASES: Final = {"elan": "eaf"}
 
 
-def _taking(*arguments: str) -> tuple[str, ...]:
-    """The formats whose function takes one of these arguments."""
-    return tuple(form for form, export in EXPORTS.items() if {*arguments} & {*export.takes.split()})
-
-
-OF_BOXES: Final = _taking("boxes", "box", "around")
-OF_MEDIA: Final = _taking("size", "frame_size", "video")
+_SIZED = {"size", "frame_size", "video"}
+OF_MEDIA: Final = tuple(form for form, export in EXPORTS.items() if _SIZED & {*export.takes.split()})
+"""The formats whose function asks for something of the clip."""
 
 
 def load(verb: Literal["read", "write"], form: str) -> Callable[..., Any]:
