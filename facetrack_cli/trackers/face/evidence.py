@@ -46,7 +46,7 @@ from facetrack_cli.trackers.people.descriptor import SENSES, Picture, same_perso
 SHOT, CUT = 5.0, 2.3  # log odds that the one face of a frame is the target, in one shot and after a cut
 BOUND: Final = 4.0  # of the log odds by looks
 AGAIN: Final = 2.0  # log odds that the face that is seen in a target's place after it was not seen is the target
-SEEN_PX: Final = 100  # pixels of a face's box below which an embedding of one view tells less of who it is
+SEEN_PX: Final = 120  # pixels of a face's box below which an embedding of one view tells less of who it is
 WHO: Final = ("embedding",)  # senses that tell somebody who walks by from the target
 NEAR: Final = 3.0  # log odds of a face where the target was
 AWAY: Final = 2.0  # ... less, of a face elsewhere while the target is covered
@@ -146,9 +146,9 @@ def probabilities(looks: Array, others: Array, alone: float) -> Array:
 
 
 def by_looks(views: Sequence[Picture], faces: Sequence[Picture], senses: Collection[str] = SENSES) -> Array:
-    """Bounded log odds (K,) that the person in the pictures of K faces is that of the `views`."""
-    if not faces:
-        return np.zeros(0)
+    """Bounded log odds (K,) that the person in the pictures of K faces is that of the `views`; 0 without views."""
+    if not faces or not views:
+        return np.zeros(len(faces))
     looks = [together(view.looks for view in views), *(face.looks for face in faces)]
     return np.clip(same_person(looks, senses)[0, 1:], -BOUND, BOUND)
 
