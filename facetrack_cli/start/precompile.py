@@ -80,6 +80,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.regions.region_kernels.match_boxes": ("u2:2 i8:2 i8:2 f8:1 f4:2", "histogram"),
     "trackers.appearance.appearance_kernels.best_matches": ("f4:2r f4:2", _LOOKS),
     "trackers.appearance.appearance_kernels.differences": ("f4:2r i8:1 f4:1r", "velocity"),
+    "trackers.box.box_kernels.chroma": ("u1:3 f4:3", _CELLS),
     "trackers.box.box_kernels.project": ("f4:2 f4:2 f4:1 f4:2", _CELLS),
     "trackers.box.box_kernels.remember": ("f4:3 f4:3 f4", _CELLS),
     "trackers.box.box_kernels.respond": ("f4:3 f4:3 f4:2", _CELLS),

@@ -31,12 +31,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Image, Whole, factor_for
-from facetrack_cli.trackers.box.box_kernels import CHANNELS, gradients, gradients_of_scales, project
+from facetrack_cli.trackers.box.box_kernels import CHANNELS, chroma, gradients, gradients_of_scales, project
 from facetrack_cli.trackers.face.stabilized import Similarity
 
 Single: TypeAlias = NDArray[np.float32]
 CELL = 4  # pixels of a resampled window
-_CHROMA = 60.0  # levels of a and b that count as much as the whole range of grey
 _COLOURS = 2.0  # grey levels by which channels differ on average in a clip with colours
 
 
@@ -128,9 +127,7 @@ def _features(image: Image, cells: int) -> Single:
     np.multiply(cv2.resize(grey, small, interpolation=cv2.INTER_AREA), np.float32(1 / 255), out=out[CHANNELS])
     out[CHANNELS] -= np.float32(0.5)
     if colour:
-        _, *planes = cv2.split(cv2.cvtColor(cv2.resize(image, small, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2LAB))
-        for plane, chroma in zip(planes, out[CHANNELS + 1 :], strict=True):
-            np.divide(plane - np.float32(128), np.float32(_CHROMA), out=chroma)
+        chroma(np.asarray(cv2.resize(image, small, interpolation=cv2.INTER_AREA), np.uint8), out[CHANNELS + 1 :])
     return out.reshape(len(out), -1)
 
 
