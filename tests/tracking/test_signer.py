@@ -278,7 +278,7 @@ def test_one_step_has_the_posterior_of_a_grid():
     x = np.zeros((len(places), 2, 4))
     x[:, 0, :2] = places / scale
     share = joint.disc_means(e, settings.radius * scale)
-    fit = settings.evidence * (share - settings.skin) + joint._reach(e.shape, scale, face)
+    fit, _, _ = joint.fitted(settings, share, scale, face)
     only = np.tile([True, False], (len(places), 1))
     log_p = np.log(prior) + joint.log_likelihood(settings, x, only, only[:, 1], (fit, share, e), scale, face)
     p = np.exp(log_p - log_p.max())
