@@ -192,12 +192,13 @@ def exchanged(belief: Belief, face: Face) -> float:
 
 def name_log_odds(settings: HandsSettings, belief: Belief, face: Face) -> float:
     """log p(frame | named as they are) - log p(frame | exchanged)."""
-    apart, both = math.dist(*belief.at) / face.size / settings.radius, bool((belief.seen >= 0.5).all())
+    seen, (x, y) = belief.seen.tolist(), face.at.tolist()
+    apart, both = math.dist(*belief.at.tolist()) / face.size / settings.radius, min(seen) >= 0.5
     clear = min(max((apart - APART[0]) / (APART[1] - APART[0]), 0.0), 1.0) if both else 1.0
     total = 0.0
-    away = ((belief.at - face.at) / face.size).tolist()
-    for (u, v), (_, _, lean), seen, sign in zip(away, belief.form.tolist(), belief.seen, SIGNS, strict=True):
-        if seen >= 0.5:
+    for p, place, (_, _, lean), sign in zip(seen, belief.at.tolist(), belief.form.tolist(), SIGNS, strict=True):
+        u, v = (place[0] - x) / face.size, (place[1] - y) / face.size
+        if p >= 0.5:
             total += sign * (WEIGHTS[0] * u + WEIGHTS[1] * u * v + WEIGHTS[2] * lean)
     return TEMPER * clear * total
 
