@@ -83,6 +83,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.appearance.appearance_kernels.best_matches": ("f4:2r f4:2", _LOOKS),
     "trackers.appearance.appearance_kernels.differences": ("f4:2r i8:1 f4:1r", "velocity"),
     "trackers.box.box_kernels.chroma": ("u1:3 f4:3", _CELLS),
+    "trackers.box.box_kernels.colours": ("u1:3 f4:1 f4:1 i8:1 f4:1", _CELLS),
     "trackers.box.box_kernels.project": ("f4:2 f4:2 f4:1 f4:2", _CELLS),
     "trackers.box.box_kernels.remember": ("f4:3 f4:3 f4", _CELLS),
     "trackers.box.box_kernels.respond": ("f4:3 f4:3 f4:2", _CELLS),

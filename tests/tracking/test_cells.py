@@ -31,6 +31,16 @@ def test_chroma_has_the_levels_of_opencv():
     assert np.mean(np.abs(off) > 0.01) < 1e-3 and np.abs(off).max() < 1.01  # another cubic root may round otherwise
 
 
+def test_colours_are_what_their_plain_twin_says():
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (12, 9, 3), np.uint8)
+    target, around = (np.maximum(rng.normal(0, 1, (2, cells.COLOURS)), 0)).astype(np.float32)
+    bins, p = np.empty(108, np.int64), np.empty(108, np.float32)
+    cells.colours(image, target, around, bins, p)
+    for ours, theirs in zip((bins, p), naive.colours(image, target, around), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-6)
+
+
 def singles(rng, *shape):
     return rng.standard_normal(shape).astype(np.float32)
 

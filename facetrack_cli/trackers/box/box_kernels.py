@@ -10,6 +10,7 @@ import numpy as np
 
 from facetrack_cli.engine.kernels.compiled import exact, fast
 
+COLOURS = 1 << 15  # of 5 bits a channel
 CHANNELS = 31  # 18 signed orientations, 9 unsigned ones, 4 of texture
 _CLIP, _TEXTURE, _FLAT = np.float32(0.2), np.float32(0.2357), np.float32(1e-4)
 _10, _30, _50, _70 = (np.float32(math.tan(math.radians(angle))) for angle in (10, 30, 50, 70))
@@ -123,6 +124,21 @@ def chroma(image, out):
             fz = _ROOTS[(73 * r + 448 * g + 3575 * b + 2048) >> 12]
             out[0, y, x] = np.float32((500 * (fx - fy) + 16384) >> 15) / _CHROMA
             out[1, y, x] = np.float32((200 * (fy - fz) + 16384) >> 15) / _CHROMA
+
+
+@exact
+def colours(image, target, around, bins, p):
+    """Of the pixels of `image` (H, W, 3), by rows, which of `COLOURS` each has, and p that it is the target's.
+
+    p is that of histograms of the target and of its surroundings; of a colour that neither has it is a half.
+    """
+    n = 0
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            k = (image[y, x, 0] >> 3) << 10 | (image[y, x, 1] >> 3) << 5 | image[y, x, 2] >> 3
+            both = target[k] + around[k]
+            bins[n], p[n] = k, target[k] / max(both, np.float32(1e-12)) if both > _ZERO else _HALF
+            n += 1
 
 
 @exact

@@ -53,6 +53,7 @@ from facetrack_cli.trackers.box.features import (
     Single,
     TrainedScale,
     moved,
+    shrunk,
 )
 from facetrack_cli.trackers.box.hidden_box import VISIBLE
 from facetrack_cli.trackers.box.modes import (
@@ -181,7 +182,7 @@ class CorrelationFilter(Likelihood):
         heights = Usual(one, one, other, other)
         colours = None
         if features.colour and self.settings.colour > 0:
-            colours = self._colour_model.learn(None, window, 1.0)
+            colours = self._colour_model.learn(None, shrunk(window), 1.0)
         scales, trainer = None, self._scale_trainer
         if trainer is not None:
             scales = trainer.learn(None, trainer.read(frame, centre, scale), 1.0)
@@ -225,6 +226,7 @@ class CorrelationFilter(Likelihood):
         now, first = self._trainer.respond(x, learned.filters.filters, learned.first)
         response, (usual, usual_first) = now, learned.heights[:2]
         if learned.colours is not None:
+            window = shrunk(window)
             score = self._colour_model.respond(learned.colours, window, len(now))
             if score is not None:
                 share = self.settings.colour
@@ -388,6 +390,7 @@ class CorrelationFilter(Likelihood):
                 across = None if trainer is None or seen.scales is None else trainer.moved(seen.scales, grown)
                 return moved(seen.view.spectrum, off, self.settings.cells), seen.view.image, across
         x, window = learned.features.read(frame, centre, self._side(scale))
+        window = window if learned.colours is None else shrunk(window)
         return x, window, None if trainer is None else trainer.read(frame, centre, scale)
 
     def distances(self, learned: CorrelationState, frame: Frame, x: Array) -> Array:

@@ -60,7 +60,7 @@ class Peaks(NamedTuple):
 class ResponseView(NamedTuple):
     """A window around `centre` (2,): R, the response of the filter of `now`, and that of the first frames.
 
-    `spectrum` (2, C, F) and `image` are the window itself.
+    `spectrum` (2, C, F) is the window itself; `image`, too, as it is read for colours.
     """
 
     centre: Array
