@@ -9,16 +9,16 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from llvmlite.binding import parse_assembly, parse_bitcode
 from numba import njit
 from numba.core import caching
+from numba.core.codegen import ll  # type: ignore[attr-defined]
 from numba.core.runtime.nrt import rtsys
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import warn
 from facetrack_cli.engine.kernels.cache import compiling
 
-_NOTHING: Final = parse_assembly("").as_bitcode()
+_NOTHING: Final = ll.parse_assembly("").as_bitcode()
 
 
 class _Kept(caching.CompileResultCacheImpl):
@@ -33,7 +33,7 @@ class _Kept(caching.CompileResultCacheImpl):
         (name, kind, (code, bitcode)), described, *rest = payload
         target_context.codegen()._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
         kernel = super().rebuild(target_context, ((name, kind, (code, _NOTHING)), described, *rest))
-        kernel.library._get_module_for_linking = partial(parse_bitcode, bitcode)
+        kernel.library._get_module_for_linking = partial(ll.parse_bitcode, bitcode)
         return kernel
 
 

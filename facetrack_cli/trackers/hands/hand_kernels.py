@@ -198,8 +198,8 @@ def move(
 
 @exact
 def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, strength, skin, out):
-    """log p(y, x) of both hands, but for the motion, in `out` (N,); `fit` and `share` are log p(y | x) and the share of
-    skin of a hand at each pixel. `radius` is that of a hand in sizes of the face now, `skin` what a hand has.
+    """Adds log p(y, x) of both hands, but for the motion, to `out` (N,); `fit` is log p(y | x) of a hand at each pixel,
+    `share` that of skin in it. `radius` is that of a hand in sizes of the face now, `skin` what a hand has.
     """
     far = radius * size
     for n in range(len(x)):
@@ -227,7 +227,7 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
             shared = min(1.3 * max(1 - math.hypot(ax - bx, ay - by) / (2 * far), 0.0), 1.0)
             one = _arm(evidence, ax, ay, bx, by, scale, size, ARM[0] if parted[n] else -ARM[1])
             total -= strength * (shared * max(least - HIDES * skin, 0.0) + one * max(least, 0.0))
-        out[n] = total
+        out[n] += total
 
 
 @exact

@@ -123,7 +123,8 @@ def step(
     motion = np.array(settings.steps), np.array(settings.shares), chances, settings.evidence
     seen_in = evidence, looked.face, face.at, face.size, scale
     move(x, seen, parted, luck, noise, peaks, often, *motion, *seen_in, weight)
-    weight += log_likelihood(settings, x, seen, parted, (fit, share, evidence), scale, face)
+    of = settings.radius, settings.evidence, settings.skin
+    weigh(x, seen, parted, fit, share, evidence, face.at, face.size, scale, *of, weight)
     w = np.exp(normalise(weight))
     (p, near, skin), at, cov, form = np.empty((3, 2)), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty((2, 3))
     gather(x, seen, w, share, scale, evidence, radius, p, at, cov, near, skin, form)
@@ -160,18 +161,6 @@ def _disc(radius: float, shape: tuple[int, int]) -> tuple[Map, Map, int]:
     disc /= disc.sum()
     inside = _summed(np.ones(shape, np.float32), disc, by)
     return np.asarray(disc, np.float32), np.asarray(1 / np.maximum(inside, 0.35), np.float32), by
-
-
-def log_likelihood(
-    settings: HandsSettings, x: Array, seen: Mask, parted: Mask, maps: tuple[Map, Map, Map], scale: float, face: Face
-) -> Array:
-    """(N,): log p(y, x) of both hands, but for the motion; `maps` are log p(y | x) of one hand, its share of skin, and
-    the evidence.
-    """
-    out = np.empty(len(x))
-    of = settings.radius, settings.evidence, settings.skin
-    weigh(x, seen, parted, *maps, face.at, face.size, scale, *of, out)
-    return out
 
 
 def fitted(settings: HandsSettings, share: Map, scale: float, face: Face) -> tuple[Map, Array, Array]:
