@@ -114,7 +114,7 @@ def _normalise(bins, i, norms, out):
 def chroma(image, out):
     """a and b of CIELAB, `out` (2, H, W), of an `image` (H, W, 3) in sRGB, to the levels of `cv2.COLOR_BGR2LAB`.
 
-    OpenCV makes tables for all its conversions before the first one, which takes longer than a second of a clip.
+    OpenCV makes tables for all its conversions before the first one, which takes as long as ten frames.
     """
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):

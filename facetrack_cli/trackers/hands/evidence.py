@@ -203,7 +203,7 @@ def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
     moved = warp_affine(scene.grey, shift, size)
     slope = cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     edges, off, rest = (one[::2, ::2] for one in (slope, grey - moved, grey - scene.grey))
-    steepest = 3 * (edges.size - 1) // 4 + 1
+    steepest = -(-3 * (edges.size - 1) // 4)
     edges = edges >= np.partition(edges.ravel(), steepest)[steepest]
     if _median(np.abs(off[edges])) >= _median(np.abs(rest[edges])):
         return scene.still
