@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 
+import cv2
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,6 +20,25 @@ def gradients(grey, cell):
     out = np.full((cells.CHANNELS, height // cell, width // cell), np.nan, np.float32)
     cells.gradients(np.asarray(grey, np.float32), cell, out)
     return out
+
+
+def test_chroma_has_the_levels_of_opencv():
+    image = np.random.default_rng(0).integers(0, 256, (500, 700, 3), np.uint8)
+    image[:2, :256] = np.arange(256)[:, None]
+    out = np.full((2, 500, 700), np.nan, np.float32)
+    cells.chroma(image, out)
+    off = 60 * np.moveaxis(out, 0, 2) + 128 - cv2.cvtColor(image, cv2.COLOR_BGR2LAB)[..., 1:]
+    assert np.mean(np.abs(off) > 0.01) < 1e-3 and np.abs(off).max() < 1.01  # another cubic root may round otherwise
+
+
+def test_colours_are_what_their_plain_twin_says():
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (12, 9, 3), np.uint8)
+    target, around = (np.maximum(rng.normal(0, 1, (2, cells.COLOURS)), 0)).astype(np.float32)
+    bins, p = np.empty(108, np.int64), np.empty(108, np.float32)
+    cells.colours(image, target, around, bins, p)
+    for ours, theirs in zip((bins, p), naive.colours(image, target, around), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-6)
 
 
 def singles(rng, *shape):

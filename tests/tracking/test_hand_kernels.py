@@ -44,9 +44,32 @@ def test_hands_move_as_their_plain_twin_says(count):
 def test_hands_are_weighed_as_their_plain_twin_says(seed):
     rng = np.random.default_rng(seed)
     given = (*cloud(rng), *maps(rng, 3), FACE, SIZE, SCALE, 0.36, 20.0, 0.18)
-    out = np.empty(len(given[0]))
+    out = np.ones(len(given[0]))
     kernels.weigh(*given, out)
-    np.testing.assert_allclose(out, naive.weigh(*given), atol=1e-9)
+    np.testing.assert_allclose(out, 1 + naive.weigh(*given), atol=1e-9)
+
+
+@pytest.mark.parametrize(("least", "most"), [(-1.5, 8), (1.5, 3), (99.0, 2)])
+def test_most_skin_is_where_its_plain_twin_says(least, most):
+    share = maps(np.random.default_rng(most), 1)[0]
+    share[5:30, 10:40] = np.random.default_rng(1).random((25, 30))
+    given, fit = (share, 20.0, 0.18, FACE, SIZE, SCALE), np.empty_like(share)
+    at, heights = np.empty((most, 2)), np.empty(most)
+    count = kernels.fit_skin(*given, least, fit, at, heights)
+    np.testing.assert_allclose(fit, naive.fit_skin(*given), atol=1e-4)
+    for ours, theirs in zip((at, heights), naive.peaks(fit, least, most), strict=True):
+        np.testing.assert_array_equal(ours[:count], theirs)
+
+
+def test_particles_are_drawn_as_their_plain_twin_says():
+    rng = np.random.default_rng(3)
+    x, seen, parted = cloud(rng)
+    w = rng.dirichlet(np.full(len(x), 0.1)) * (rng.random(len(x)) < 0.8)
+    given = x, seen, parted, w, 0.3, np.array([[3.0, 2.0], [1.0, 4.0]])
+    found = np.empty_like(x), np.empty_like(seen), np.empty_like(parted)
+    kernels.resample(*given, *found)
+    for ours, theirs in zip(found, naive.resample(*given), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 def gathered(*given):

@@ -112,6 +112,25 @@ def test_the_user_is_told_once_and_files_that_power_loss_cuts_are_compiled_anew_
     assert (again.stdout, again.stderr) == ("2 2\n", "")
 
 
+def test_a_kernel_from_the_cache_is_compiled_into_one_that_calls_it(tmp_path):
+    (tmp_path / "two.py").write_text(
+        "from facetrack_cli.engine.kernels.compiled import exact\n"
+        "@exact\ndef square(a):\n    return a * a\n@exact\ndef cube(a):\n    return a * square(a)\n"
+    )
+    path = os.pathsep.join([str(tmp_path), str(Path.cwd())])
+    script = "import two; print(two.{0}(3), sum(two.{0}.stats.cache_hits.values()))"
+
+    def run(name):
+        return python(script.format(name), PYTHONPATH=path, NUMBA_CACHE_DIR=str(tmp_path / "cache")).stdout.split()
+
+    assert [run("square"), run("square"), run("cube"), run("cube")] == [
+        ["9", "0"],
+        ["9", "1"],
+        ["27", "0"],
+        ["27", "1"],
+    ]
+
+
 # --- before they are called ----------------------------------------------------------------------------------------
 
 

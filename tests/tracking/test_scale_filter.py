@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.trackers.box.features import ColourModel, ScaleTrainer
+from facetrack_cli.trackers.box.features import ColourModel, ScaleTrainer, shrunk
 from tests.support.images import grey, smooth
 
 CENTRE = np.array([80.3, 59.6])
@@ -57,13 +57,13 @@ SIDE = 160
 
 
 def square(inside, outside, noise=0.0, seed=0, side=SIDE, at=(0, 0)):
-    """A window (side, side, 3), in whose middle, moved by `at`, is a square of a fifth of its side."""
+    """A shrunk window of `side` pixels, in whose middle, moved by `at`, is a square of a fifth of its side."""
     image = np.full((side, side, 3), outside, float)
     half, middle = side // 10, side // 2
     x, y = middle + at[0], middle + at[1]
     image[y - half : y + half, x - half : x + half] = inside
     image += noise * np.random.default_rng(seed).normal(0, 1, image.shape)
-    return np.clip(image, 0, 255).astype(np.uint8)
+    return shrunk(np.clip(image, 0, 255).astype(np.uint8))
 
 
 RED, GREEN = (20, 30, 210), (40, 160, 50)

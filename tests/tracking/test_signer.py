@@ -18,6 +18,7 @@ from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.hands import evidence, joint
 from facetrack_cli.trackers.hands import target as hand_target
 from facetrack_cli.trackers.hands.evidence import shift_between
+from facetrack_cli.trackers.hands.hand_kernels import weigh
 from facetrack_cli.trackers.hands.settings import HandsSettings
 from facetrack_cli.trackers.smoothed import renamed_hands
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
@@ -186,6 +187,12 @@ def test_disc_means_are_those_of_a_plain_loop(radius, off, corners):
         assert joint.disc_means(e, radius)[row, column] == pytest.approx(expected, abs=off)
 
 
+def log_likelihood(x, seen, parted, maps, scale):
+    out, of = np.zeros(len(x)), (SETTINGS.radius, SETTINGS.evidence, SETTINGS.skin)
+    weigh(x, seen, parted, *maps, BODY.at, BODY.size, scale, *of, out)
+    return out
+
+
 def likelihood(blobs, at, *, line=None, parted=True):
     """log p of two hands at places in sizes, where `blobs` are discs of skin."""
     scale, e = 16.0, np.zeros((96, 128), np.float32)
@@ -198,7 +205,7 @@ def likelihood(blobs, at, *, line=None, parted=True):
     x = np.zeros((1, 2, 4))
     x[0, :, :2] = at
     seen, parted = np.ones((1, 2), bool), np.array([parted])
-    return float(joint.log_likelihood(SETTINGS, x, seen, parted, (fit, share, e), scale, BODY)[0])
+    return float(log_likelihood(x, seen, parted, (fit, share, e), scale)[0])
 
 
 def test_the_likelihood_of_two_hands():
@@ -277,9 +284,9 @@ def test_one_step_has_the_posterior_of_a_grid():
     x = np.zeros((len(places), 2, 4))
     x[:, 0, :2] = places / scale
     share = joint.disc_means(e, settings.radius * scale)
-    fit = settings.evidence * (share - settings.skin) + joint._reach(e.shape, scale, face)
+    fit, _, _ = joint.fitted(settings, share, scale, face)
     only = np.tile([True, False], (len(places), 1))
-    log_p = np.log(prior) + joint.log_likelihood(settings, x, only, only[:, 1], (fit, share, e), scale, face)
+    log_p = np.log(prior) + log_likelihood(x, only, only[:, 1], (fit, share, e), scale)
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
     assert belief.seen.tolist() == pytest.approx([1, 0])

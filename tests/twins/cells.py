@@ -58,6 +58,13 @@ def gradients(grey, cell):
     return out
 
 
+def colours(image, target, around):
+    """(H * W,) colours and (H * W,) probabilities of the target, from an image (H, W, 3)."""
+    bins = [sum((int(v) // 8) * 32**k for k, v in enumerate(pixel[::-1])) for pixel in image.reshape(-1, 3)]
+    both = [float(target[k]) + float(around[k]) for k in bins]
+    return bins, [float(target[k]) / total if total else 0.5 for k, total in zip(bins, both, strict=True)]
+
+
 def project(components, features, taper):
     """(C, M): each component's sum over the features (L, M), times the taper (M,)."""
     return np.array(

@@ -104,6 +104,28 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
     return np.sum(np.where(seen, each, 0.0), axis=1) - np.where(both, strength * twice, 0.0)
 
 
+def fit_skin(share, strength, skin, face, size, scale):
+    row, column = np.indices(share.shape)
+    x, y, a, b = of.REACH
+    far = np.hypot(((column / scale - face[0]) / size - x) / a, ((row / scale - face[1]) / size - y) / b)
+    return strength * (share - skin) + np.minimum(of.BEYOND * (of.WITHIN - far), 0.0)
+
+
+def peaks(fit, least, most):
+    """Places (P, 2) and heights (P,) of what no pixel within 2 exceeds, the highest first."""
+    top = np.flatnonzero((fit >= cv2.dilate(fit, np.ones((5, 5)))) & (fit > least))
+    best = top[np.argsort(-fit.ravel()[top], kind="stable")[:most]]
+    return np.stack(np.divmod(best, fit.shape[1])[::-1], axis=1), fit.ravel()[best]
+
+
+def resample(x, seen, parted, w, u, at):
+    points = (np.arange(len(w)) + u) / len(w) * w.sum()
+    kept = np.minimum(np.cumsum(w).searchsorted(points, side="right"), np.flatnonzero(w)[-1])
+    x, seen = x[kept], seen[kept]
+    other = seen.all(axis=1) & ((x[:, 0, :2] - x[:, 1, :2]) @ (at[0] - at[1]) < 0)
+    return np.where(other[:, None, None], x[:, ::-1], x), seen, parted[kept]
+
+
 def gather(x, seen, w, share_at, scale, evidence, radius):
     """p (2,), at (2, 2), cov (2, 2, 2), near (2,), skin (2,), form (2, 3)."""
     found = []

@@ -10,10 +10,15 @@ import numpy as np
 
 from facetrack_cli.engine.kernels.compiled import exact, fast
 
+COLOURS = 1 << 15  # of 5 bits a channel
 CHANNELS = 31  # 18 signed orientations, 9 unsigned ones, 4 of texture
 _CLIP, _TEXTURE, _FLAT = np.float32(0.2), np.float32(0.2357), np.float32(1e-4)
 _10, _30, _50, _70 = (np.float32(math.tan(math.radians(angle))) for angle in (10, 30, 50, 70))
 _ZERO, _HALF, _ONE, _UNIT = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(1 / 255)
+_LEVELS, _RATIOS = np.arange(256) / 255, np.arange(3072, dtype=np.float32) * np.float32(1 / 2040)
+_LINEAR = np.rint(2040 * np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4)).astype(int)
+_ROOTS = np.rint(32768 * np.where(_RATIOS < 216 / 24389, _RATIOS * 841 / 108 + 4 / 29, np.cbrt(_RATIOS))).astype(int)
+_CHROMA = np.float32(60.0)  # levels of a and b that count as much as the whole range of grey
 
 
 @exact
@@ -103,6 +108,37 @@ def _normalise(bins, i, norms, out):
             pa, pb = min(value * a[j], _CLIP), min(value * b[j], _CLIP)
             pc, pd = min(value * c[j], _CLIP), min(value * d[j], _CLIP)
             to[j] = _HALF * (pa + pb + pc + pd)
+
+
+@exact
+def chroma(image, out):
+    """a and b of CIELAB, `out` (2, H, W), of an `image` (H, W, 3) in sRGB, to the levels of `cv2.COLOR_BGR2LAB`.
+
+    OpenCV makes tables for all its conversions before the first one, which takes as long as ten frames.
+    """
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            b, g, r = _LINEAR[image[y, x, 0]], _LINEAR[image[y, x, 1]], _LINEAR[image[y, x, 2]]
+            fx = _ROOTS[(1777 * r + 1541 * g + 778 * b + 2048) >> 12]
+            fy = _ROOTS[(871 * r + 2929 * g + 296 * b + 2048) >> 12]
+            fz = _ROOTS[(73 * r + 448 * g + 3575 * b + 2048) >> 12]
+            out[0, y, x] = np.float32((500 * (fx - fy) + 16384) >> 15) / _CHROMA
+            out[1, y, x] = np.float32((200 * (fy - fz) + 16384) >> 15) / _CHROMA
+
+
+@exact
+def colours(image, target, around, bins, p):
+    """Of the pixels of `image` (H, W, 3), by rows, which of `COLOURS` each has, and p that it is the target's.
+
+    p is that of histograms of the target and of its surroundings; of a colour that neither has it is a half.
+    """
+    n = 0
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            k = (image[y, x, 0] >> 3) << 10 | (image[y, x, 1] >> 3) << 5 | image[y, x, 2] >> 3
+            both = target[k] + around[k]
+            bins[n], p[n] = k, target[k] / max(both, np.float32(1e-12)) if both > _ZERO else _HALF
+            n += 1
 
 
 @exact

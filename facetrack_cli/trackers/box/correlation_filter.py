@@ -56,6 +56,7 @@ from facetrack_cli.trackers.box.features import (
     Trainer,
     moved,
     peaks,
+    shrunk,
 )
 from facetrack_cli.trackers.box.hidden_box import VISIBLE, ModeProposal
 from facetrack_cli.trackers.box.settings import CorrelationFilterSettings
@@ -122,7 +123,7 @@ class Peaks(NamedTuple):
 class ResponseView(NamedTuple):
     """A window around `centre` (2,): R, the response of the filter of `now`, and that of the first frames.
 
-    `spectrum` (2, C, F) and `image` are the window itself.
+    `spectrum` (2, C, F) is the window itself; `image`, too, as it is read for colours.
     """
 
     centre: Array
@@ -261,7 +262,7 @@ class CorrelationFilter(Likelihood):
         heights = Usual(one, one, other, other)
         colours = None
         if features.colour and self.settings.colour > 0:
-            colours = self._colour_model.learn(None, window, 1.0)
+            colours = self._colour_model.learn(None, shrunk(window), 1.0)
         scales = self._scale_trainer.learn(None, self._scale_trainer.read(frame, centre, scale), 1.0)
         return CorrelationState(features, filters, filters.filters, scales, colours, heights, last=frame.index)
 
@@ -301,6 +302,7 @@ class CorrelationFilter(Likelihood):
         now, first = self._trainer.respond(x, learned.filters.filters, learned.first)
         response, (usual, usual_first) = now, learned.heights[:2]
         if learned.colours is not None:
+            window = shrunk(window)
             score = self._colour_model.respond(learned.colours, window, len(now))
             if score is not None:
                 share = self.settings.colour
@@ -458,7 +460,9 @@ class CorrelationFilter(Likelihood):
             if abs(grown) < _SAME_SCALE and max(np.abs(off).max(), np.abs(mode).max()) < _SAME_PLACE:
                 spectrum = moved(seen.view.spectrum, off, self.settings.cells)
                 return spectrum, seen.view.image, trainer.moved(seen.scales, grown)
-        return *learned.features.read(frame, centre, self._side(scale)), trainer.read(frame, centre, scale)
+        x, window = learned.features.read(frame, centre, self._side(scale))
+        window = window if learned.colours is None else shrunk(window)
+        return x, window, trainer.read(frame, centre, scale)
 
     def distances(self, learned: CorrelationState, frame: Frame, x: Array) -> Array:
         """(N, 1) of zeros: whether the target is visible is part of the state."""

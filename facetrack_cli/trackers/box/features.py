@@ -50,6 +50,9 @@ from numpy.typing import NDArray
 from facetrack_cli.core.types import Array, Frame, Image, Whole, factor_for
 from facetrack_cli.trackers.box.box_kernels import (
     CHANNELS,
+    COLOURS,
+    chroma,
+    colours,
     gradients,
     gradients_of_scales,
     multiply,
@@ -61,7 +64,6 @@ from facetrack_cli.trackers.face.stabilized import Similarity
 
 Single: TypeAlias = NDArray[np.float32]
 CELL = 4  # pixels of a resampled window
-_CHROMA = 60.0  # levels of a and b that count as much as the whole range of grey
 _COLOURS = 2.0  # grey levels by which channels differ on average in a clip with colours
 
 
@@ -149,14 +151,11 @@ def _features(image: Image, cells: int) -> Single:
     np.multiply(cv2.resize(grey, small, interpolation=cv2.INTER_AREA), np.float32(1 / 255), out=out[CHANNELS])
     out[CHANNELS] -= np.float32(0.5)
     if colour:
-        _, *planes = cv2.split(cv2.cvtColor(cv2.resize(image, small, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2LAB))
-        for plane, chroma in zip(planes, out[CHANNELS + 1 :], strict=True):
-            np.divide(plane - np.float32(128), np.float32(_CHROMA), out=chroma)
+        chroma(np.asarray(cv2.resize(image, small, interpolation=cv2.INTER_AREA), np.uint8), out[CHANNELS + 1 :])
     return out.reshape(len(out), -1)
 
 
 _SIDE = 64  # pixels of a window that is read for colours
-_BITS = 5  # of each channel: 32 levels
 _RATE = 0.04
 _TELLS = 0.2  # how much more likely the target's pixels must be than those around, on average
 
@@ -185,37 +184,38 @@ class ColourModel:
         return np.flatnonzero(inside), np.flatnonzero(outside if outside.any() else ~outside)
 
     def learn(self, known: Colours | None, window: Image, rate: float) -> Colours:
-        """From a window (n, n, 3) in whose middle the target is; `rate` 1 as Staple learns, 0 not at all."""
-        share, bins, learned = 1.0 if known is None else _RATE * rate, _bins(window), list[Single]()
-        nothing = np.zeros(1 << 3 * _BITS, np.float32)
+        """From a shrunk window in whose middle the target is; `rate` 1 as Staple learns, 0 not at all."""
+        share, learned, nothing = 1.0 if known is None else _RATE * rate, list[Single](), np.zeros(COLOURS, np.float32)
         before = known or Colours(nothing, nothing)
+        bins, _ = _looked_up(before, window)
         for part, histogram in zip(self._parts, before[:2], strict=True):
             counts = np.bincount(bins[part], minlength=len(histogram)).astype(np.float32)
             learned.append(np.float32(1 - share) * histogram + np.float32(share / len(part)) * counts)
-        p = _probability(found := Colours(learned[0], learned[1]), bins)
+        _, p = _looked_up(found := Colours(learned[0], learned[1]), window)
         inside, outside = (float(p[part].mean()) for part in self._parts)
         return found._replace(tells=max(inside - outside, 0.0))
 
     def respond(self, known: Colours, window: Image, samples: int) -> Single | None:
-        """The score (samples, samples) of the box around each place of the window; None where colour tells nothing."""
+        """The score (samples, samples) of the box around each place of a shrunk window; None: colour tells nothing."""
         if known.tells < _TELLS:
             return None
         w, h = (max(round(0.8 * side * _SIDE), 1) | 1 for side in self.box)
-        each = _probability(known, _bins(window)).reshape(_SIDE, -1)
-        mean = cv2.blur(each, (w, h), borderType=cv2.BORDER_REPLICATE)
+        _, each = _looked_up(known, window)
+        mean = cv2.blur(each.reshape(_SIDE, -1), (w, h), borderType=cv2.BORDER_REPLICATE)
         return np.asarray(cv2.resize(mean, (samples, samples), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _bins(window: Image) -> Whole:
-    """Of the pixels of the window, reduced, by rows."""
-    small = np.asarray(cv2.resize(window, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA), np.uint8) >> (8 - _BITS)
-    b, g, r = small.reshape(-1, 3).T.astype(np.int64)
-    return np.asarray((b << 2 * _BITS) | (g << _BITS) | r)
+def shrunk(window: Image) -> Image:
+    """A window as it is read for colours."""
+    return np.asarray(cv2.resize(window, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _probability(known: Colours, bins: Whole) -> Single:
-    target, around = known.target[bins], known.around[bins]
-    return np.where((both := target + around) > 0, target / np.maximum(both, np.float32(1e-12)), np.float32(0.5))
+def _looked_up(known: Colours, window: Image) -> tuple[Whole, Single]:
+    """Of each pixel of a shrunk window, by rows, its colour, and the probability that it is the target's."""
+    pixels = window.shape[0] * window.shape[1]
+    bins, p = np.empty(pixels, np.int64), np.empty(pixels, np.float32)
+    colours(window, known.target, known.around, bins, p)
+    return bins, p
 
 
 _LAMBDA = 0.01

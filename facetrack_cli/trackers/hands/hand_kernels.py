@@ -16,7 +16,8 @@ NEWS = 0.4  # share of the last step in the velocity
 REST = np.array([[-1.4, 4.6], [1.4, 4.6]])  # where hands hang, about the face's middle, in its sizes
 REACH = (0.0, 1.6, 3.2, 3.6)  # ellipse of an arm's reach about the face's middle, in its sizes: x, y, half axes
 ANYWHERE = 0.1  # share of the hands that appear anywhere within reach, and not about where they were
-BEYOND = 12.0  # what a place beyond 0.8 of that ellipse loses of log p
+BEYOND, WITHIN = 12.0, 0.8  # what a place beyond that share of the ellipse loses of log p
+_BEYOND, _WITHIN = np.float32(BEYOND), np.float32(WITHIN)
 SHOULDERS = np.array([[-0.9, 1.1], [0.9, 1.1]])  # about the face's middle, in its sizes
 BEYOND_HAND = (1.6, 2.2)  # radii from a hand's middle to where no skin is, seen from the shoulder
 FAR_END = 0.15  # what skin there takes away, of what it would give within the hand
@@ -98,6 +99,40 @@ def _drawn(often, u):
 
 
 @exact
+def fit_skin(share, strength, skin, face, size, scale, least, fit, at, heights):
+    """log p(y | x) of a hand at each pixel, `fit` (H, W), by the `share` of skin there and the reach of an arm.
+
+    Its highest places above `least` are `at` (P, 2), at most as many as `heights` (P,), which fall; returns how many.
+    """
+    (height, width), (x, y, a, b), count = share.shape, REACH, 0
+    strength, skin, along = np.float32(strength), np.float32(skin), np.empty(width, np.float32)
+    for j in range(width):
+        along[j] = (((j / scale - face[0]) / size - x) / a) ** 2
+    for i in range(height):
+        down, row, of = np.float32((((i / scale - face[1]) / size - y) / b) ** 2), fit[i], share[i]
+        for j in range(width):
+            beyond = _BEYOND * (_WITHIN - np.sqrt(along[j] + down))
+            row[j] = strength * (of[j] - skin) + min(beyond, np.float32(0.0))
+    for i in range(height):
+        for j in range(width):
+            here = fit[i, j]
+            if here <= least or (count == len(heights) and here <= heights[count - 1]):
+                continue
+            highest = True
+            for k in range(max(i - 2, 0), min(i + 3, height)):
+                for m in range(max(j - 2, 0), min(j + 3, width)):
+                    highest &= fit[k, m] <= here
+            if highest:
+                count = min(count + 1, len(heights))
+                k = count - 1
+                while k > 0 and heights[k - 1] < here:
+                    at[k], heights[k] = at[k - 1], heights[k - 1]
+                    k -= 1
+                at[k, 0], at[k, 1], heights[k] = j, i, here
+    return count
+
+
+@exact
 def move(
     x, seen, parted, luck, noise, peaks, often, steps, shares, chances, strength, evidence, covered, face, size, scale,
     weight,
@@ -163,8 +198,8 @@ def move(
 
 @exact
 def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, strength, skin, out):
-    """log p(y, x) of both hands, but for the motion, in `out` (N,); `fit` and `share` are log p(y | x) and the share of
-    skin of a hand at each pixel. `radius` is that of a hand in sizes of the face now, `skin` what a hand has.
+    """Adds log p(y, x) of both hands, but for the motion, to `out` (N,); `fit` is log p(y | x) of a hand at each pixel,
+    `share` that of skin in it. `radius` is that of a hand in sizes of the face now, `skin` what a hand has.
     """
     far = radius * size
     for n in range(len(x)):
@@ -192,7 +227,7 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
             shared = min(1.3 * max(1 - math.hypot(ax - bx, ay - by) / (2 * far), 0.0), 1.0)
             one = _arm(evidence, ax, ay, bx, by, scale, size, ARM[0] if parted[n] else -ARM[1])
             total -= strength * (shared * max(least - HIDES * skin, 0.0) + one * max(least, 0.0))
-        out[n] = total
+        out[n] += total
 
 
 @exact
@@ -238,6 +273,29 @@ def gather(x, seen, w, skin_at, scale, evidence, radius, p, at, cov, near, skin,
         form[hand, 1] = min(max(4 * math.sqrt(down), radius), 3 * radius) if down >= 0.0 else 2 * radius
         across, down, both = _spread(evidence, mx * scale, my * scale, math.ceil(2 * radius), WINDOW * radius)
         form[hand, 2] = 2 * both / (across + down) if across + down > 0.0 else 0.0
+
+
+@exact
+def resample(x, seen, parted, w, u, at, to, to_seen, to_parted):
+    """As many particles drawn by the weights w (N,), evenly from the offset u on (`engine.resampling.systematic`).
+
+    All have the order of the belief's places `at` (2, 2): which hand is which is not theirs to say.
+    """
+    total, last, n, i = 0.0, 0, len(w), 0
+    for k in range(n):
+        total += w[k]
+        if w[k] > 0.0:
+            last = k
+    cumulated, dx, dy = w[0], at[0, 0] - at[1, 0], at[0, 1] - at[1, 1]
+    for k in range(n):
+        while i < last and cumulated <= (k + u) / n * total:
+            i += 1
+            cumulated += w[i]
+        one, two = x[i, 0], x[i, 1]
+        other = seen[i, 0] and seen[i, 1] and (one[0] - two[0]) * dx + (one[1] - two[1]) * dy < 0.0
+        for d in range(4):
+            to[k, 0, d], to[k, 1, d] = (two[d], one[d]) if other else (one[d], two[d])
+        to_seen[k, 0], to_seen[k, 1], to_parted[k] = seen[i, 0], seen[i, 1], parted[i]
 
 
 @exact

@@ -36,9 +36,9 @@ import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.engine.resampling import effective_sample_size, normalise, systematic
+from facetrack_cli.engine.resampling import normalise
 from facetrack_cli.trackers.hands.evidence import Map, Seen
-from facetrack_cli.trackers.hands.hand_kernels import BEYOND, REACH, REST, gather, move, weigh
+from facetrack_cli.trackers.hands.hand_kernels import REST, fit_skin, gather, move, resample, weigh
 from facetrack_cli.trackers.hands.settings import HandsSettings
 
 START: Final = 0.075  # sizes, standard deviation of a hand that is given
@@ -116,25 +116,21 @@ def step(
     n, evidence = len(cloud.x), looked.evidence
     radius = settings.radius * face.size * scale
     share = disc_means(evidence, radius)
-    fit = settings.evidence * (share - settings.skin) + _reach(evidence.shape, scale, face)
-    peaks, often = _peaks(fit)
+    fit, peaks, often = fitted(settings, share, scale, face)
     luck, noise = rng.random((2, 4, n)), rng.standard_normal((2, n, 2))
     x, seen, parted, weight = cloud.x.copy(), cloud.seen.copy(), cloud.parted.copy(), np.empty(n)
     chances = np.array([0.5 if first else settings.appears, settings.vanishes, settings.proposed])
     motion = np.array(settings.steps), np.array(settings.shares), chances, settings.evidence
     seen_in = evidence, looked.face, face.at, face.size, scale
     move(x, seen, parted, luck, noise, peaks, often, *motion, *seen_in, weight)
-    weight += log_likelihood(settings, x, seen, parted, (fit, share, evidence), scale, face)
-    log_w = normalise(weight)
+    of = settings.radius, settings.evidence, settings.skin
+    weigh(x, seen, parted, fit, share, evidence, face.at, face.size, scale, *of, weight)
+    w = np.exp(normalise(weight))
     (p, near, skin), at, cov, form = np.empty((3, 2)), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty((2, 3))
-    gather(x, seen, np.exp(log_w), share, scale, evidence, radius, p, at, cov, near, skin, form)
-    belief = Belief(p, at, cov, near, float(effective_sample_size(log_w)), skin, form)
-    kept = systematic(rng, log_w, n)
-    x, seen, parted = x[kept], seen[kept], parted[kept]
-    # all particles have the order of the belief: which hand is which is not theirs to say
-    other = seen[:, 0] & seen[:, 1] & ((x[:, 0, :2] - x[:, 1, :2]) @ (at[0] - at[1]) < 0)
-    x[other] = x[other][:, ::-1]
-    return Cloud(x, seen, parted), belief
+    gather(x, seen, w, share, scale, evidence, radius, p, at, cov, near, skin, form)
+    kept = Cloud(np.empty_like(x), np.empty_like(seen), np.empty_like(parted))
+    resample(x, seen, parted, w, rng.random(), at, *kept)
+    return kept, Belief(p, at, cov, near, 1 / float(np.add.reduce(w * w)), skin, form)
 
 
 def disc_means(evidence: Map, radius: float) -> Map:
@@ -167,35 +163,14 @@ def _disc(radius: float, shape: tuple[int, int]) -> tuple[Map, Map, int]:
     return np.asarray(disc, np.float32), np.asarray(1 / np.maximum(inside, 0.35), np.float32), by
 
 
-def log_likelihood(
-    settings: HandsSettings, x: Array, seen: Mask, parted: Mask, maps: tuple[Map, Map, Map], scale: float, face: Face
-) -> Array:
-    """(N,): log p(y, x) of both hands, but for the motion; `maps` are log p(y | x) of one hand, its share of skin, and
-    the evidence.
+def fitted(settings: HandsSettings, share: Map, scale: float, face: Face) -> tuple[Map, Array, Array]:
+    """log p(y | x) of a hand at each pixel (H, W), the places (P, 2) of most skin in pixels, and how often each is
+    proposed (P,).
     """
-    out = np.empty(len(x))
-    of = settings.radius, settings.evidence, settings.skin
-    weigh(x, seen, parted, *maps, face.at, face.size, scale, *of, out)
-    return out
-
-
-def _reach(shape: tuple[int, ...], scale: float, face: Face) -> Map:
-    """(H, W): what is lost of log p beyond the reach of an arm."""
-    x, y, a, b = REACH
-    u = ((np.arange(shape[1]) / scale - face.at[0]) / face.size - x) / a
-    v = ((np.arange(shape[0]) / scale - face.at[1]) / face.size - y) / b
-    far = np.sqrt((u**2).astype(np.float32) + (v[:, None] ** 2).astype(np.float32))
-    return np.asarray(np.minimum(np.float32(BEYOND) * (np.float32(0.8) - far), np.float32(0.0)), np.float32)
-
-
-def _peaks(fit: Map) -> tuple[Array, Array]:
-    """The places (P, 2) of most skin in pixels, and how often each is proposed (P,)."""
-    top = np.flatnonzero((fit >= cv2.dilate(fit, np.ones((5, 5)))) & (fit > LEAST))
-    heights = fit.ravel()[top]
-    best = np.argsort(-heights, kind="stable")[:PEAKS]
-    at = np.stack(np.divmod(top[best], fit.shape[1])[::-1], axis=1).astype(float)
-    weight = np.exp(0.5 * (heights[best].astype(float) - fit.max()))
-    return at, weight / max(weight.sum(), _TINY)
+    fit, at, heights = np.empty_like(share), np.empty((PEAKS, 2)), np.empty(PEAKS)
+    count = fit_skin(share, settings.evidence, settings.skin, face.at, face.size, scale, LEAST, fit, at, heights)
+    weight = np.exp(0.5 * (heights[:count] - heights[:1]))
+    return fit, at[:count], weight / max(weight.sum(), _TINY)
 
 
 def exchanged(belief: Belief, face: Face) -> float:
@@ -206,12 +181,13 @@ def exchanged(belief: Belief, face: Face) -> float:
 
 def name_log_odds(settings: HandsSettings, belief: Belief, face: Face) -> float:
     """log p(frame | named as they are) - log p(frame | exchanged)."""
-    apart, both = math.dist(*belief.at) / face.size / settings.radius, bool((belief.seen >= 0.5).all())
+    seen, (x, y) = belief.seen.tolist(), face.at.tolist()
+    apart, both = math.dist(*belief.at.tolist()) / face.size / settings.radius, min(seen) >= 0.5
     clear = min(max((apart - APART[0]) / (APART[1] - APART[0]), 0.0), 1.0) if both else 1.0
     total = 0.0
-    away = ((belief.at - face.at) / face.size).tolist()
-    for (u, v), (_, _, lean), seen, sign in zip(away, belief.form.tolist(), belief.seen, SIGNS, strict=True):
-        if seen >= 0.5:
+    for p, place, (_, _, lean), sign in zip(seen, belief.at.tolist(), belief.form.tolist(), SIGNS, strict=True):
+        u, v = (place[0] - x) / face.size, (place[1] - y) / face.size
+        if p >= 0.5:
             total += sign * (WEIGHTS[0] * u + WEIGHTS[1] * u * v + WEIGHTS[2] * lean)
     return TEMPER * clear * total
 

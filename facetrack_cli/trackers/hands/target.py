@@ -201,9 +201,11 @@ def cues(belief: joint.Belief, face: joint.Face, height: float) -> Array:
 
     A bare arm that reaches the lower border above where hands hang leads to a hand below, and is thinner than a hand.
     """
-    y = belief.at[:, 1]
-    low = np.clip(1 - (height - y) / face.size / LOW, 0, 1.2) * ((y - face.at[1]) / face.size - HANGS)
-    return np.stack([np.ones(2), belief.seen, belief.seen * low, belief.seen * belief.skin], axis=1)
+    found, top = [], float(face.at[1])
+    for (_, y), seen, skin in zip(belief.at.tolist(), belief.seen.tolist(), belief.skin.tolist(), strict=True):
+        low = min(max(1 - (height - y) / face.size / LOW, 0.0), 1.2) * ((y - top) / face.size - HANGS)
+        found.append((1.0, seen, seen * low, seen * skin))
+    return np.array(found)
 
 
 def in_picture(cues: Array) -> Array:
