@@ -132,8 +132,8 @@ class Motion(Protocol):
         ...
 
     def linear(self, state: Array) -> Linear:
-        """The motion around a state (K, D), for the smoother."""
-        ...
+        """The motion around a state (K, D), for the smoother. Without it rows are never smoothed."""
+        raise TypeError(f"{type(self).__name__} has no linear form, which --smooth and --lag take")
 
     def weighed(self, x: Array, parents: Array, score: Callable[[], Array]) -> Array:
         """(N, K): log p(y | x), which `score` gives, and of p(x | parents) over the density by which x was drawn."""

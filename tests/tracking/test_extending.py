@@ -14,11 +14,13 @@ from pydantic import Field
 
 from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.engine.loop import track
+from facetrack_cli.engine.protocols import Motion
 from facetrack_cli.recipe import FilterSettings, LikelihoodSettings, Refusal, Section, sections
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import completed, json_schema, rebuild, register, to_dict
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
+from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.video.source import open_source
 from tests.support.results import rows_of
@@ -124,6 +126,19 @@ def test_all_three_together_follow_a_clip(registry):
     assert off < 5  # a target that stands still is off by 7.8
     ess = [part.ess for part in parts]
     assert all(1 <= one <= recipe.particles == 500 for one in ess)
+
+
+def test_rows_by_the_motion_are_smoothed(registry):
+    recipe, start = executed("LazySir")["recipe"], read_init(FOLDER / "occlusion.init.yaml")
+    with open_source(FOLDER / "occlusion.mp4", stop=12) as source:
+        results = list(track(build_tracker(recipe, start), source, 3))
+    after = list(lagged(results, 4))
+    jitter, less = (np.abs(np.diff([one.rows.x for one in each], n=2, axis=0)).mean() for each in (results, after))
+    assert less < 0.7 * jitter
+    module = sys.modules["heavy_tails"]
+    without = type("Rough", (Motion,), {"propagate": module.Steps.propagate, "expect": module.Steps.expect})()
+    with pytest.raises(TypeError, match="Rough has no linear form, which --smooth and --lag take"):
+        without.linear(np.zeros((5, 2)))
 
 
 def test_it_is_the_same_recipe_when_it_is_read_back(plugged):

@@ -247,6 +247,14 @@ def test_a_face_that_was_turned_before_it_was_lost_is_seen_where_it_is_upright(r
     assert not face.turn and off(named(face.placed(upright)), POSE) < 0.25
 
 
+def test_in_a_crowd_a_face_that_lies_as_the_lost_one_comes_first():
+    crowd = large(POSE._replace(side=60, roll=180))
+    for left in (0, 380, 760, 1140):
+        crowd.bgr[100:340, left : left + 320] = moving.frame(0, moving.paste(moving.ground(), POSE, 0)).bgr
+    found = again(Haar(), crowd, Similarity(np.array([900.0, 500.0]), 60 / FACE, np.pi))
+    assert [face.turn for face in found] == [4, 0, 0, 0, 0]
+
+
 @pytest.mark.parametrize("cut", ["forehead", "chin"])
 @detectors
 def test_a_face_that_the_border_cuts_off_is_a_start(detector, cut):

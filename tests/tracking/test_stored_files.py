@@ -79,6 +79,7 @@ DAMAGE = {
     "shape prior": [
         ("shapes", lambda a: a[:, :4], r"4, 2"),
         ("shapes", lambda a: a[:0], r"0, 5, 2"),
+        ("shapes", lambda a: a + 300, "pixels"),
         ("stable", lambda a: np.array("ear"), "ear"),
         ("scale", lambda a: a[:1], "two of the scale"),
         ("parts", lambda a: a[[0, 0, 1, 2, 3]], "once"),
@@ -92,6 +93,8 @@ DAMAGE = {
         ("names", lambda a: np.repeat(a[:1], len(a)), "each named once"),
         ("names", lambda a: np.char.add(a, "\n"), "no name"),
         ("names", lambda a: a[:-1], "5 persons"),
+        ("proportion", lambda a: a * np.nan, "out of range"),
+        ("proportion", lambda a: a * 0, "out of range"),
         ("counts", lambda a: a[:-1], "out of range"),
         ("most_frontal", lambda a: a * 0 + 1.5, "out of range"),
         ("threshold", lambda a: a * np.nan, "not finite"),

@@ -146,8 +146,9 @@ class Gallery:
         numbers = (*self.calibration, self.most_frontal, self.threshold, self.errors)
         if not (np.isfinite(self.faces).all() and np.isfinite(numbers).all()):
             raise ValueError("a number is not finite")
-        if len(self.counts) != p or len(self.calibration) != 2 or not 0.0 <= self.most_frontal <= 1.0:
-            raise ValueError("counts or the calibration of p_f are out of range")
+        ranged = self.proportion is None or 0.0 < self.proportion < math.inf
+        if not ranged or len(self.counts) != p or len(self.calibration) != 2 or not 0.0 <= self.most_frontal <= 1.0:
+            raise ValueError("counts, proportion or the calibration of p_f are out of range")
 
     def log_scores(self, patches: Rows, *, sharpness: float = 1.0, none: bool = False) -> tuple[Array, Array]:
         """p_f (N,), 0 of a patch of zeros, and log p_n (N, P) of patches (N, d), with logsumexp 0 over the identities.

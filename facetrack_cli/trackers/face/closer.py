@@ -67,13 +67,14 @@ def everywhere(detector: Detector, frame: Frame) -> list[Detection]:
 
 
 def again(detector: Detector, frame: Frame, face: Similarity) -> list[Detection]:
-    """The faces of a frame that are upright, or lie as one that was lost, which may have been turned before it went."""
+    """The faces of a frame that lie as one that was lost, and those upright: it may have been turned before it went."""
     turn, whole = eighths(face.angle), factor_for(max(frame.size), MAX_SEARCHED_PX)
     factor = min(whole, 2 ** max(math.floor(math.log2(face.scale * FACE / LEAST_PX[detector.name])), 0))
-    faces = detector.find(frame)
-    if turn or factor != whole:
-        faces += _certain(detector, frame, _tiles(frame.size, factor, turn), faces)
-    return faces
+    upright = detector.find(frame)
+    if not turn and factor == whole:
+        return upright
+    # first, or a crowd of upright and larger faces would leave no room for the one that was lost
+    return [*_certain(detector, frame, _tiles(frame.size, factor, turn), upright), *upright]
 
 
 def eighths(angle: float) -> int:

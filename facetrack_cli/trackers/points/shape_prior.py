@@ -64,8 +64,8 @@ class ShapePrior:
             raise ValueError(problem)
         if self.shapes.ndim != 3 or self.shapes.shape[1:] != (len(self.parts), 2) or not len(self.shapes):
             raise ValueError(f"shapes of {self.shapes.shape} where (M, {len(self.parts)}, 2) belongs")
-        if not np.isfinite(self.shapes).all():
-            raise ValueError("a shape is not finite")
+        if not (np.abs(self.shapes) <= 100.0).all():
+            raise ValueError("a shape is not finite, or a part moves more than 100 mouth widths: they are no pixels")
 
     def save(self, path: Path) -> None:
         """Writes an .npz of plain arrays, whole or not at all; equal priors give equal bytes. Raises OutputError."""
