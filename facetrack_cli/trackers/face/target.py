@@ -130,18 +130,24 @@ class FaceTarget(FaceParts):
         return state, self.result(state, self.head.begun, frame, result.notes)
 
     def restart(
-        self, rng: Generator, frame: Frame, first: FaceState, given: TargetStart, absent: Names = (), anew: Names = ()
+        self,
+        rng: Generator,
+        frame: Frame,
+        first: FaceState,
+        start: TargetStart,
+        absent: Names = (),
+        relearned: Names = (),
     ) -> tuple[FaceState, TargetResult]:
         """As `ParticleTarget.restart`; the head lies about the points as in the first frame."""
-        placed = {part: np.array(at) for part, at in given.points.items() if part not in absent}
+        placed = {part: np.array(at) for part, at in start.points.items() if part not in absent}
         at = np.array([placed[part] for part in self.features.parts if part in placed])
         rest, scale, roll = self.features.x0[np.isin(self.features.parts, list(placed))], self.side / FACE, 0.0
         if len(at) > 1:
             spread = np.sum((rest - rest.mean(axis=0)) ** 2)
             scale = math.sqrt(float(np.sum((at - at.mean(axis=0)) ** 2)) / max(float(spread), 1e-9))
             roll = stabilized.change_between(at, rest)[0]
-        if given.box is not None and not given.points:
-            scale = math.sqrt(given.box[2] * given.box[3]) / FACE
+        if start.box is not None and not start.points:
+            scale = math.sqrt(start.box[2] * start.box[3]) / FACE
         shape = Similarity(np.zeros(2), scale, roll)
         middle = at.mean(axis=0) - (rest.mean(axis=0) - stabilized.MIDDLE) @ shape.matrix.T
         head, _ = self.head.restart(rng, frame, first.head, TargetStart(square(middle, FACE * scale)))
@@ -149,7 +155,7 @@ class FaceTarget(FaceParts):
         similarity = self.map_to_frame(head.estimated.state, pose)
         points = {part: tuple(similarity.to_stabilized(place).tolist()) for part, place in placed.items()}
         image = similarity.read(frame)
-        features, _ = self.features.restart(rng, image, first.features, TargetStart(points=points), absent, anew)
+        features, _ = self.features.restart(rng, image, first.features, TargetStart(points=points), absent, relearned)
         detection, at = self.sensors.detected(image), features.estimated.state
         biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, at)
         views, shots = (first.looks, first.pictures, laid_out(similarity, detection)), Passing((small(frame),))

@@ -64,14 +64,14 @@ class HandState(NamedTuple):
 
 @dataclass(frozen=True)
 class HandTarget:
-    """The hand number `hand`, 0 or 1, of a `person`, whose head begins in a box `head`; `given` are boxes of hands."""
+    """Hand 0 or 1 of a `person`, whose head begins in a box `head`; `start_boxes` are those of both hands."""
 
     name: str
     person: str
     hand: int
     settings: HandsSettings
     head: Box
-    given: tuple[Box | None, Box | None]
+    start_boxes: tuple[Box | None, Box | None]
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -79,35 +79,41 @@ class HandTarget:
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
-        box = self.given[self.hand]
+        box = self.start_boxes[self.hand]
         return {} if box is None else {BOX: box[2:]}
 
     def begin(self, rng: Generator, frame: Frame) -> tuple[HandState, TargetResult]:
         face = Footprint(np.array(centre(self.head)), np.array(self.head[2:]) / 2)
-        scene, seen = evidence.begin(frame, face, tuple(box for box in self.given if box is not None))
-        state = self._initial(rng, frame, scene, face, self.given)
-        if None in self.given:
+        scene, seen = evidence.begin(frame, face, tuple(box for box in self.start_boxes if box is not None))
+        state = self._initial(rng, frame, scene, face, self.start_boxes)
+        if None in self.start_boxes:
             state = self._step(rng, state, frame, seen, first=True)
-        return state, self._result(state, frame, given=self.given[self.hand] is not None)
+        return state, self._result(state, frame, placed=self.start_boxes[self.hand] is not None)
 
     def restart(
-        self, rng: Generator, frame: Frame, first: HandState, given: TargetStart, absent: Names = (), anew: Names = ()
+        self,
+        rng: Generator,
+        frame: Frame,
+        first: HandState,
+        start: TargetStart,
+        absent: Names = (),
+        relearned: Names = (),
     ) -> tuple[HandState, TargetResult]:
         """As `ParticleTarget.restart`; where the other hand is, is not known."""
-        boxes = (given.box, None) if self.hand == 0 else (None, given.box)
+        boxes = (start.box, None) if self.hand == 0 else (None, start.box)
         state = self._initial(rng, frame, first.scene, first.face, boxes)
-        return state, self._result(state, frame, given=True)
+        return state, self._result(state, frame, placed=True)
 
     def _initial(
-        self, rng: Generator, frame: Frame, scene: Scene, face: Footprint, given: tuple[Box | None, Box | None]
+        self, rng: Generator, frame: Frame, scene: Scene, face: Footprint, boxes: tuple[Box | None, Box | None]
     ) -> HandState:
-        known = np.array([box is not None for box in given])
-        middle = np.array([(math.nan, math.nan) if box is None else centre(box) for box in given])
+        known = np.array([box is not None for box in boxes])
+        middle = np.array([(math.nan, math.nan) if box is None else centre(box) for box in boxes])
         cloud = joint.begin(rng, self.settings, _face(scene, face), _in_sizes(scene, middle))
         at = cloud.x[..., :2].mean(axis=0)
         cov = np.stack([np.cov(cloud.x[:, hand, :2].T) for hand in (0, 1)])
         belief = joint.Belief(known * 1.0, at, cov, known * 1.0, float(len(cloud.x)), np.zeros(2), np.zeros((2, 3)))
-        size = np.array([(math.nan, math.nan) if box is None else box[2:] for box in given])
+        size = np.array([(math.nan, math.nan) if box is None else box[2:] for box in boxes])
         last = np.where(known, frame.time_s, -math.inf)
         at_first = np.zeros(2), size, known * 1.0, last, known, frame.time_s, (1.0 if known.any() else 0.5, 0.5)
         return HandState(scene, cloud, belief, face, frame.index, frame.index, *at_first)
@@ -164,13 +170,13 @@ class HandTarget:
         at = _in_pixels(state.scene, state.belief.at[self.hand])
         return Footprint(at, np.where(np.isnan(size := state.size[self.hand]), 1.0, size) / 2, state)
 
-    def _result(self, state: HandState, frame: Frame, *, given: bool = False) -> TargetResult:
+    def _result(self, state: HandState, frame: Frame, *, placed: bool = False) -> TargetResult:
         i, belief, unit = self.hand, state.belief, state.scene.side * state.scene.factor
-        present = 1.0 if given else float(state.present[i])
+        present = 1.0 if placed else float(state.present[i])
         p = float(present * belief.near[i])
         constant, by_speed = CONFIDENCE
-        sure = 1.0 if given else p / (1 + math.exp(-constant - by_speed * min(float(state.speed[i]), 1.0)))
-        status = "init" if given else "tracked" if sure >= self.settings.lost_below else "lost"
+        sure = 1.0 if placed else p / (1 + math.exp(-constant - by_speed * min(float(state.speed[i]), 1.0)))
+        status = "init" if placed else "tracked" if sure >= self.settings.lost_below else "lost"
         if present < 0.5 and not (state.inside[i] and frame.time_s - state.last[i] < GONE):
             status = "absent"
         columns: dict[str, Any] = {"status": [status], "particles": [float(len(state.cloud.x))]}
