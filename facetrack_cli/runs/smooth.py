@@ -44,12 +44,11 @@ def finish_run(job: Job, folder: Path, report: Report, stop: Stopped) -> list[st
     The rows of a filter that is smoothed are kept in trajectory.filtered.csv, and the posterior is removed. Raises
     OutputError or InputError, StoppedError once `stop` says so; nothing is written then.
     """
-    rows, others, gone = read_files(run_files(folder)), dict[Path, Write](), list[Path]()
+    others, gone = dict[Path, Write](), list[Path]()
+    rows = read_files(run_files(folder)) if job.smooth else manifest.read_run(folder)
     if job.smooth:
-        others, gone = (
-            {folder / manifest.FILTERED: partial(manifest.write_rows, "csv", rows=rows)},
-            [folder / POSTERIOR],
-        )
+        others[folder / manifest.FILTERED] = partial(manifest.write_rows, "csv", rows=rows)
+        gone.append(folder / POSTERIOR)
         rows = given_all(rows, read_posterior(folder / POSTERIOR, rows))
     # what a CSV does not say
     about = {"source": {"fps": job.fps and float(job.fps), "stream": job.stream}, "recipe": {"name": job.recipe.name}}

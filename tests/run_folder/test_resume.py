@@ -124,14 +124,15 @@ def test_a_run_that_was_not_interrupted_keeps_no_checkpoint(tmp_path):
     assert not (asked.out / FOLDER).exists() and run(asked).again
 
 
-@pytest.mark.parametrize("video", [False, True])
-def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video):
-    asked = job("factorized", tmp_path / "out", stop=3 * EVERY, video=video)
-    run(job("factorized", tmp_path / "whole", stop=3 * EVERY, video=video))
+@pytest.mark.parametrize("video, formats", [(False, ("csv", "json")), (True, ("csv", "json")), (True, ("csv",))])
+def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video, formats):
+    how = {"stop": 3 * EVERY, "video": video, "formats": formats}
+    asked = job("factorized", tmp_path / "out", **how)
+    run(job("factorized", tmp_path / "whole", **how))
     run(asked, 3 * EVERY)
     done = run(asked)
     assert done.resumed == 2 * EVERY and same(asked.out, tmp_path / "whole")
-    assert len(done.paths) == 2 + video, "a video that is drawn at the end is one of them"
+    assert len(done.paths) == len(formats) + video, "a video that is drawn at the end is one of them"
 
 
 @pytest.mark.parametrize("how", [{"resume": False}, {"overwrite": True}, {}])
