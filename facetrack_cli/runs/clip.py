@@ -72,7 +72,7 @@ def _finished(plan: Plan, done: Outcome, stop: Stop, looked: Report) -> Outcome:
         if plan.names:
             from facetrack_cli.runs.people import name_run
 
-            done.note = name_run(job, stop, looked)
+            done.note, done.verdict = name_run(job, stop, looked), ""  # which was of tracks without names
         else:
             from facetrack_cli.runs.smooth import finish_run
 

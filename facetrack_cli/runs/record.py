@@ -386,7 +386,7 @@ class Recorder:
             self._end_checkpoints()
             job = self.plan.job
             if self.lease is not None and job.out is not None and job.batch and isinstance(error, Exception):
-                manifest.note_failure(self.lease, job.out, self.outcome, job.clip, error)
+                manifest.note_failure(self.lease, job.out, manifest.Manifest(**self._about), job.clip, error)
 
 
 def _header(job: Job, results: Results, rows: Trajectory) -> Header:
