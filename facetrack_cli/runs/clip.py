@@ -53,10 +53,13 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
                 from facetrack_cli.runs.split import join_chunks
 
                 done = join_chunks(into, stop, report)
-    if done.failure is not None or done.stopped is not None or job.out is None:
+    if done.stopped is not None or job.out is None or not isinstance(done.failure, InputError | None):
         return done
-    undrawn = plan.draws and job.out / VIDEO not in done.paths
-    return _finished(plan, done, stop, looked) if plan.names or job.smooth or undrawn else done
+    if done.failure is not None:  # what was tracked of the clip is drawn all the same
+        plan = replace(plan, job=replace(job, smooth=False))
+    undrawn = plan.draws and bool(done.paths) and job.out / VIDEO not in done.paths
+    unfinished = undrawn or plan.job.smooth or (plan.names and done.failure is None)
+    return _finished(plan, done, stop, looked) if unfinished else done
 
 
 def _finished(plan: Plan, done: Outcome, stop: Stop, looked: Report) -> Outcome:
@@ -69,7 +72,7 @@ def _finished(plan: Plan, done: Outcome, stop: Stop, looked: Report) -> Outcome:
         if plan.names:
             from facetrack_cli.runs.people import name_run
 
-            done.note = name_run(job, stop, looked)
+            done.note, done.verdict = name_run(job, stop, looked), ""  # which was of tracks without names
         else:
             from facetrack_cli.runs.smooth import finish_run
 
@@ -78,7 +81,7 @@ def _finished(plan: Plan, done: Outcome, stop: Stop, looked: Report) -> Outcome:
         done.stopped = stop.reason
         done.warnings += (f"not {what}ed; the same command again does it",)
     except FacetrackError as e:
-        done.failure = e
+        done.failure = done.failure or e
     if (run := read_manifest(out)) is not None:
         done.paths = [out / name for name in run.files]
         done.lost_frames, done.lost_at_end, done.smoothed = run.lost_frames, run.lost_at_end, run.smoothed

@@ -225,7 +225,7 @@ class Recorder:
                 self._entered_s = time.monotonic()
                 manifest.recover(out, self.lease)
                 self.plan = resolve(self.plan.job, locked=True)  # somebody may have written since
-                self._about = {"asked": self.plan.asked, "networks": self.plan.job.recipe.networks}
+                self._about: dict[str, Any] = {"asked": self.plan.asked, "networks": self.plan.job.recipe.networks}
                 self._about |= {"began": utc_now(), "host": here()[0]}
                 vars(self.outcome).update(self._about)
             self._opened = opened.pop_all()
@@ -386,7 +386,7 @@ class Recorder:
             self._end_checkpoints()
             job = self.plan.job
             if self.lease is not None and job.out is not None and job.batch and isinstance(error, Exception):
-                manifest.note_failure(self.lease, job.out, self.outcome, job.clip, error)
+                manifest.note_failure(self.lease, job.out, manifest.Manifest(**self._about), job.clip, error)
 
 
 def _header(job: Job, results: Results, rows: Trajectory) -> Header:

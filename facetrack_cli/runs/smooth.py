@@ -44,16 +44,15 @@ def finish_run(job: Job, folder: Path, report: Report, stop: Stopped) -> list[st
     The rows of a filter that is smoothed are kept in trajectory.filtered.csv, and the posterior is removed. Raises
     OutputError or InputError, StoppedError once `stop` says so; nothing is written then.
     """
-    rows, others, gone = read_files(run_files(folder)), dict[Path, Write](), list[Path]()
+    others, gone = dict[Path, Write](), list[Path]()
+    rows = read_files(run_files(folder)) if job.smooth else manifest.read_run(folder)
     if job.smooth:
-        others, gone = (
-            {folder / manifest.FILTERED: partial(manifest.write_rows, "csv", rows=rows)},
-            [folder / POSTERIOR],
-        )
+        others[folder / manifest.FILTERED] = partial(manifest.write_rows, "csv", rows=rows)
+        gone.append(folder / POSTERIOR)
         rows = given_all(rows, read_posterior(folder / POSTERIOR, rows))
     # what a CSV does not say
     about = {"source": {"fps": job.fps and float(job.fps), "stream": job.stream}, "recipe": {"name": job.recipe.name}}
-    rows, clip = replace(rows, header={**about, **rows.header}), job.clip if job.video else None
+    rows, clip = replace(rows, header=rows.header or about), job.clip if job.video else None
     return rewrite(folder, rows, others, gone, clip, tables=job.smooth, report=report, stop=stop)[1]
 
 
@@ -87,6 +86,10 @@ def rewrite(
     the start. `check` raises, at the beginning and before anything is replaced, if the folder has changed; `lock` is
     the folder's, if it is held. OutputError for a file that cannot be written; the folder is then as it was.
     """
+    of_video = f"{manifest.VIDEO}: "  # what is said of the video of before goes with it
+    if clip is not None and any(of_video in line for line in rows.header.get("warnings", ())):
+        left = [line for line in rows.header["warnings"] if of_video not in line]
+        rows, tables = replace(rows, header={**rows.header, "warnings": left}), True
     made = partial(manifest.write_rows, rows=rows, corrections=corrections)
     files: dict[Path, Write] = {path: partial(made, form) for form, path in run_files(folder).items() if tables}
     files |= dict(others)
@@ -104,6 +107,8 @@ def rewrite(
             if clip is not None:
                 written.append(folder / manifest.VIDEO)
                 notes += repaint(rows, clip, span, path=written[0], report=report, stop=stop, order=order)
+                said = (line for line in run.warnings if of_video not in line) if run else ()
+                run = run and replace(run, warnings=(*said, *notes))
             for path, write in files.items():
                 written.append(path)
                 with temporary_path(path).open("wb") as file:

@@ -26,7 +26,7 @@ _LARGE = 3_000_000  # pixels: of larger frames x264 buffers few, because each ne
 _COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
 _LOCAL_CLIPS = ("-protocol_whitelist", "file", "-format_whitelist", FORMATS)  # as PyAV opens a clip
 _SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
-_LONGEST_S = 14 * 3600  # that a frame is shown at most: an MP4 holds 2**31 ticks, over several that are reordered
+_LONGEST = 2**29  # ticks that a frame is shown at most: an MP4 holds 2**31, over several that are reordered
 _CAUSE = re.compile(
     "No space left on device|Disk quota exceeded|File too large|Read-only file system|Input/output error|"
     "Permission denied"
@@ -115,10 +115,11 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         if image.shape != (height, width, 3) or image.dtype != np.uint8:
             raise ValueError(f"frame is {image.dtype} {image.shape}, the video takes uint8 {(height, width, 3)}")
         self._first_s, self._last_s = (self._first_s, self._last_s) if self._frames else (time_s, time_s)
-        if (beyond_s := time_s - self._last_s - _LONGEST_S) > 0:
+        longest_s = _LONGEST / self._timescale
+        if (beyond_s := time_s - self._last_s - longest_s) > 0:
             self._left_out_s += beyond_s
             gap = f"a gap of {(time_s - self._last_s) / 3600:.1f} hours at {self._last_s:.0f} s"
-            self.warnings += [f"{self.path}: {gap} is shown as {_LONGEST_S // 3600}"] * (not self.warnings)
+            self.warnings += [f"{self.path}: {gap} is shown as {longest_s / 3600:.1f}"] * (not self.warnings)
         self._last_s = time_s
         elapsed_s = time_s - self._first_s - self._left_out_s
         nearest = round(elapsed_s * self._fps) / self._fps

@@ -10,7 +10,7 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from facetrack_cli.core.errors import ExitCode, OutputError
+from facetrack_cli.core.errors import ExitCode, InputError, OutputError
 from facetrack_cli.core.npz import Kind
 from facetrack_cli.run_folder.manifest import NAME, VIDEO, read_manifest
 from facetrack_cli.runs import clip, record, smooth
@@ -124,14 +124,31 @@ def test_a_run_that_was_not_interrupted_keeps_no_checkpoint(tmp_path):
     assert not (asked.out / FOLDER).exists() and run(asked).again
 
 
-@pytest.mark.parametrize("video", [False, True])
-def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video):
-    asked = job("factorized", tmp_path / "out", stop=3 * EVERY, video=video)
-    run(job("factorized", tmp_path / "whole", stop=3 * EVERY, video=video))
+@pytest.mark.parametrize("video, formats", [(False, ("csv", "json")), (True, ("csv", "json")), (True, ("csv",))])
+def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video, formats):
+    how = {"stop": 3 * EVERY, "video": video, "formats": formats}
+    asked = job("factorized", tmp_path / "out", **how)
+    run(job("factorized", tmp_path / "whole", **how))
     run(asked, 3 * EVERY)
     done = run(asked)
     assert done.resumed == 2 * EVERY and same(asked.out, tmp_path / "whole")
-    assert len(done.paths) == 2 + video, "a video that is drawn at the end is one of them"
+    assert len(done.paths) == len(formats) + video, "a video that is drawn at the end is one of them"
+
+
+def test_the_video_of_a_run_that_goes_on_and_fails_shows_what_was_tracked(tmp_path, monkeypatch):
+    asked, track = job("factorized", tmp_path / "out", video=True, smooth=True), clip.track
+    run(asked, 11)
+
+    def failing(*given, **how):
+        for result in track(*given, **how):
+            if result.frame.index == 20:
+                raise InputError("damaged")
+            yield result
+
+    monkeypatch.setattr(clip, "track", failing)
+    done = clip.run(asked, Stop())
+    assert done.resumed == EVERY and str(done.failure) == "damaged" and done.paths[-1].name == VIDEO
+    assert decoded(asked.out / VIDEO).count(b"\n0,") == 20
 
 
 @pytest.mark.parametrize("how", [{"resume": False}, {"overwrite": True}, {}])

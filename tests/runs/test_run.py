@@ -461,6 +461,10 @@ def test_an_encoder_that_is_killed(run, clip, monkeypatch, threads):
     data = footer("sway-face")
     assert data["complete"] is True and "stopped" not in data and len(data["frames"]) == 30
     assert ["annotated.mp4: the video cannot be written" in line for line in data["warnings"]] == [True]
+    monkeypatch.setattr(VideoWriter, "write", write)
+    code, _, err = run(clip, *SMALL, "--threads", threads)
+    assert code == 0 and "frames/s" not in err and count(Path("sway-face/annotated.mp4")) == 30, "only drawn"
+    assert footer("sway-face") == {**data, "warnings": []} and "killed" not in Path("sway-face/run.json").read_text()
 
 
 def test_a_run_of_another_version_is_read_and_made_again(run, clip):
