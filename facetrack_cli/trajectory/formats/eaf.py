@@ -15,7 +15,7 @@ import uuid
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
-from itertools import accumulate
+from itertools import accumulate, chain, count
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from urllib.parse import unquote
@@ -87,7 +87,7 @@ def _elements(table: Trajectory, root: ET.Element, offset: int = 0) -> tuple[lis
     first = last = max([0, *map(int, filter(_is_whole, numbered))])
 
     def free(name: str) -> str:
-        name = next(text for text in (name, *(f"{name}-{n}" for n in range(2, 10**6))) if text not in taken)
+        name = next(text for text in chain([name], (f"{name}-{n}" for n in count(2))) if text not in taken)
         taken.add(name)
         return name
 
