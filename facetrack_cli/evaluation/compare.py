@@ -335,8 +335,10 @@ class Comparison:
         """Notes below the table: how to read it, and why recipes did not run."""
         several = any(len(entry.scores) > 1 for entry in self.entries)
         over = f"Mean ± standard deviation over {self.seeds} seeds" if several else "One run each"
-        lines = [f"{over}; ranked by {self.measures[0]}, {MEASURES[self.measures[0]].better} is better."]
-        if any(place.first != place.last for place in self.places):
+        by, places = self.measures[0], self.places
+        how = f"ranked by {by}, {MEASURES[by].better} is better" if places[0].first else f"not ranked, none has {by}"
+        lines = [f"{over}; {how}."]
+        if any(place.first != place.last for place in places):
             more = "" if several else "; one seed tells nothing of a difference, give --seeds"
             lines.append(f"Recipes that share ranks: the means ± 2 standard errors overlap{more}.")
         if once := [entry.label for entry in self.entries if entry.deterministic and entry.scores]:

@@ -76,7 +76,7 @@ class Sheet:
             lower = Text("\n" * (tall - head.count("\n")) + head)
             table.add_column(lower, justify="left" if i in self.left else "right", no_wrap=True)
         for row in self.rows:  # a recipe has a line for each of its overrides
-            table.add_row(*(Text(re.sub("(?<=[:,])(?=.*=)", "\n  ", visible(cell))) for cell in row))
+            table.add_row(*(Text(re.sub(r"(?<=[:,])(?=[\w.]+=)", "\n  ", visible(cell))) for cell in row))
         console = Console(width=None if sys.stdout.isatty() else WIDTH, emoji=False, highlight=False, markup=False)
         width = console.width
         # rich would end the program with its own code where the reader of a pipe has left, so click prints

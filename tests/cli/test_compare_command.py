@@ -128,7 +128,8 @@ def test_what_does_not_fit_the_truth_is_told_after_the_first_recipe(facetrack, m
     code, out, err = facetrack(*arguments, *TWO)
     assert code == ExitCode.INPUT and "boxes.csv" in err and "face/nose" in err and not out and len(began) == 1
     code, out, _ = facetrack(*arguments, *TWO, "--config", "mil", "--rank-by", "points.mean_px")
-    assert code == ExitCode.BATCH and out.count("not run: boxes.csv") == 2 and " –   mil" in out, "ranked by nothing"
+    assert code == ExitCode.BATCH and out.count("not run: boxes.csv") == 2 and " –   mil" in out
+    assert "; not ranked, none has points.mean_px." in out
 
     Path("cut.mp4").write_bytes((FOLDER / "expressions.mp4").read_bytes()[:30000])
     given = ["--truth", FOLDER / "expressions.truth.csv", "--init", FOLDER / "expressions.init.yaml", "--no-plots"]

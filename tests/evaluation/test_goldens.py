@@ -333,6 +333,13 @@ def test_what_there_is_nothing_to_do_with_is_told_in_a_line(
     assert [p.name for p in tmp_path.iterdir()] == ["clip.csv"]
 
 
+def test_clips_of_one_name_are_refused_before_they_share_a_golden(facetrack: Runner, tmp_path: Path) -> None:
+    for name in ("clip.mp4", "clip.mkv", "clip.init.yaml"):
+        (tmp_path / name).write_text("")
+    code, _, err = facetrack("regress", tmp_path, "--config", "factorized", "--update")
+    assert code == ExitCode.INPUT and "two clips are called clip; rename one" in err
+
+
 def test_a_recipe_without_golden_and_a_broken_golden_are_refused(facetrack: Runner, clips: Path) -> None:
     code, _, err = facetrack("regress", clips, "--config", "sir")
     assert code == ExitCode.INPUT and "has no golden of sir, only of factorized" in err

@@ -241,7 +241,7 @@ def test_page_names_itself():
     )
     texts, _ = said(page.page_figure(named))
     assert texts[0] == "b.mp4, sir"
-    assert texts[1].split("   ·   ") == ["60 frames", "seed 4", "called lost in 0.0 % of rows", "the run was cut short"]
+    assert texts[1].split("   ·   ") == ["60 frames", "seed 4", "never called lost", "the run was cut short"]
     assert said(page.page_figure(named, title="$x_1$\nmine"))[0][0] == "$x_1$?mine"
 
 
@@ -460,7 +460,7 @@ def test_posterior_has_a_line_each_and_their_names():
 def test_what_a_tracker_declares_has_a_panel_with_its_meaning_and_unit():
     t = np.arange(60)
     focus = Diagnostic("focus", "sharpness of the window", "px", least=0)
-    drift, votes = Diagnostic("drift", shape=(2,)), Diagnostic("votes", "of each camera", shape=None)
+    drift, votes = Diagnostic("drift", shape=(2,)), Diagnostic("votes", "of each camera", shape=None, least=0, most=1)
     values = {"focus": 5 + t / 10, "drift": np.stack([t, -t], axis=1), "votes": np.ones((60, 3)), "scale": 1 + t / 100}
     found = Diagnostics((votes, drift, KNOWN["scale"], focus), t, values, {"votes": ("a", "b", "c")})
     figure = page.page_figure(table(reported(found=found, identity=np.full(60, ""))))
@@ -470,3 +470,4 @@ def test_what_a_tracker_declares_has_a_panel_with_its_meaning_and_unit():
     assert [notes(figure, name) for name in ("focus", "votes", "drift")] == [focus.meaning, "of each camera", ""]
     assert [headings(shown[name])[0] for name in ("focus", "drift")] == ["focus (px)", "drift"]
     assert [line[-1, 1] for line in drawn(shown["drift"])] == [59, -59] and len(drawn(shown["votes"])) == 3
+    assert shown["votes"].get_ylim() == (-0.03, 1.06), "shares near 1 are near 1"

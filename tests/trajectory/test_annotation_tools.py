@@ -209,11 +209,11 @@ def of_regions(*regions):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (TRACK.format(POLYGON), "frame 3: a polygon of 0,0;1,1;2,2; boxes"),
+        (TRACK.format(POLYGON), "frame 3: polygon '0,0;1,1;2,2' is neither a box nor points"),
         (TRACK.format(BOX.format("nan")), r"track 0 \(head\), frame 3: 0, 0, nan, 9 are no pixels"),
         (TRACK.format(BOX.format("9") * 2), "another track of the same label"),
         (TRACK.format(BOX.format("9").replace("3", "-3")), "that is no frame number"),
-        (TRACK.format("<points frame='3' points='1,2;3'/>"), "a points of 1,2;3; boxes are read, and points x,y;x,y"),
+        (TRACK.format("<points frame='3' points='1,2;3'/>"), "points '1,2;3' is neither a box nor points x,y;x,y"),
         (TRACK.format(""), "has no track of a box or a point"),
         ("<annotations><image id='0'/></annotations>", 'export it as "CVAT for video 1.1"'),
         ("<html></html>", "is XML, but not of CVAT's tracks"),

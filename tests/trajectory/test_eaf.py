@@ -290,7 +290,13 @@ def test_times_are_those_of_the_file_whose_clip_begins_later(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "order", ["<TIME_ORDER/>", "<TIME_ORDER></TIME_ORDER>", '<TIME_ORDER><TIME_SLOT TIME_SLOT_ID="ts1"/></TIME_ORDER>']
+    "order",
+    [
+        "<TIME_ORDER/>",
+        "<TIME_ORDER></TIME_ORDER>",
+        '<TIME_ORDER><TIME_SLOT TIME_SLOT_ID="ts1"/></TIME_ORDER>',
+        f'<TIME_ORDER><TIME_SLOT TIME_SLOT_ID="ts1" TIME_VALUE="{10**20}"/></TIME_ORDER>',
+    ],
 )
 def test_a_file_without_annotations_takes_tiers(tmp_path, order):
     text = f'<ANNOTATION_DOCUMENT FORMAT="2.8"><HEADER MEDIA_FILE=""/>{order}</ANNOTATION_DOCUMENT>'

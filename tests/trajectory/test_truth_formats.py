@@ -142,9 +142,9 @@ def test_shift_is_added_to_every_frame(tmp_path, form):
         ("pts", PTS.replace("3 4.5", "3"), ":5: '3' is no line of x y"),
         ("pts", PTS.replace("3 4.5", "nan 5"), ":5: .* is no point"),
         ("pts", PTS.replace("3 4.5", "3 5e9"), ":5: .* is no point"),
-        ("pts", PTS.replace("3 4.5\n", ""), "1 points between the braces, and n_points says 2; was the file cut"),
-        ("pts", PTS + "1 2\n", "3 points between the braces, and n_points says 2"),
-        ("pts", "version: 1\nn_points: 0\n{\n}\n", "0 points between the braces"),
+        ("pts", PTS.replace("3 4.5\n", ""), "has not the 2 points between braces that it says; was it cut short"),
+        ("pts", PTS + "1 2\n", "has not the 2 points"),
+        ("pts", "version: 1\nn_points: 0\n{\n}\n", "has not the 0 points"),
         ("facetrack", "1,2,3,4\n", ":1: the header has no column, or two, called frame"),
     ],
 )

@@ -18,7 +18,7 @@ from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.rows import NOT_SEEN, Pair, at
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.style import Axes, Figure
-from facetrack_cli.trajectory.diagnostics import AFFINE, EVIDENCE, POSTERIOR, SURE
+from facetrack_cli.trajectory.diagnostics import AFFINE, EVIDENCE, POSTERIOR, SURE, Diagnostic
 from facetrack_cli.trajectory.face_events import KINDS
 from facetrack_cli.trajectory.measures import DEGREES, HAND_MEASURES, MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value
@@ -30,6 +30,7 @@ USUAL = (
 MAX_LINES: Final = 12  # parts with a line of their own in every panel
 MAX_NAMES: Final = 5  # people with a colour and a name, of more the most likely
 MAX_IDENTITY_PANELS: Final = 6  # panels of identities, one for each target
+SHARE: Final[dict[str, Any]] = {"ylim": (-0.03, 1.06), "yticks": [0, 0.5, 1]}  # the axis of what is from 0 to 1
 Of = Callable[[Trajectory], Array]
 _x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angle", "confidence", "particles", "ess"))
 
@@ -216,7 +217,8 @@ class _Page:
         if isinstance(seed := self.table.header.get("seed"), int):
             words.append(f"seed {seed}")
         if (self.table.status != "").any():
-            words.append(f"called lost in {100 * (self.table.status == 'lost').mean():.1f} % of rows")
+            lost = 100 * (self.table.status == "lost").mean()
+            words.append(f"called lost in {lost:.3g} % of rows" if lost else "never called lost")
         wrong = [error(pair)[~np.isin(pair.truth.status, NOT_SEEN)] for _, pair in self.paired]  # as in eval
         if wrong and is_known(every := np.concatenate(wrong)):
             words.append(f"median error {np.nanmedian(every):.2f} px")
@@ -286,7 +288,7 @@ class _Page:
             style.band(axes, frame, low, high, colour, 0.28)
             style.line(axes, frame, middle, color=colour, linewidth=1.2)
         if share:
-            axes.set(ylim=(-0.03, 1.06), yticks=[0, 0.5, 1])
+            axes.set(**SHARE)
         elif floor is not None:
             style.limit(axes, floor)
 
@@ -374,13 +376,14 @@ class _Page:
             elsewhere = name in (POSTERIOR.name, AFFINE.name, EVIDENCE.name)
             if not elsewhere and any(is_known(each.get(name)) for each in self.reported.values()):
                 title = name + (f" ({kind.unit})" if kind.unit else "")
-                yield Panel(title, kind.meaning, 0.7, partial(self._diagnostic, name=name))
+                yield Panel(title, kind.meaning, 0.7, partial(self._diagnostic, kind=kind))
 
-    def _diagnostic(self, axes: Axes, name: str) -> None:
+    def _diagnostic(self, axes: Axes, kind: Diagnostic) -> None:
         for target, each in self.reported.items():
-            for column in np.atleast_2d(each.get(name).T):
+            for column in np.atleast_2d(each.get(kind.name).T):
                 style.line(axes, each.frame, column, color=self.colours[target], linewidth=1.2)
         style.limit(axes, ticks=3)
+        axes.set(**SHARE if (kind.least, kind.most) == (0, 1) else {})
 
     def _identity(self, axes: Axes, target: str) -> None:
         """A line for each person; the likeliest at the end have a colour and their name, the others are grey."""

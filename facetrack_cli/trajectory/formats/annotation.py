@@ -206,8 +206,8 @@ def _shape_marks(place: str, label: str, shape: ET.Element) -> Iterator[tuple[tu
         return
     pairs = [pair.split(",") for pair in str(shape.get("points")).split(";")]
     if shape.tag != "points" or any(len(pair) != 2 for pair in pairs):
-        why = "boxes are read, and points x,y;x,y: remove that track, or export the file from CVAT again"
-        raise InputError(f"{place}: a {shape.tag} of {shape.get('points')!s:.40}; {why}")
+        why = "is neither a box nor points x,y;x,y; remove that track, or export the file from CVAT again"
+        raise InputError(f"{place}: {shape.tag} {shape.get('points', '')!r:.40} {why}")
     for number, pair in enumerate(pairs, 1):
         x, y = _pixels(place, *pair)
         name = _named(label) if len(pairs) == 1 else (label, f"point_{number:02d}")

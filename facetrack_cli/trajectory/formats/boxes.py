@@ -130,11 +130,7 @@ def recognise(path: Path) -> tuple[Path, str]:
     if mask or count in (1, 8) or (count == 4 and not {"0", "1", "2"}.isdisjoint(lines.texts)):
         return path, "vot"
     if count == 4:
-        beside = {
-            "sequence": "vot",
-            "absence.label": "got10k",
-            "cover.label": "got10k",
-        }  # VOT's says of a clip what it is
+        beside = {"sequence": "vot", "absence.label": "got10k", "cover.label": "got10k"}
         return path, next((form for name, form in beside.items() if path.with_name(name).is_file()), "otb")
     if count in MOT_COLUMNS and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
         return path, "mot"
@@ -159,7 +155,8 @@ def read_text(path: Path) -> str:
         line = raw.count(b"\n", 0, e.start) + 1
         raise InputError(f"{path}:{line}: is not UTF-8 text; save it as UTF-8, or name another file") from e
     if not text.strip() or "\0" in text:
-        raise InputError(f"{path}: is {'binary' if text.strip() else 'empty'}; name another file")
+        what = "binary, which of VOT's toolkit VOT_RESULTS_BINARY=false avoids" if text.strip() else "empty"
+        raise InputError(f"{path}: is {what}; name another file")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -390,8 +387,7 @@ def _points(path: Path) -> Array:
     if head is None:
         raise lines.error(0, 'begins no .pts file, whose first lines are "version: 1", "n_points: 68" and "{"')
     if lines.texts[-1] != "}" or len(lines) != int(head[1]) + 4 or len(lines) < 5:
-        there = f"{len(lines) - 4} points between the braces, and n_points says {head[1]}"
-        raise InputError(f"{path}: {there}; was the file cut short?")
+        raise InputError(f"{path}: has not the {head[1]} points between braces that it says; was it cut short?")
     lines = lines.take(slice(3, -1))
     points = lines.numbers("x y", 2)
     fine = np.isnan(points).all(axis=1) | (np.abs(points) <= MAX_PIXELS).all(axis=1)

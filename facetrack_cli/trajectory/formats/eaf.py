@@ -12,8 +12,10 @@ import contextlib
 import os
 import re
 import uuid
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
+from itertools import accumulate, chain, count
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from urllib.parse import unquote
@@ -85,7 +87,7 @@ def _elements(table: Trajectory, root: ET.Element, offset: int = 0) -> tuple[lis
     first = last = max([0, *map(int, filter(_is_whole, numbered))])
 
     def free(name: str) -> str:
-        name = next(text for text in (name, *(f"{name}-{n}" for n in range(2, 10**6))) if text not in taken)
+        name = next(text for text in chain([name], (f"{name}-{n}" for n in count(2))) if text not in taken)
         taken.add(name)
         return name
 
@@ -210,7 +212,7 @@ def read_tiers(path: Path, clip: str) -> list[Tier]:
 
 
 def _is_whole(text: str) -> bool:
-    return text.isascii() and text.isdigit()
+    return text.isascii() and text.isdigit() and len(text) < 100  # int() takes some thousands
 
 
 def _offset_of(root: ET.Element, clip: str) -> int | None:
@@ -239,15 +241,14 @@ def add_tiers(path: Path, table: Trajectory, clip: str) -> tuple[bytes, list[str
     order = root.find("TIME_ORDER")
     assert order is not None
     known = (slot.get("TIME_VALUE", "") for slot in order)
-    times = np.array([int(time) if _is_whole(time) else -1 for time in known], np.int64)
+    latest = [*accumulate((int(time) if _is_whole(time) else -1 for time in known), max)]  # 64 bits may not hold them
     content = data.index(b">", places[order][0]) + 1
     ends = [content, *(places[slot][1] for slot in order)]
     closed = slots and content == places[order][1]  # <TIME_ORDER/>
     if closed:
         edits.append((content - 2, content, ">"))
     for slot in slots:
-        earlier = np.searchsorted(np.maximum.accumulate(times), int(slot.get("TIME_VALUE", 0)), side="right")
-        insert(ends[earlier], slot, 2)
+        insert(ends[bisect_right(latest, int(slot.get("TIME_VALUE", 0)))], slot, 2)
     if closed:
         edits.append((content, content, "\n    </TIME_ORDER>"))
     for element in others:
