@@ -12,8 +12,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import FacetrackError, InputError
@@ -78,26 +76,16 @@ def refused(*args, code):
 SOURCE = {"source": {"path": "clip.mp4", "size": [640, 480], "fps": 25.0}, "recipe": {"name": "sir"}}
 
 
-@pytest.mark.parametrize(("box", "ltwh"), [("windows", [90.75, 76, 50, 30]), ("points", [100.25, 80.5, 31, 21])])
-def test_the_box_of_points_encloses_windows_or_points(track, box, ltwh):
-    found = export(track(), "--to", "otb", "--box", box, "-o", "-").stdout.splitlines()
-    assert len(found) == 6
-    assert [float(v) for v in found[0].split(",")] == pytest.approx([ltwh[0] + 1, ltwh[1] + 1, *ltwh[2:]])
-
-
-@settings(max_examples=30)
-@given(st.integers(2, 4), st.integers(1, 8), st.integers(0, 2**32))
-def test_the_enclosing_box_touches_what_it_encloses(parts, frames, seed):
-    rng = np.random.default_rng(seed)
-    made = [
-        one_part("t", f"p{k}", np.arange(frames), x=rng.uniform(0, 99, frames), y=rng.uniform(0, 99, frames),
-               w=rng.uniform(1, 9, frames), h=rng.uniform(1, 9, frames))
-        for k in range(parts)
-    ]  # fmt: skip
-    windows = np.stack([one.boxes for one in made])
-    found = enclose(made).boxes
+def test_the_enclosing_box_touches_what_it_encloses(track):
+    rng = np.random.default_rng(0)
+    places = [dict(zip("xywh", rng.uniform(1, 99, (4, 50)), strict=True)) for _ in range(3)]
+    made = [one_part("t", f"p{k}", np.arange(50), **place) for k, place in enumerate(places)]
+    windows, found = np.stack([one.boxes for one in made]), enclose(made).boxes
     np.testing.assert_allclose(found[:, :2], windows[:, :, :2].min(axis=0))
     np.testing.assert_allclose(found[:, :2] + found[:, 2:], (windows[:, :, :2] + windows[:, :, 2:]).max(axis=0))
+    for box, ltwh in (("windows", [91.75, 77, 50, 30]), ("points", [101.25, 81.5, 31, 21])):  # which count from 1
+        lines = export(track(), "--to", "otb", "--box", box, "-o", "-").stdout.splitlines()
+        assert len(lines) == 6 and [float(v) for v in lines[0].split(",")] == pytest.approx(ltwh)
 
 
 def test_statuses_and_confidence_of_a_target_sum_up_its_parts():
@@ -147,23 +135,15 @@ def test_a_face_of_all_points_with_lost_and_absent_rows(track):
     assert lines == {frozenset(edge) for line in LINES for edge in pairwise(line)} | {frozenset(("nose", "lip_upper"))}
     assert len(face["skeleton"]) == len(lines) == 25
     by_image = {one["image_id"]: one for one in found["annotations"]}
-    assert by_image[4]["keypoints"][2::3] == [2, 1, *[2] * 26] and by_image[4]["num_keypoints"] == 28
+    assert by_image[4]["keypoints"][2::3] == [2, 1, *[2] * 26]
     assert by_image[7]["keypoints"][3 * chin : 3 * chin + 3] == [0, 0, 0] and by_image[7]["num_keypoints"] == 27
-    export(path, "--to", "dlc")
-    table = pd.read_csv(path.with_name("trajectory.dlc.csv"), header=[0, 1, 2], index_col=0)["facetrack-sir"]
-    assert table.shape == (7, 84) and tuple(dict.fromkeys(table.columns.get_level_values(0))) == POINTS
-    assert table.loc[3, ("mouth_right", "likelihood")] == 0.1 and table.loc[3, ("mouth_right", "x")] == 133.25
-    assert np.isnan(table.loc[6, ("chin", "x")]) and table.loc[6, ("nose", "x")] == POINTS.index("nose")
-    dropped = export(path, "--to", "dlc", "--drop-lost", "-o", "-").stdout.splitlines()
-    assert dropped[3 + 3].split(",")[4:7] == ["", "", ""]
+    table = export(path, "--to", "dlc", "-o", "-").stdout.splitlines()
+    assert table[3 + 6].split(",")[1 + 3 * chin : 4 + 3 * chin] == ["", "", ""], "what is absent has no place"
 
 
 def test_what_is_beyond_the_picture_is_not_seen(track):
-    small = {
-        **SOURCE,
-        "source": {**SOURCE["source"], "size": [104, 480]},
-    }  # nose and lip move right from 100.25, 130.25
-    path = track(header=small)
+    small = {**SOURCE, "source": {**SOURCE["source"], "size": [104, 480]}}
+    path = track(header=small)  # nose and lip move right from 100.25, 130.25
 
     def text(form, *more):
         return export(path, "--to", form, "-o", "-", *more).stdout
@@ -215,7 +195,7 @@ def test_deeplabcut_s_header_rows(track):
 
 
 def test_deeplabcut_s_rows_are_all_frames_and_its_hdf5_holds_the_same(track):
-    pytest.importorskip("tables", reason="PyTables is not installed")
+    tables = pytest.importorskip("tables", reason="PyTables is not installed")
     path = track(rows(frames=(2, 3, 6)), rows("hand", ("box",), frames=(4,)))
     for form in ("dlc", "dlc-h5"):
         export(path, "--to", form)
@@ -229,6 +209,8 @@ def test_deeplabcut_s_rows_are_all_frames_and_its_hdf5_holds_the_same(track):
     known = found["facetrack"].xs("x", axis=1, level="coords").notna().sum()
     assert known.to_dict() == {("face", "nose"): 3, ("face", "lip_upper"): 3, ("face", "box"): 0,
                                ("hand", "nose"): 0, ("hand", "lip_upper"): 0, ("hand", "box"): 1}  # fmt: skip
+    with tables.open_file(file) as opened:  # DeepLabCut's pandas, before 3, looks for the version that made the file
+        assert opened.root.df_with_missing._v_attrs.pandas_version == "0.15.2"
     before = file.read_bytes()
     time.sleep(1.1)  # the resolution of the times that HDF5 keeps
     export(path, "--to", "dlc-h5", "--overwrite")
@@ -267,15 +249,6 @@ def test_a_folder_its_json_and_the_clip_beside_it(track, tmp_path):
     assert "clip.mp4 is not there; ELAN will ask for it" in export(tmp_path, "--to", "eaf", "--overwrite").stderr
 
 
-def test_measures_of_a_face_and_of_no_face(track):
-    path = track(rows(parts=("lip_upper", "lip_lower", "box"), size=(100 / 0.363, 100.0)))
-    assert "6 frames of face" in export(path, "--to", "measures").output
-    with path.with_name("trajectory.measures.csv").open() as file:
-        found = list(csv.DictReader(file))
-    assert [row["mouth_opening"] for row in found] == [*["0.3606"] * 3, "", "", "0.3606"], "lost in frames 3 and 4"
-    assert "a measure needs parts of a face" in refused(track(), "--to", "measures", "-o", "-", code=3)
-
-
 @pytest.mark.parametrize("form", FORMS)
 def test_every_format_goes_to_standard_output_and_beside_the_trajectory(track, tmp_path, form):
     path = track(header=SOURCE)
@@ -291,7 +264,6 @@ def test_every_format_goes_to_standard_output_and_beside_the_trajectory(track, t
     assert "exists already" in refused(path, "--to", form, code=2)
     export(path, "--to", form, "--overwrite", "--target", "face/nose")
     assert written.read_bytes() != before
-    assert {one.name for one in tmp_path.iterdir()} == {path.name, written.name}
 
 
 @pytest.mark.parametrize(
@@ -315,7 +287,6 @@ def test_tables_that_a_format_has_no_room_for(track, tmp_path):
     clip.touch()
     bare = [*rows(size=(None, None))]
     for group, to, said in (
-        (rows(frames=(0, 1, 5)), ("got10k",), "face/box: no row between frames 1 and 5"),
         (bare, ("mot",), "face/nose: frame 0 has no w and h; enclose the points with --box points"),
         ((row._replace(x=None, y=None) for row in rows()), ("dlc",), "no row has a place"),
         ((row._replace(time_s=None) for row in rows()), ("eaf", "--media", clip), "frame 0 has no time_s"),

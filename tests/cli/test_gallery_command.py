@@ -16,7 +16,7 @@ from facetrack_cli.report.figures.style import DPI, WIDTH
 from facetrack_cli.start.gallery_images import SHIFT, STRETCH, TURN, Reading, count, find_people, moved, near, off
 from facetrack_cli.start.gallery_images import read_faces as read_all
 from facetrack_cli.trackers.appearance.affine import Patches
-from facetrack_cli.trackers.appearance.gallery import fit_gallery, load_gallery
+from facetrack_cli.trackers.appearance.gallery import load_gallery
 from facetrack_cli.trackers.face.detectors import find_faces
 from tests.support.media import write_video
 
@@ -73,21 +73,7 @@ def names_here():
     return sorted(path.name for path in Path().iterdir())
 
 
-def some_gallery(names, pictures=3, shape=(30, 26), seed=0):
-    """Faces made of smooth noise, with a calibration as real ones have."""
-    rng = np.random.default_rng(seed)
-
-    def smooth(count):
-        noise = rng.normal(size=(count, *shape))
-        blurred = np.stack([cv2.GaussianBlur(one, (0, 0), 3) for one in noise]).reshape(count, -1)
-        return (blurred - blurred.mean(1, keepdims=True)) / blurred.std(1, keepdims=True)
-
-    own = np.repeat(smooth(len(names)), pictures, 0) + 0.3 * smooth(len(names) * pictures)
-    own = (own - own.mean(1, keepdims=True)) / own.std(1, keepdims=True)
-    return fit_gallery(own, np.repeat(names, pictures).tolist(), shape, negatives=smooth(60))
-
-
-def test_fit_and_show(facetrack, clips):
+def test_fit_and_show_and_what_is_there_is_not_replaced(facetrack):
     code, out, err = facetrack("gallery", "fit", "IN/people", "-o", "own.npz", "--jitter", "1")
     assert (code, out) == (0, "")
     gallery = load_gallery(Path("own.npz"))
@@ -103,9 +89,18 @@ def test_fit_and_show(facetrack, clips):
     for said in ("template: 26 points across, 30 down", "   1 collins: 3 images", "figure: own.png"):
         assert said in out.splitlines()
     assert cv2.imread("own.png").shape[1] == WIDTH * DPI
+    titles = [title for axes in gallery_figure(gallery, title="own.npz").axes if (title := axes.get_title())]
+    assert titles[-2:] == ["1 collins\n3 images", "2 hopper\n3 images"], "the figure has everyone in it"
+    assert titles.count("mean") == 3 and sum(text.endswith("%") for text in titles) > 5
     code, _, err = facetrack("gallery", "show", "own.npz")
     assert code == 2 and "own.png" in err and "--overwrite" in err
     assert names_here() == ["own.npz", "own.png"]
+    before = Path("own.npz").read_bytes()
+    fit = ("gallery", "fit", "IN/people", "-o", "own.npz", "-q", "--jitter", "0", "--template", "13x15")
+    code, _, err = facetrack(*fit)
+    assert code == 2 and "own.npz" in err and "--overwrite" in err and Path("own.npz").read_bytes() == before
+    assert facetrack(*fit, "--overwrite")[0] == 0
+    assert load_gallery(Path("own.npz")).shape == (15, 13), "the template is width by height"
 
 
 def test_a_single_picture_each_is_told_and_without_copies_refused(facetrack, clips):
@@ -124,27 +119,14 @@ def test_a_single_picture_each_is_told_and_without_copies_refused(facetrack, cli
         (["IN/absent"], 3, "No such file or directory"),
         (["IN/people", "-o", "own.npy"], 2, "own.npy"),
         (["IN/people", "-o", "no/own.npz"], 2, "no folder no"),
-        (["IN/people", "--start", "5", "--stop", "5"], 2, "--stop"),
         (["IN/people", "--template", "30"], 2, "26x30"),
         (["IN/people", "--template", "3x900"], 2, "from 6 to 128"),
-        (["IN/people", "--frames", "0"], 2, "--frames"),
         (["IN/people/collins"], 3, "has no folders of two people"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(facetrack, arguments, code, said):
     found, out, err = facetrack("gallery", "fit", *arguments)
     assert found == code and said in err and err.count("\n") == 1 and out == "" and names_here() == []
-
-
-def test_what_is_there_is_not_replaced(facetrack):
-    Path("gallery.npz").write_text("precious")
-    code, _, err = facetrack("gallery", "fit", "IN/people")
-    assert code == 2 and "gallery.npz" in err and "--overwrite" in err
-    assert Path("gallery.npz").read_text() == "precious"
-    # the template is width by height
-    assert facetrack("gallery", "fit", "IN/people", "--overwrite", "-q", "--jitter", "0", "--template", "13x15")[0] == 0
-    gallery = load_gallery(Path("gallery.npz"))
-    assert gallery.names == NAMES and gallery.shape == (15, 13)
 
 
 def faces_of(folder, **how):
@@ -182,15 +164,11 @@ def test_persons_are_folders_and_their_pictures_in_natural_order(people):
 def test_what_is_no_gallery_is_refused(tmp_path):
     folder = tmp_path / "people"
     assert "No such file" in refused(folder)
-    folder.touch()
-    assert "Not a directory" in refused(folder)
-    folder.unlink()
     folder.mkdir()
     assert "has no folders of two people" in refused(folder)
     (folder / "anna").mkdir()
     assert f"{folder / 'anna'}: no image or video" in refused(folder)
     (folder / "anna" / "1.jpg").touch()
-    assert str(folder / "anna") in refused(folder)
     (folder / "none").mkdir()
     assert "'none'" in refused(folder) and "rename" in refused(folder)
 
@@ -207,19 +185,13 @@ def test_two_folders_of_one_name_and_a_person_of_whom_nothing_is_left_are_refuse
     assert f"{people / 'collins'}: no face of collins" in message and "init file" in message
 
 
-# --- which face ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("frame: 0\na: {box: [40, 40, 60, 60]}\nb: {box: [40, 40, 60, 60]}", "is not of one box"),
         ("frame: 0\nbox: [900, 40, 60, 60]", "outside the frame"),
-        ("frame: 0\nbox: [40, 40, 3, 3]", "smaller than"),
         ("frame: 3\nbox: [40, 40, 60, 60]", "starts at frame 3, which is not used"),
         ("frame: 0\npoints: {nose: [50, 50]}", "is not of one box"),
-        ("frame: 0\nbocks: [1, 2, 3, 4]", "box"),
-        ("", "empty"),
     ],
 )
 def test_init_files_that_do_not_fit_are_refused(people, text, said):
@@ -240,9 +212,6 @@ def test_of_several_faces_the_largest_is_taken_and_said(people):
     faces, said = faces_of(people)
     assert len(said) == 1 and "2.png: 2 faces; the largest" in said[0] and "2.init.yaml" in said[0]
     assert float(faces.patches[3] @ alone) / alone.size > 0.9
-
-
-# --- copies and counter-examples -----------------------------------------------------------------------------------
 
 
 def test_copies_follow_their_picture_and_hardly_differ_from_it(people):
@@ -269,14 +238,9 @@ def test_ways_stay_within_what_is_said_and_do_not_depend_on_how_many_are_asked_f
     displaced = np.hypot(away[:, 0], away[:, 1]) >= 0.2 - 1e-9
     resized, turned = np.abs(away[:, 2]) >= 0.4 - 1e-9, np.abs(away[:, 3]) >= np.radians(30.0) - 1e-9
     assert (displaced | resized | turned).all()
-
-
-def test_a_state_is_moved_by_sides_of_its_box():
-    x = np.array([10.0, 20.0, 1.0, 0.0, 0.0, 1.0])
-    ways = np.array([[0.1, -0.5, 0.0, 0.0], [0.0, 0.0, np.log(2.0), np.pi / 2]])
-    np.testing.assert_allclose(
-        moved(x, (0, 0, 40, 50), ways), [[14, -5, 1, 0, 0, 1], [10, 20, 0, -2, 2, 0]], atol=1e-12
-    )
+    x, ways = np.array([10.0, 20, 1, 0, 0, 1]), np.array([[0.1, -0.5, 0, 0], [0, 0, np.log(2.0), np.pi / 2]])
+    expected = [[14, -5, 1, 0, 0, 1], [10, 20, 0, -2, 2, 0]]  # by sides of the box
+    np.testing.assert_allclose(moved(x, (0, 0, 40, 50), ways), expected, atol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -302,11 +266,8 @@ def test_what_shows_no_face_or_one_again_is_skipped_with_a_warning_that_names_it
     faces, said, folder = read
     assert faces.used == {"collins": 2, "hopper": 2} and faces.skipped == {"collins": 4, "hopper": 2}
     first = folder / "collins" / "1.png"
-    for line in (
-        f"{folder / 'collins' / '9.png'}: the same face as {first}, which is collins; skipped",
-        f"{folder / 'hopper' / '9.png'}: the same face as {first}, which is collins; skipped",
-    ):
-        assert line in said
+    for name in NAMES:
+        assert f"{folder / name / '9.png'}: the same face as {first}, which is collins; skipped" in said
     for name in ("wall.png: no face found", "broken.jpg: ", "sound.mp3: ", "flat.png: nothing to see"):
         assert sum(name in line and "skipped" in line for line in said) == 1, name
     assert sum("stray.jpg" in line for line in said) == sum("empty" in line for line in said) == 1
@@ -325,10 +286,10 @@ def test_a_face_is_read_as_the_tracker_reads_one_that_begins_in_its_box(read):
         assert float(faces.patches[index] @ expected) / expected.size > 0.999
 
 
-@pytest.fixture(scope="module")
-def clip(tmp_path_factory):
+@pytest.fixture
+def clip(tmp_path):
     """A clip of hopper: her face, which goes right by two pixels a frame, in the first 6 frames of 8; stills of it."""
-    folder, face = people_folder(tmp_path_factory.mktemp("clip") / "people", 2), face_of("hopper", 0)
+    folder, face = people_folder(tmp_path / "people", 2), face_of("hopper", 0)
     frames = [np.roll(face, 2 * index, axis=1) if index < 6 else np.full_like(face, 60) for index in range(8)]
     for path in (folder / "hopper").iterdir():
         path.unlink()
@@ -339,36 +300,15 @@ def clip(tmp_path_factory):
     return folder
 
 
-def test_frames_of_a_clip_are_spread_between_start_and_stop(clip):
+def test_frames_of_a_clip_are_spread_between_start_and_stop_or_the_one_of_its_init_file(clip):
     faces, said = faces_of(clip, frames=4)  # frames 1, 3, 5, 7 of the clip, 0 to 2 of the folder
     assert faces.used["hopper"] == 6 and faces.skipped["hopper"] == 1
     assert len(said) == 1 and "clip.avi: frame 7: no face found" in said[0]
     faces, said = faces_of(clip, start=3, stop=5)
     assert faces.used["hopper"] == 2 and faces.skipped["hopper"] == 1
     assert len(said) == 1 and "stills" in said[0] and "past the end" in said[0]
-
-
-def test_the_init_file_of_a_clip_gives_its_one_face(clip):
     x, y, w, h = find_faces(face_of("hopper", 0))[0]
     init = clip / "hopper" / "clip.init.yaml"
     init.write_text(f"frame: 5\nbox: [{x + 10}, {y}, {w}, {h}]\n")
-    assert faces_of(clip, frames=2)[0].used["hopper"] == 1 + 2
+    assert faces_of(clip, frames=2)[0].used["hopper"] == 1 + 2, "an init file gives the one face of a clip"
     assert "starts at frame 5, which is not used" in refused(clip, stop=4)
-    init.write_text("frame: 90\nbox: [30, 30, 60, 60]\n")
-    assert "clip.avi: frame 90 is past the end" in refused(clip)
-    init.unlink()
-
-
-# --- the figure ----------------------------------------------------------------------------------------------------
-
-
-def test_the_figure_has_everyone_in_it():
-    def titles(names):
-        figure = gallery_figure(some_gallery(names, pictures=2, shape=(15, 13)), title="gallery.npz")
-        return [axes.get_title() for axes in figure.axes if axes.get_title()]
-
-    names = [f"person {number:03}" for number in range(10)]
-    said = titles(names)
-    assert said[-10:] == [f"{number + 1} {name}\n2 images" for number, name in enumerate(names)]
-    assert said.count("mean") == 3 and sum(text.endswith("%") for text in said) > 5
-    assert titles([*names[:-1], "zz"])[-1] == "10 zz\n2 images", "another name shows"

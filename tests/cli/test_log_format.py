@@ -55,16 +55,13 @@ def test_lines_of_several_clips_say_which(tmp_path, capfd):
     assert of_all == ["1 of 3 inputs failed"]
 
 
-def test_the_search_for_a_face_is_told(tmp_path, capfd, monkeypatch):
+def test_the_search_for_a_face_and_errors_are_objects(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(module, "EVERY_JSON_S", 0.0)
     write_video(tmp_path / "nobody.mp4", frames=[np.full((96, 96, 3), 90, np.uint8)] * 12)
     assert main(["--log-format", "json", "run", str(tmp_path / "nobody.mp4"), "-o", str(tmp_path / "out")]) == 3
-    steps = [one for one in objects(capfd.readouterr().err) if "progress" in one["message"]]
-    assert {one["message"] for one in steps} == {"progress, looking for a face"}
+    *steps, said = objects(capfd.readouterr().err)
+    assert {one["message"] for one in steps} == {"progress, looking for a face"} and said["level"] == "error"
     assert [one["done"] for one in steps] == [*range(1, 13)] and {one["total"] for one in steps} == {12}
-
-
-def test_errors_are_objects(tmp_path, capfd):
     assert main(["--log-format", "json", "run", str(tmp_path / "none\nhere.mp4")]) == 3
     (said,) = objects(capfd.readouterr().err)
     assert said["level"] == "error" and "none" in said["message"] and "facetrack" not in said["message"][:9]
@@ -75,23 +72,16 @@ def test_errors_are_objects(tmp_path, capfd):
     assert "seed must be at least 0" in said["message"] and "seed: -1" in said["excerpt"]
 
 
-@pytest.mark.parametrize(
-    ("line", "level", "message"),
-    [
+def test_lines_have_their_level_and_quiet_is_quiet(monkeypatch, capfd):
+    monkeypatch.setenv(LOG_FORMAT, "json")
+    for line, level, message in (
         ("facetrack: warning: a: b", "warning", "a: b"),
-        ("facetrack: note: a", "info", "a"),
         ("facetrack: interrupted", "info", "interrupted"),
         ("a \udce4\nb", "info", "a"),
-    ],
-)
-def test_the_level_of_a_line(monkeypatch, line, level, message):
-    monkeypatch.setenv(LOG_FORMAT, "json")
-    said = json.loads(log_line(line, clip=None, done=1))
-    assert said["level"] == level and said["message"].startswith(message) and "clip" not in said and said["done"] == 1
-
-
-def test_quiet_is_quiet(monkeypatch, capfd):
-    monkeypatch.setenv(LOG_FORMAT, "json")
+    ):
+        said = json.loads(log_line(line, clip=None, done=1))
+        assert said["level"] == level and said["message"].startswith(message) and said["done"] == 1
+        assert "clip" not in said
     with progress(quiet=True) as shown:
         shown.begin("[1/3] a.mp4")
         shown.update(1, 2)

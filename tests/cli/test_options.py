@@ -29,15 +29,12 @@ def completed(line):
     [
         ("run --config fac", "file,fac", [name for name in RECIPES if name.startswith("fac")]),
         ("recipes show sk", "file,sk", [name for name in RECIPES if name.startswith("sk")]),
-        ("recipes check sir sk", "file,sk", [name for name in RECIPES if name.startswith("sk")]),
-        ("run --conf", None, ["--config"]),
         ("recipes sh", None, ["show"]),
         ("completion z", None, ["zsh"]),
         ("models g", None, ["get"]),
         ("models get m", None, ["mesh"]),
         ("run cl", "file,cl", []),
         ("run --out cl", "dir,cl", []),
-        ("run --init cl", "file,cl", []),
         ("fix cl", "dir,cl", []),
     ],
 )
@@ -91,21 +88,13 @@ def given(monkeypatch, capfd):
 def test_the_order_is_command_line_environment_ours(given, words, variables, options):
     found = given(*words.split(), **{f"RUN_{name}": value for name, value in variables.items()}, DEBUG="yes, please")
     assert {name: found[name] for name in options} == options
+    assert given("recipes", "check", "sir", RECIPES_CHECK_SET="filter.particles=0")[0] == 2, "commands below commands"
 
 
 @pytest.mark.parametrize(
     ("name", "value", "said"),
-    [
-        ("RUN_JOBS", "x", "'x' is not a valid whole number"),
-        ("RUN_QUIET", "maybe", "'maybe' is not a valid boolean"),
-        ("LOG_FORMAT", "xml", "'xml' is not one of 'text', 'json'"),
-    ],
+    [("RUN_JOBS", "x", "'x' is not a valid whole number"), ("LOG_FORMAT", "xml", "'xml' is not one of 'text', 'json'")],
 )
 def test_a_wrong_variable_is_one_line(given, name, value, said):
     line = refusal(given("run", "a.mp4", **{name: value}), 2)
     assert line.startswith(f"facetrack: error: Invalid value for FACETRACK_{name}: {said}")
-
-
-def test_commands_below_commands_have_theirs(given):
-    assert given("recipes", "check", "sir", RECIPES_CHECK_SET="filter.particles=0")[0] == 2
-    assert given("recipes", "check", "sir", RECIPES_CHECK_SET="filter.particles=9") == {}

@@ -224,18 +224,6 @@ def test_a_run_that_fails_says_so_in_one_line_and_the_queue_lives_on(app, clips,
     assert one.rest()[1]["state"] == "done"
 
 
-def test_a_box_must_be_drawn_first(app, clips):
-    one = app()
-    [clip] = one.add(clips / "smile.mp4")
-    state = one.post("choose", clips=[clip["id"]], what="box").json
-    assert state["clips"][0]["state"] == "needs box"
-    got = one.post("want", clips=[clip["id"]], wanted=True)
-    assert got.status == 422 and "draw the box first" in got.json["error"]
-    url = one.post("open", clip=clip["id"], page="start").json["url"]
-    about = one.get(f"{url}api/session").json
-    assert about["requirements"][0]["box"] == "needed" and not about["requirements"][0]["points"]
-
-
 OFTEN = """
 from facetrack_cli.runs import progress, record
 record.EVERY_FRAMES, progress.EVERY_JSON_S = 40, 0.05
@@ -289,10 +277,15 @@ def test_after_a_kill_the_queue_goes_on_and_is_paused_and_stopped(app, clips, co
 # --- who may use it --------------------------------------------------------------------------------------------------
 
 
-def test_pages_below_have_the_guards_of_the_page(app, clips):
+def test_a_box_must_be_drawn_first_on_a_page_below_that_has_the_guards_of_the_page(app, clips):
     one = app()
     one.add(clips / "smile.mp4")
+    assert one.post("choose", clips=[1], what="box").json["clips"][0]["state"] == "needs box"
+    got = one.post("want", clips=[1], wanted=True)
+    assert got.status == 422 and "draw the box first" in got.json["error"]
     url = one.post("open", clip=1, page="start").json["url"]
+    [required] = one.get(f"{url}api/session").json["requirements"]
+    assert required["box"] == "needed" and not required["points"]
     for path in (f"{url}api/save", "api/want"):
         for address, headers in (
             (f"/wrong/{path}", {}),

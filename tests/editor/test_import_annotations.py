@@ -69,20 +69,12 @@ def in_label_studio(run, change):
     return path
 
 
-@pytest.mark.parametrize("name", ["points", "box"])
-def test_what_was_not_touched_is_no_correction(runs, capsys, name):
-    before = (runs / name / "trajectory.csv").read_bytes()
-    for file in ("trajectory.cvat.xml", "trajectory.labelstudio.json"):
-        assert facetrack("fix", runs / name, "--import", runs / name / file) == 0
-        assert "is as the run has it; nothing was written" in capsys.readouterr().err
-    assert (runs / name / "trajectory.csv").read_bytes() == before
-
-
 def test_points_that_were_moved_or_hidden_in_cvat(runs):
     hidden = {f"face__mouth_left_{frame}": {"outside": "1"} for frame in (5, 6, 7)}
     interpolated = {"keyframe": "0", "points": "1,1"}  # nobody has put it there
     moved = {"face__nose_3": {"points": "160.50,141.00"}, "face__lip_upper_3": {"points": "150.50,151.00"}}
     file = in_cvat(runs / "points", **moved, **hidden, face__nose_8=interpolated)
+    assert found(runs / "points", runs / "points" / "trajectory.labelstudio.json") == ()
     one, two, three = found(runs / "points", file)
     assert one == Correction(3, "face", TargetStart(points={"nose": (160.0, 140.5), "lip_upper": (150.0, 150.5)}))
     assert two == Correction(5, "face", absent=("mouth_left",))
@@ -150,9 +142,9 @@ def test_boxes_that_were_moved_or_switched_off_in_label_studio(runs):
 
 
 @pytest.mark.parametrize("form", ["cvat", "labelstudio"])
-@pytest.mark.parametrize("unseen", [{"status": "hidden"}, {"x": -20.0}], ids=["hidden", "beyond the picture"])
-def test_rows_that_are_not_seen_come_back_as_no_correction(runs, form, unseen):
-    """An annotator has not touched them; Label Studio has no other word for them than not enabled."""
+@pytest.mark.parametrize("unseen", [{"status": "hidden"}, {"x": -20.0}, {}], ids=["hidden", "beyond it", "seen"])
+def test_rows_that_nobody_touched_come_back_as_no_correction_seen_or_not(runs, form, unseen):
+    """Label Studio has no other word for rows that are not seen than not enabled."""
     run, edited = runs / "box", runs / "edited.json"
     doc = json.loads((run / "trajectory.json").read_text())
     for frame in doc["frames"][4:7]:

@@ -181,10 +181,10 @@ def test_what_is_dragged_or_absent_is_tracked_undone_and_removed(page):
     window.click_on("uncorrect-12-face")
     idle(window, 5)
     assert [one["frame"] for one in window.get("corrections")] == [3]
-    for revision, rows, frames in ((6, both, [3, 12]), (7, late, [12]), (8, was, [])):
+    for revision, rows in ((6, both), (7, late), (8, was)):
         window.click_on("undo")
         idle(window, revision)
-        assert table(window) == rows and [one["frame"] for one in window.get("corrections")] == frames
+        assert table(window) == rows
     assert window.here("undo").is_disabled() and not window.get("canUndo") and session.first_error is None
 
 

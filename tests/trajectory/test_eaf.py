@@ -167,17 +167,13 @@ def test_targets_have_tiers_of_their_own_under_names_that_readers_find():
     assert root.find(".//*[@TIER_ID='lost@O’Brien']") is not None
 
 
-@pytest.mark.parametrize(
-    ("time_s", "said"),
-    [
-        ([0.0, np.nan, 0.08], "frame 1 has no time_s"),
-        ([0.0, 0.08, 0.04], "frame 2 is at 0.04 s, not after frame 1"),
-        ([0.0, 0.04, 0.04], "frame 2 is at 0.04 s"),
-    ],
-)
-def test_times_that_cannot_be_are_refused(time_s, said):
-    with pytest.raises(InputError, match=re.escape(said)):
-        eaf(part("nose", states("..."), time_s=time_s))
+def test_times_that_cannot_be_are_refused():
+    for time_s, said in (
+        ([0.0, np.nan, 0.08], "1 has no time_s"),
+        ([0.0, 0.08, 0.08], "2 is at 0.08 s, not after frame 1"),
+    ):
+        with pytest.raises(InputError, match=f"frame {said}"):
+            eaf(part("nose", states("..."), time_s=time_s))
 
 
 @given(
@@ -269,12 +265,12 @@ def test_tiers_are_added_and_nothing_else_is_touched(tmp_path):
 def test_a_second_time_takes_the_types_that_are_there(tmp_path):
     path = session(tmp_path, SESSION.replace('CV_ID="seen"', 'CV_ID="mine"').replace('TYPE_ID="lost"', 'TYPE_ID="own"'))
     once, _, _ = add_tiers(path, ours(), "clip one.mp4")
-    (tmp_path / "once.eaf").write_bytes(once)
-    twice, added, _ = add_tiers(tmp_path / "once.eaf", ours(), "clip one.mp4")
+    path.write_bytes(once)
+    twice, added, _ = add_tiers(path, ours(), "clip one.mp4")
     check(once, twice)
     assert added == ["lost@face-3", "seen@left_hand-2"]
-    assert twice.count(b"<LINGUISTIC_TYPE ") == once.count(b"<LINGUISTIC_TYPE ")
-    assert twice.count(b"<CONTROLLED_VOCABULARY ") == once.count(b"<CONTROLLED_VOCABULARY ")
+    for what in (b"<LINGUISTIC_TYPE ", b"<CONTROLLED_VOCABULARY "):
+        assert twice.count(what) == once.count(what)
 
 
 def test_times_are_those_of_the_file_whose_clip_begins_later(tmp_path):

@@ -202,11 +202,8 @@ def test_the_noise_is_less_than_the_spread_unless_the_head_moves():
     assert grown.doubt[170] > 2 * one.doubt[170], "the head comes nearer"
     moved = np.sqrt(grown.doubt[170] ** 2 - (0.15 * grown.std[170]) ** 2)
     assert moved == pytest.approx(np.hypot(grown.std[170], 0.2 * grown.value[170])), "so may its unit be off"
-
-
-def test_a_length_that_is_hardly_known_is_absent():
     vague = moving_face(20, std=12.0).measures["face"]
-    assert "eye_opening" not in vague and "mouth_opening" not in vague and "roll" in vague
+    assert "eye_opening" not in vague and "mouth_opening" not in vague and "roll" in vague, "hardly known"
 
 
 N, SIDE = 60, 100.0  # a face of 100 pixels, at 25 frames/s
@@ -253,6 +250,9 @@ def test_speed_is_in_sizes_of_the_face_and_what_is_held_is_told_from_what_moves(
     assert 0.02 < speed.std[0] < 0.5
     still = table(np.full(N, 100.0), STAYS).measures["left_hand"]["speed"].value
     assert np.median(still) < 0.3  # what noise alone makes of a speed is taken off
+    gaps = table(MOVES, STAYS, left_hand=range(22, 28), right_hand=range(20, 40)).measures
+    assert (gaps["left_hand"]["held"].value[22:28] < 0.05).all(), "a short time lost is bridged"
+    assert np.isnan(gaps["right_hand"]["held"].value[20:40]).all(), "a long one is not known"
 
 
 def test_hands_touch_where_their_boxes_meet_and_the_face_where_one_is_on_it():
@@ -265,12 +265,10 @@ def test_hands_touch_where_their_boxes_meet_and_the_face_where_one_is_on_it():
     face = up.measures["left_hand"]["touches_face"].value
     assert face[0] < 0.01 < 0.99 < face[-1] and "touches_hand" not in up.measures["left_hand"]
     assert up.measures["head"] == {}
-
-
-def test_a_short_time_lost_is_bridged_and_a_long_one_is_not_known():
-    found = table(MOVES, STAYS, left_hand=range(22, 28), right_hand=range(20, 40)).measures
-    assert (found["left_hand"]["held"].value[22:28] < 0.05).all()
-    assert np.isnan(found["right_hand"]["held"].value[20:40]).all()
+    hand, head = one("left_hand", 100, 260, 40.0), one("head", 300, 100)
+    for heads in ([], [head, one("other", 500, 100)], [one("head", 300, 100, lost=range(N))]):
+        rows = joined([hand, *heads])
+        assert all(not found for found in rows.measures.values()) and rows.events == (), "not of one head"
 
 
 def test_holds_movements_and_contacts_are_intervals_with_probabilities():
@@ -283,6 +281,9 @@ def test_holds_movements_and_contacts_are_intervals_with_probabilities():
     [contact] = [event for event in mine if event.value == "hand"]
     assert contact.first_frame == pytest.approx(45, abs=1) and contact.last_frame == N - 1
     assert all(0.5 < event.probability <= 1 for event in mine) and contact.begin_s == contact.first_frame / 25
+    lines = lines_of(write_measures([Clip("", rows)]))
+    assert {line["target"] for line in lines} == {"left_hand", "right_hand"}
+    assert float(lines[0]["held"]) > 0.5 and lines[0]["held_std"] == "" != lines[0]["speed_std"]
 
 
 def test_an_interval_of_a_moment_is_part_of_those_around_it():
@@ -292,24 +293,6 @@ def test_an_interval_of_a_moment_is_part_of_those_around_it():
     assert not [event for event in touching.events if event.value == "hand"]
     quiet = table(np.full(N, 100.0), STAYS).events
     assert [(event.value, event.first_frame, event.last_frame) for event in quiet] == [("hold", 0, N - 1)] * 2
-
-
-def test_tables_have_them():
-    rows = table(MOVES, way((0, 600), (40, 600), (45, 290), (59, 290)))
-    tiers = {event.tier for event in rows.events if event.target == "right_hand"}
-    assert tiers == {"phases", "hand_contact"}
-    lines = lines_of(write_measures([Clip("", rows)]))
-    assert {line["target"] for line in lines} == {"left_hand", "right_hand"}
-    assert float(lines[0]["held"]) > 0.5 and lines[0]["held_std"] == "" != lines[0]["speed_std"]
-
-
-def test_hands_without_one_head_have_no_measures():
-    hand = one("left_hand", 100, 260, 40.0)
-    assert joined([hand]).measures == {"left_hand": {}}
-    two = joined([hand, one("head", 300, 100), one("other", 500, 100)])
-    assert all(not found for found in two.measures.values())
-    lost = joined([hand, one("head", 300, 100, lost=range(N))])
-    assert lost.measures["left_hand"] == {} and lost.events == ()
 
 
 STD = 0.05
@@ -362,27 +345,18 @@ def test_posteriors_and_visits_are_those_of_all_paths_together(states):
     for first, stop in ((0, 2), (1, 4), (2, 6), (0, 6)):
         for wanted in ((states - 1,), (0, states - 1), tuple(range(states))):
             assert chain.visits(first, stop, wanted) == pytest.approx(hidden_markov.visits(found, first, stop, wanted))
+    # what was sure says nothing of a time long after it
+    late = Chain.of(np.array([[-50.0, 0], *[[0, 0]] * 2000]), np.arange(2001) * 0.04, [3.0, 1.0])
+    assert late.posterior[1, 1] > 0.9 and late.posterior[-1] == pytest.approx([0.75, 0.25], abs=0.01)
 
 
-def test_a_pause_makes_a_state_less_sure_and_a_very_long_one_says_nothing():
-    chains = [Chain.of(np.array([[-50.0, 0], [0, 0]]), np.array([0, gap]), [3.0, 1.0]) for gap in (0.04, 1.0, 1000.0)]
-    # one step of the usual time each; the twin of a long one is many short ones
-    fine = Chain.of(np.array([[-50.0, 0], *[[0, 0]] * 2000]), np.arange(2001) * 0.04, [3.0, 1.0])
-    assert chains[0].posterior[1, 1] > 0.9
-    assert fine.posterior[-1] == pytest.approx(np.exp(fine.share), abs=1e-6)
-    assert np.exp(fine.share) == pytest.approx([0.75, 0.25], abs=0.01)
-
-
-def test_a_mouth_is_open_from_where_it_opens_to_where_it_shuts():
+def test_a_mouth_is_open_from_where_it_opens_to_where_it_shuts_or_the_clip_or_a_pause_ends():
     value = bumps(200, (50, 120), 20) + 0.005 * noise(0, 200)
     value[57] += 0.1
     first, second = events(mouth_opening=value)
     assert spans([first, second]) == [("open", 50, 69), ("open", 120, 139)]
     assert (first.tier, first.target) == ("mouth", "face") and min(first.probability, second.probability) > 0.99
     assert (first.begin_s, first.peak_s, first.end_s) == pytest.approx((2.0, 57 / 25, 70 / 25))
-
-
-def test_a_mouth_that_is_open_at_the_ends_of_the_clip_or_a_pause_is_open_there():
     value = bumps(200, (0, 160), 40) + 0.002 * noise(1, 200)
     assert spans(events(mouth_opening=value)) == [("open", 0, 39), ("open", 160, 199)]
     paused = bumps(200, (80,), 40) + 0.002 * noise(1, 200)
@@ -392,10 +366,11 @@ def test_a_mouth_that_is_open_at_the_ends_of_the_clip_or_a_pause_is_open_there()
     assert found[0].last_frame < 90 and found[1].first_frame >= 100
 
 
-def test_frames_beside_lost_ones_say_nothing():
+def test_frames_beside_lost_ones_and_what_does_not_move_say_nothing():
     value = np.full(200, 0.25)
     value[100:110], value[95:100], value[110:115] = np.nan, 0.6, 0.6
-    assert events(mouth_opening=value) == []
+    for still in (value, np.full(50, 0.3), np.linspace(0.3, 0.31, 50), np.full(50, np.nan), np.zeros(4), [0.3]):
+        assert [*events(mouth_opening=still), *events(eye_opening=still), *events(yaw=still)] == []
 
 
 def test_what_the_spread_explains_is_no_event():
@@ -406,21 +381,15 @@ def test_what_the_spread_explains_is_no_event():
     assert events(doubt=0.12, mouth_opening=value) == [], "a head that moves"
 
 
-def test_blinks_are_short_are_found_while_eyes_narrow_and_longer_ones_are_shut_eyes():
+def test_blinks_are_short_longer_ones_are_shut_eyes_one_eye_winks_and_a_smile_is_held():
     slow = 0.05 * np.sin(np.arange(400) / 60)
     value = np.maximum(0.3 + slow + bumps(400, (50, 130, 300), 4, height=-0.25, rest=0.0) + 0.01 * noise(2, 400), 0.02)
     assert spans(events(eye_opening=value)) == [("blink", 50, 53), ("blink", 130, 133), ("blink", 300, 303)]
     asleep = bumps(400, (100,), 20, height=-0.25, rest=0.3) + 0.01 * noise(3, 400)
     assert spans(events(eye_opening=asleep)) == [("shut", 100, 119)]
-
-
-def test_one_eye_that_shuts_is_a_wink():
     value = bumps(300, (100,), 10, height=0.25, rest=0.0) + bumps(300, (200,), 10, height=-0.25, rest=0.0)
     found = events(std=0.03, eyes_differ=value + 0.01 * noise(3, 300))
     assert [(one.tier, one.first_frame) for one in found] == [("wink_left", 100), ("wink_right", 200)]
-
-
-def test_a_smile_is_held():
     value = bumps(300, (100,), 40, height=0.2, rest=0.8) + bumps(300, (200,), 4, height=0.2, rest=0.0)
     [(name, first, last)] = spans(events(mouth_width=value + 0.01 * noise(3, 300)))
     assert (name, first, last) == ("smile", pytest.approx(100, abs=2), pytest.approx(139, abs=2))
@@ -445,7 +414,6 @@ def test_a_mouth_talks_where_it_swings_quickly():
     t = np.arange(250)
     talks = 0.05 * np.sin(2 * np.pi * t / 8) * ((t >= 75) & (t < 175))
     table = moving_face(250, open=0.1 + talks)
-    assert [one.unit for one in (table.measures["face"]["talking"],)] == ["probability"]
     [speech] = [one for one in table.events if one.tier == "speech"]
     assert speech.value == "talks" and abs(speech.first_frame - 75) < 20 and abs(speech.last_frame - 174) < 20
     yawns = moving_face(250, open=0.4 * ((t >= 75) & (t < 175)))
@@ -459,13 +427,6 @@ def test_noise_makes_hardly_an_event(frames, kept, seeds):
     for name, size in sizes.items():
         values = ({**eyes, name: 0.3 + size * noise(seed, frames, kept)} for seed in range(seeds))
         assert sum(len(events(std=2 * size, **value)) for value in values) <= seeds / 10, name
-
-
-@pytest.mark.parametrize(
-    "value", [np.full(50, 0.3), np.linspace(0.3, 0.31, 50), np.full(50, np.nan), np.zeros(4), [0.3]]
-)
-def test_a_mouth_that_does_not_move_makes_no_event(value):
-    assert [*events(mouth_opening=value), *events(eye_opening=value), *events(yaw=value)] == []
 
 
 @pytest.mark.parametrize("low", [-0.6, -1.5])

@@ -40,16 +40,12 @@ def spans(tracks):
     return sorted((one.person, one.first, one.stop) for _, one in tracks)
 
 
-def test_people_have_intervals_seconds_and_who_is_with_whom():
+def test_people_have_intervals_and_seconds_and_their_file_comes_back(tmp_path):
     people = film()
     assert people.names == ("a", "b", "c") and [one.photograph for one in people.people] == [False, False, True]
     assert people.people[0].intervals == ((0, 50), (60, 80)) and people.people[0].seconds == 2.8
     assert people.seconds_together() == {("a", "b"): 1.2}
     assert [one.first for one in people.doubts] == [60]
-
-
-def test_the_file_comes_back_and_others_are_refused(tmp_path):
-    people = film()
     assert read_people(tmp_path) is None
     (tmp_path / PEOPLE).write_bytes(people.text())
     assert read_people(tmp_path) == people == read_people(tmp_path / PEOPLE)

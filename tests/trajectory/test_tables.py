@@ -14,8 +14,6 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from matplotlib.patches import Rectangle
 
 from facetrack_cli.__main__ import main
@@ -30,7 +28,6 @@ from facetrack_cli.trajectory.formats.keypoints import (
     IN_MESH,
     LANDMARKS,
     write_dlc,
-    write_dlc_h5,
     write_openface,
 )
 from facetrack_cli.trajectory.formats.tables import (
@@ -51,8 +48,8 @@ from tests.support.face_shape import moving_face
 from tests.support.samples import FOLDER
 
 
-def part(target, name, frames, *, seed=0, lost=()):
-    rng, t = np.random.default_rng(seed), len(frames)
+def part(target, name, frames, *, lost=()):
+    rng, t = np.random.default_rng(0), len(frames)
     return one_part(
         target, name, frames, time_s=np.array(frames) / 25, x=np.round(rng.uniform(0, 640, t), 3),
         y=np.round(rng.uniform(0, 480, t), 3), w=np.full(t, 20.5), h=np.full(t, 10.0), particles=np.full(t, 200.0),
@@ -65,8 +62,12 @@ def read(text):
 
 
 def test_a_row_a_frame_with_the_parts_side_by_side():
-    table = joined([part("face", "nose", [3, 4, 6], lost=[4]), part("head", "box", [4, 5])])
+    made = part("face", "nose", [3, 4, 6], lost=[4])
+    table = joined([made, part("head", "box", [4, 5])])
     found = read(write_csv_wide(table))
+    numbers = pd.read_csv(io.StringIO(write_csv_wide(table)), index_col="frame").loc[made.frame]
+    for name in ("x", "y", "w", "h", "confidence", "status"):
+        np.testing.assert_array_equal(numbers[f"face_nose_{name}"], getattr(made, name))
     assert [row["frame"] for row in found] == [*"0123456"], "readers count rows"
     assert list(found[0]) == [
         "frame", "time_s", *(f"face_nose_{c}" for c in ("x", "y", "w", "h", "confidence", "status")),
@@ -79,17 +80,6 @@ def test_a_row_a_frame_with_the_parts_side_by_side():
     assert text.startswith("\ufeff") and {"Fräulein_nose_x", 'a,b_c"d_x'} <= set(read(text)[0])
 
 
-@settings(max_examples=30)
-@given(st.integers(1, 4), st.integers(1, 9), st.integers(0, 2**32))
-def test_every_number_of_a_wide_table_comes_back(parts, frames, seed):
-    made = [part("face", f"p{k}", range(k, k + frames), seed=seed + k) for k in range(parts)]
-    found = pd.read_csv(io.StringIO(write_csv_wide(joined(made))), index_col="frame")
-    for one in made:
-        rows = found.loc[one.frame]
-        for name in ("x", "y", "w", "h", "confidence", "status"):
-            np.testing.assert_array_equal(rows[f"face_{one.part}_{name}"], getattr(one, name))
-
-
 def test_no_table_has_a_text_that_a_spreadsheet_takes_for_a_formula():
     names = ["=1+1", "+1+1", "-1+1", "@SUM(A1)", " =1+1", '=HYPERLINK("x","y")']
     for name in names:
@@ -98,14 +88,6 @@ def test_no_table_has_a_text_that_a_spreadsheet_takes_for_a_formula():
             cells = [cell for line in csv.reader(io.StringIO(text.removeprefix("\ufeff"))) for cell in line]
             assert f"_{name}" in "".join(cells) and not any(cell.strip()[:1] in {*"=+@"} for cell in cells)
     assert csv_text(["a", "b", "c"], [["-1.5", -2, "-"], ["+1e3", None, "-nan"]]) == "a,b,c\n-1.5,-2,_-\n+1e3,,-nan\n"
-
-
-def test_hdf5_of_deeplabcut_has_what_its_pandas_looks_for():
-    """DeepLabCut has a pandas before 3, which cannot read the values where the file has no version of pandas."""
-    tables = pytest.importorskip("tables")
-    image = {"driver": "H5FD_CORE", "driver_core_image": write_dlc_h5(joined([part("face", "nose", [0, 1])]))}
-    with tables.open_file("a.h5", driver_core_backing_store=0, **image) as file:
-        assert file.root.df_with_missing._v_attrs.pandas_version == "0.15.2"
 
 
 def timed(time_s, frames=None, **header):
@@ -126,22 +108,15 @@ def test_a_constant_rate_is_one_to_readers(fps, first, begins):
     steps = np.diff(found)
     assert np.allclose(steps, steps[0]), "as kineticstoolkit's get_sample_rate asks"
     np.testing.assert_allclose(1 / steps.mean(), fps, rtol=1e-5)
+    told = timed(np.round(np.arange(300) / fps, 3), source={"fps": fps}, variable_fps=False)
+    np.testing.assert_allclose(told, np.arange(300) / fps, atol=1e-6, err_msg="whole milliseconds of a container")
 
 
-def test_whole_milliseconds_of_a_container_are_the_constant_rate_that_the_header_tells():
-    told = {"source": {"fps": 30 / 1.001}, "variable_fps": False}
-    found = timed(np.round(np.arange(300) * 1.001 / 30, 3), **told)
-    np.testing.assert_allclose(found, np.arange(300) * 1.001 / 30, atol=1e-6)
-
-
-def test_a_variable_rate_is_kept_and_frames_without_rows_lie_between():
+def test_a_variable_rate_is_kept_frames_without_rows_lie_between_and_few_rows_or_none_tell_times():
     found = timed([0.08, 0.12, 0.5, 0.54, 1.5], np.array([2, 3, 5, 6, 9]), source={"fps": 25.0}, variable_fps=True)
     np.testing.assert_allclose(found[[2, 3, 5, 6, 9]], [0.08, 0.12, 0.5, 0.54, 1.5])
     np.testing.assert_allclose(found[[4, 7, 8]], [0.31, 0.86, 1.18])
     assert (np.diff(found) > 0).all()
-
-
-def test_times_that_few_rows_or_none_tell():
     np.testing.assert_allclose(timed([0.12], np.array([3]), source={"fps": 25.0}), [0, 0.04, 0.08, 0.12])
     one = one_part("face", "nose", [0, 2], x=[1.0, 2.0], y=[1.0, 2.0])
     assert [row["time_s"] for row in read(write_csv_wide(one))] == ["", "", ""]
@@ -159,6 +134,14 @@ def test_pose_and_measures_have_a_row_a_frame_too():
         assert [row["time_s"] for row in found] == [f"{n / 25:.7f}" for n in range(16)]
         name = "pitch" if write is write_pose else "mouth_opening"
         assert [n for n, row in enumerate(found) if not row[name]] == [0, 1, 2, 3, 9]
+    lost = turned_face(lost={("nose", 5), ("lip_upper", 5)})
+    rows = read(write_pose(joined([*lost, one_part("hand", "box", [4, 6])])))
+    assert {row["target"] for row in rows} == {"face"}
+    assert [row["frame"] for row in rows if row["pitch"]] == ["4", "7"] and rows[5]["ambiguous"] == ""
+    assert [float(rows[4][name]) for name in ("pitch", "yaw", "roll")] == pytest.approx([10, -20, 5], abs=0.1)
+    assert 2 < float(rows[4]["std_yaw"]) < 8 and rows[4]["ambiguous"] == "0"
+    with pytest.raises(InputError, match="a pose needs four parts that are not in a plane, among eye_left"):
+        write_pose(one_part("hand", "box", [0], x=[1.0], y=[1.0]))
 
 
 # --- as a notebook shows it ---
@@ -335,6 +318,15 @@ def test_columns_frames_and_landmarks_are_openface_s():
         np.testing.assert_allclose(found[f"y_{number}"], one.y, atol=5e-4)
     others = found.drop(columns=[f"{c}_{n}" for c in "xy" for n in (30, 48, 54, 51, 57)]).filter(regex="^[xy]_")
     assert others.isna().all(axis=None)
+    table = joined([*turned_face("anna", (0, 1)), one_part("hand", "box", [0]), *turned_face("ben", (1, 2))])
+    ids = framed(write_openface(table, None))[["frame", "face_id"]].to_numpy().tolist()
+    assert ids == [[1, 0], [2, 0], [2, 1], [3, 1]]
+    points = [one_part("face", f"point_{i + 1:02d}", [0], x=[float(i)], y=[2.0 * i]) for i in range(68)]
+    found = framed(write_openface(joined(points), None)).iloc[0]
+    assert found[[f"x_{i}" for i in range(68)]].tolist() == list(range(68)) and np.isnan(found["pose_Rx"])
+    said = r"no part is one of .* landmarks, which are mouth_left, .*, chin, .*, and point_01"
+    with pytest.raises(InputError, match=said):
+        write_openface(one_part("hand", "box", [0], x=[1.0], y=[1.0]), None)
 
 
 def test_points_of_a_face_and_of_the_mesh_fill_their_columns():
@@ -368,9 +360,8 @@ def test_the_real_mesh_is_a_face_in_ibug_s_order(mesh_model):
     network.setInput(cv2.dnn.blobFromImage(cv2.resize(frame.bgr[42:222, 71:251], (192, 192)), 1 / 255, swapRB=True))
     mesh = max(network.forward(network.getUnconnectedOutLayersNames()), key=np.size).reshape(468, 3)
     x, y = mesh[list(IN_MESH), :2].T
-    for row in ([0, 3, 4, 6, 8, 10, 12, 13, 16], range(17, 27), range(31, 36), range(36, 40), range(42, 46)):
-        assert (np.diff(x[[*row]]) > 0).all()
-    for row in (range(48, 55), [48, 59, 58, 57, 56, 55, 54], range(60, 65), [60, 67, 66, 65, 64]):
+    rows = [0, 3, 4, 6, 8, 10, 12, 13, 16], range(17, 27), range(31, 36), range(36, 40), range(42, 46)
+    for row in (*rows, range(48, 55), [48, 59, 58, 57, 56, 55, 54], range(60, 65), [60, 67, 66, 65, 64]):
         assert (np.diff(x[[*row]]) > 0).all()
     for row in ([*range(27, 31), 33, 51, 62, 66, 57, 8], [37, 41], [38, 40], [43, 47], [44, 46], range(9), [16, 12, 8]):
         assert (np.diff(y[[*row]]) > 0).all()
@@ -393,28 +384,3 @@ def test_the_pose_is_seen_by_openface_s_camera():
     assert np.isnan(without["pose_Tz"])
     angles = without[["pose_Rx", "pose_Ry", "pose_Rz"]].to_numpy(float)
     np.testing.assert_allclose(angles, np.radians([10, -20, 5]), atol=2e-3)
-
-
-def test_faces_have_ids_and_stand_by_frame():
-    table = joined([*turned_face("anna", (0, 1)), one_part("hand", "box", [0]), *turned_face("ben", (1, 2))])
-    found = framed(write_openface(table, None))
-    assert found[["frame", "face_id"]].to_numpy().tolist() == [[1, 0], [2, 0], [2, 1], [3, 1]]
-    points = [one_part("face", f"point_{i + 1:02d}", [0], x=[float(i)], y=[2.0 * i]) for i in range(68)]
-    found = framed(write_openface(joined(points), None)).iloc[0]
-    assert found[[f"x_{i}" for i in range(68)]].tolist() == list(range(68)) and np.isnan(found["pose_Rx"])
-    said = r"no part is one of .* landmarks, which are mouth_left, .*, chin, .*, and point_01"
-    with pytest.raises(InputError, match=said):
-        write_openface(one_part("hand", "box", [0], x=[1.0], y=[1.0]), None)
-
-
-def test_a_table_of_poses():
-    table = joined([*turned_face(lost={("nose", 5), ("lip_upper", 5)}), one_part("hand", "box", [4, 6])])
-    rows = read(write_pose(table))
-    assert [row["frame"] for row in rows] == [*"01234567"] and {row["target"] for row in rows} == {"face"}
-    assert [row["frame"] for row in rows if row["pitch"]] == ["4", "7"]
-    rows = rows[4:]
-    assert [float(rows[0][name]) for name in ("pitch", "yaw", "roll")] == pytest.approx([10, -20, 5], abs=0.1)
-    assert 2 < float(rows[0]["std_yaw"]) < 8 and rows[0]["ambiguous"] == "0"
-    assert [rows[1][name] for name in ("pitch", "std_roll", "ambiguous")] == ["", "", ""]
-    with pytest.raises(InputError, match="a pose needs four parts that are not in a plane, among eye_left"):
-        write_pose(one_part("hand", "box", [0], x=[1.0], y=[1.0]))

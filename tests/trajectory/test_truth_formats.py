@@ -117,11 +117,9 @@ def test_shift_is_added_to_every_frame(tmp_path, form):
         ("auto", b"1,2,3,4\n\xff\xfe", ":2: is not UTF-8 text; save it as UTF-8"),
         ("auto", "frame;x;y;w;h\n", ":1: 'frame;x;y;w;h' begins no ground truth.*; commas stand between columns"),
         ("auto", "1,2,3,4\n5,6,7\n", ":2: '5,6,7' is no line of left,top,width,height"),
-        ("auto", "1,2,3,4\n1 2 3 4\n", ":2: '1 2 3 4' is no line of"),
         ("auto", "1,2,3,4\n1,2,3_0,4\n", ":2: '1,2,3_0,4' is no line of"),
         ("auto", "1,2,3,4\n\n1,2,3,4\n", ":2: is blank"),
         ("auto", "1,2,3,4\n1,nan,3,4\n", ":2: .* is no box"),
-        ("auto", "1,2,3,4\n1,2,-3,4\n", ":2: .* is no box"),
         ("auto", "1,2,3,4\n1,2,0,4\n", ":2: .* is no box"),
         ("auto", "1,2,3,4\n1,2,3e9,4\n", ":2: .* is no box"),
         ("boxes", "frame,target,part,x,y,w,h\n0,a,box,1,2,3,4\n", ":1: .* with which x, y are centres"),
@@ -129,21 +127,17 @@ def test_shift_is_added_to_every_frame(tmp_path, form):
         ("boxes", "frame,x,y,w,h\n", "has a header and no rows"),
         ("boxes", "frame,x,y,w,h\n1,1,2,3,4\n\n1,1,2,3,4\n", "frame 1 has two rows of /box; keep one row"),
         ("boxes", "frame,x,y,w,h\n1.5,1,2,3,4\n", ":2: .* no frame that is a whole number"),
-        ("boxes", "frame,x,y,w,h\n1e300,1,2,3,4\n", ":2: .* no frame that is"),
         ("mot", "1,2,3,4\n", ":1: .* has 4 values; MOTChallenge text has"),
         ("mot", "0,1,1,1,9,9,1,1,1\n", ":1: .* a whole number from 1 up"),
         ("mot", "1,1,1,1,9,9,0,1,1\n", "no row counts; write 1"),
         ("mot", "1,2,20,9,8,8,1,2,1\n1,4,40,9,8,8,1,3,1\n", "no row counts; write 1"),
         ("vot", "1,2,3,4\nm1,2,3,4,5\n", ":2: 'm1,2,3,4,5' is no line of .*masks and other polygons are not read"),
-        ("vot", "1,2,3,4\n7\n", ":2: '7' is none of left,top"),
         ("vot", "1,2,3,4\n2\n", ":2: .* a failure, comes after a 1"),
         ("vot", "1,2,3,4,5,6,7,nan\n", ":1: .* is none of left,top"),
         ("pts", "1 2\n3 4\n", ":1: .* begins no .pts file"),
         ("pts", PTS.replace("3 4.5", "3"), ":5: '3' is no line of x y"),
         ("pts", PTS.replace("3 4.5", "nan 5"), ":5: .* is no point"),
-        ("pts", PTS.replace("3 4.5", "3 5e9"), ":5: .* is no point"),
         ("pts", PTS.replace("3 4.5\n", ""), "has not the 2 points between braces that it says; was it cut short"),
-        ("pts", PTS + "1 2\n", "has not the 2 points"),
         ("pts", "version: 1\nn_points: 0\n{\n}\n", "has not the 0 points"),
         ("facetrack", "1,2,3,4\n", ":1: the header has no column, or two, called frame"),
     ],
@@ -163,24 +157,12 @@ def test_what_is_no_file_is_refused(tmp_path, form):
         refused(tmp_path / "pipe", form, "pipe: is a pipe, and can be read only once; save it in a file")
 
 
-@pytest.mark.parametrize("between", ["\n", "\r\n", "\r"])
-@pytest.mark.parametrize("end", ["", "\r\n", "\n\n \n"])
-def test_line_ends_and_blank_ends(tmp_path, between, end):
-    table = read_truth(write(tmp_path, f"\ufeff1,2,3,4{between}5,6,7,8{end}"))
-    assert table.boxes.tolist() == [[0, 1, 3, 4], [4, 5, 7, 8]]
-
-
 @given(
-    text=st.one_of(
-        st.text(alphabet="0123456789.,-+einfam \t\r\n{}:xywh;\x0b\x85\u0661_", max_size=60),
-        st.lists(st.sampled_from(["1", "2", "0", "nan", "-1", "1e9", "1e400", "", "m1"]), min_size=1, max_size=30).map(
-            lambda cells: ",".join(cells).replace("2,", "2\n")
-        ),
-    ),
+    cells=st.lists(st.sampled_from([*"0123{}:x;\t\x0b\x85\u0661", "nan", "-1", "1e9", "1e400", "", "m1"]), max_size=40),
     form=st.sampled_from(TRUTH_FORMATS),
 )
-def test_whatever_it_is_there_is_a_table_or_one_line(tmp_path, text, form):
-    path = write(tmp_path, text)
+def test_whatever_it_is_there_is_a_table_or_one_line(tmp_path, cells, form):
+    path = write(tmp_path, ",".join(cells).replace("2,", "2\n"))
     try:
         parts = read_truth(path, form).parts
     except InputError as error:
@@ -241,28 +223,18 @@ def test_vot_there_and_back(tmp_path, rows, gaps, first):
     assert back.status.tolist() == ["init"] + ["lost" if row is None else "tracked" for row in rows[1:]]
 
 
-@given(rows=st.lists(PLACE, min_size=1, max_size=8), others=st.lists(PLACE, min_size=1, max_size=8))
-def test_mot_there_and_back(tmp_path, rows, others):
-    pair = track(range(3, 3 + len(rows)), rows, "7"), track([2 * i for i in range(len(others))], others, "2")
-    path = write(tmp_path, write_mot(pair))
-    back = read_mot(path, results=True)
-    assert sorted(back.targets) == ["2", "7"]
-    for part in pair:
-        agree(back.find(part.target, "box"), part, "confidence")
-    lines = [line.split(",") for line in path.read_text().splitlines()]
-    assert {len(line) for line in lines} == {10}
-    assert [int(line[0]) for line in lines] == sorted(int(line[0]) for line in lines)
-
-
 # --- what each means ---
 
 
 MEANINGS = [  # the first box, from pixel 0, and what is visible, hidden or absent
     ("boxes", "w,frame,h,x,y,who\n10,5,20,0,1,ann\n,7,,,,ann\n10,6,20,2,1,ann\n", [5, 6, 7], [0, 1, 10, 20], "vva"),
     ("otb", "1\t1\t11\t21\n0\t0\t0\t0\nNaN\tNaN\tNaN\tNaN\n", [0, 1, 2], [0, 0, 11, 21], "vaa"),
+    ("otb", "\ufeff1,2,3,4\r5,6,7,8\r\n", [0, 1], [0, 1, 3, 4], "vv"),
+    ("otb", "1,2,3,4\r\n5,6,7,8\n\n \n", [0, 1], [0, 1, 3, 4], "vv"),
     ("got10k", "1,1,11,21\n-1,-1,-1,-1\n5,5,0,9\n", [0, 1, 2], [0, 0, 11, 21], "vaa"),
     ("mot", MOT_GT + "3,3,13,21,30,40,0,1,1\n1,9,1,1,5,5,0,1,1\n", [0, 1], [10, 20, 30, 40], "vh"),  # flags 0
     ("mot", "1,3,9,9,8,8,1,-13.07,2.5,0\n", [0], [8, 8, 8, 8], "v"),  # a place in the world, no class
+    ("mot", "1,3,9,9,8,8,1,1,0.1\n2,3,9,9,8,8,1,1,0\n3,3,9,9,8,8,1,1,.8\n", [0, 1, 2], [8, 8, 8, 8], "vhv"),
     ("vot", "10,20,30,40\nnan,nan,nan,nan\n0\n2,0,6,2,4,8,0,6\n", [0, 1, 2, 3], [10, 20, 30, 40], "vaav"),
 ]
 
@@ -304,20 +276,11 @@ def test_what_has_no_room_in_a_format():
             writes(point)
 
 
-def test_mot_tells_confidences_from_flags(tmp_path):
-    path = write(tmp_path, "1,1,1,1,9,9,0.5,-1,-1,-1\n2,1,1,1,9,9,0,-1,-1,-1\n3,1,1,1,9,9,-1,-1,-1,-1\n")
-    np.testing.assert_equal(read_mot(path).confidence, [0.5, 0, np.nan])
-    flagged = read_mot(path, results=False)
-    assert flagged.frame.tolist() == [0, 2] and np.isnan(flagged.confidence).all()
-    table = read_mot(write(tmp_path, "1,1,9,9,8,8,1,1,0.1\n2,1,9,9,8,8,1,1,0\n3,1,9,9,8,8,1,1,.8\n"))
-    assert table.status.tolist() == ["visible", "hidden", "visible"]
-
-
-def test_mot_is_written_with_numbers_for_names_and_what_is_visible(tmp_path):
+def test_mot_has_numbers_for_names_what_is_visible_and_confidences_or_flags(tmp_path):
     place = (5.0, 5.0, 3.0, 3.0, None)
-    assert write_mot([track([0], [place], name) for name in ("head", "hand")]) == (
-        "1,1,5,5,3,3,-1,1,1,-1\n1,2,5,5,3,3,-1,1,1,-1\n"
-    )
+    lines = write_mot([track([0, 1], [place] * 2, name) for name in ("head", "hand")]).splitlines()
+    assert lines == [f"{frame},{ident},5,5,3,3,-1,1,{2 - frame},-1" for frame in (1, 2) for ident in (1, 2)]
+    assert write_mot([track([0], [place], "7")]) == "1,7,5,5,3,3,-1,1,1,-1\n"
     columns = dict(zip("xywh", np.full((4, 4), [[5.0], [5.0], [3.0], [3.0]]), strict=True))
     status = ["init", "tracked", "hidden", "lost"]
     run = one_part("1", "box", range(4), **columns, status=status, confidence=[1, 0.9, 0.4, 0])
@@ -326,6 +289,10 @@ def test_mot_is_written_with_numbers_for_names_and_what_is_visible(tmp_path):
     status = ["visible", "hidden", "", "visible"]
     truth = one_part("1", "box", range(4), **columns, status=status, confidence=[0.5] * 4)
     assert [line.split(",", 6)[6] for line in write_mot([truth]).splitlines()] == ["1,1,1", "1,1,0", "1,1,1", "1,1,1"]
+    path = write(tmp_path, "1,1,1,1,9,9,0.5,-1,-1,-1\n2,1,1,1,9,9,0,-1,-1,-1\n3,1,1,1,9,9,-1,-1,-1,-1\n")
+    np.testing.assert_equal(read_mot(path).confidence, [0.5, 0, np.nan])
+    flagged = read_mot(path, results=False)
+    assert flagged.frame.tolist() == [0, 2] and np.isnan(flagged.confidence).all()
     back = read_mot(write(tmp_path, write_mot([truth])))
     assert back.status.tolist() == ["visible", "hidden", "visible", "visible"]
     agree(truth, back)
@@ -369,10 +336,7 @@ def test_pts_are_counted_from_one(tmp_path):
 def test_pts_of_other_sizes_and_nan(tmp_path):
     text = "version: 1\nn_points: 2\n{\n1 1\nnan nan\n}"
     table = read_truth(write(tmp_path, text, "clip_12.pts"))
-    assert [(part.name, *part.status) for part in table.parts] == [
-        ("face/point_01", "visible"),
-        ("face/point_02", "absent"),
-    ]
+    assert [(part.name[5:], *part.status) for part in table.parts] == [("point_01", "visible"), ("point_02", "absent")]
     assert table.frames.tolist() == [11]
     write(tmp_path, "version: 1\nn_points: 1\n{\n1 1\n}", "clip_13.pts")
     with pytest.raises(InputError, match=r"clip_13.pts: has not the 2 points of clip_12.pts"):
