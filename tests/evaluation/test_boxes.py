@@ -137,8 +137,6 @@ def test_a_square_has_its_centre_where_it_is_asked_for(side):
     assert centre(box) == pytest.approx((12.25, 7.5)) and box[2:] == (side, side)
 
 
-# --- the toolkits ---
-
 CLOSE = 1e-9
 RECORDED = cases.expected()
 

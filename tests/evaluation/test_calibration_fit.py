@@ -34,9 +34,6 @@ def sample(probability, rows=400, clips=20, random=1):
     return Sample(known, right, np.ones(n, np.bool_), np.repeat(np.arange(clips), rows), rng.chisquare(2, n))
 
 
-# --- pool adjacent violators ----------------------------------------------------------------------------------------
-
-
 def naive_pool(y, weight):
     """max over a <= i of min over b >= i of the weighted mean of y[a..b] (Barlow et al., 1972)."""
     n, mean = len(y), lambda a, b: np.average(y[a : b + 1], weights=weight[a : b + 1])
@@ -51,9 +48,6 @@ def test_pool_is_the_twin_and_never_falls(pairs):
     assert np.all(np.diff(found) >= 0)
     assert np.sum(weight * found) == pytest.approx(np.sum(weight * y))
     np.testing.assert_allclose(pool(found, weight), found, atol=1e-12)
-
-
-# --- maps -----------------------------------------------------------------------------------------------------------
 
 
 def test_logistic_recovers_what_rows_were_drawn_by():
@@ -89,9 +83,6 @@ def test_clips_weigh_alike_however_long():
     assert np.average(p, weights=both.weight) == pytest.approx(0.5, abs=0.03)
 
 
-# --- the choice -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "probability",
     [
@@ -116,11 +107,6 @@ def test_each_clip_is_checked_by_the_map_of_the_others():
     np.testing.assert_array_equal(p[mine], fitting.probability(others, whole.take(mine).known))
 
 
-def test_one_clip_cannot_be_left_out():
-    with pytest.raises(InputError, match="two clips or more"):
-        fit(sample(lambda known: known["confidence"], clips=1))
-
-
 def test_figures_by_hand():
     known = {name: np.array([0.05, 0.95, 0.95]) for name in RISES}
     three = Sample(known, np.array([False, True, False]), np.ones(3, np.bool_), np.array([0, 1, 1]), np.ones(3))
@@ -128,9 +114,6 @@ def test_figures_by_hand():
     assert found.ece == pytest.approx((0.05 + abs(0.5 - 0.95)) / 2)
     assert found.brier == pytest.approx((0.05**2 + (0.05**2 + 0.95**2) / 2) / 2)
     assert found.log_loss == pytest.approx((-np.log(0.95) + (-np.log(0.95) - np.log(0.05)) / 2) / 2)
-
-
-# --- spread --------------------------------------------------------------------------------------------------------
 
 
 def test_the_spread_is_multiplied_by_what_brings_nine_of_ten_rows_into_the_ellipse():
@@ -144,9 +127,6 @@ def test_the_spread_is_multiplied_by_what_brings_nine_of_ten_rows_into_the_ellip
     assert off.spread == one.spread
     assert replace(one, far=np.full(len(one), np.inf)).spread == 20.0
     assert replace(one, right=np.zeros(len(one), np.bool_)).spread == 1.0
-
-
-# --- the rows ---
 
 
 def part(name, x, y, **columns):

@@ -12,8 +12,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.evaluation import summary
@@ -51,9 +49,6 @@ def places(*entries, measure=MEASURE):
     return {place.entry.label: place.text.replace("–", "-") for place in rank(entries, measure)}
 
 
-# --- order -------------------------------------------------------------------------------------------------------
-
-
 AROUND = np.array([-1.0, 1.0]) * 0.1  # two runs: the standard error is half their distance, the interval 0.2 wide
 A, B, C = (entry(name, middle + AROUND) for name, middle in (("a", 1.0), ("b", 1.3), ("c", 1.6)))
 FIXED, SAME, OTHER = (entry(n, [v], deterministic=True) for n, v in (("fixed", 2.0), ("same", 2.0), ("other", 3.0)))
@@ -85,16 +80,6 @@ def test_more_is_better_for_shares_and_intervals_follow_from_the_spread():
     assert entry("single", [1.0]).spread(MEASURE) is None
 
 
-@given(st.lists(st.lists(st.floats(0, 100), min_size=2, max_size=4), min_size=1, max_size=6))
-def test_ranks_are_ranges_around_the_order(values):
-    entries = [entry(str(i), those) for i, those in enumerate(values)]
-    found = rank(entries, MEASURE)
-    means = [place.entry.mean(MEASURE) for place in found]
-    assert means == sorted(means)
-    for number, place in enumerate(found, 1):
-        assert 1 <= place.first <= number <= place.last <= len(found)
-
-
 def test_ranking_by_what_cannot_rank_is_refused():
     check_measure("points.median_px")
     for measure, message in (("median_px", r"points\.median_px"), ("points.rows", "nothing to rank by")):
@@ -111,24 +96,12 @@ def test_errors_are_aligned_by_frame():
     np.testing.assert_array_equal(found["long"], [[0, 1, 2, 3, 4], [1, 2, 3, 4, 5]])
 
 
-# --- one run -----------------------------------------------------------------------------------------------------
-
-
 def points(offset, frames=60, status="tracked"):
     """A face of two points 40 px apart that walks to the right; ours is `offset` (T,) pixels below the ground truth."""
     frame = np.arange(frames)
     x = 50 + 3 * np.abs(np.sin(frame / 5))
-    return tuple(
-        one_part(
-            "face",
-            part,
-            frame,
-            x=x + dx,
-            y=20 + np.broadcast_to(offset, frames),
-            status=np.broadcast_to(status, frames),
-        )
-        for part, dx in (("nose", 0), ("chin", 40))
-    )
+    same = {"y": 20 + np.broadcast_to(offset, frames), "status": np.broadcast_to(status, frames)}
+    return tuple(one_part("face", part, frame, x=x + dx, **same) for part, dx in (("nose", 0), ("chin", 40)))
 
 
 def run_of(made, seed=0):
@@ -193,9 +166,6 @@ def test_the_last_tenth_decides():
     assert tail_overlap(overlap) == 0.8 and tail_overlap(np.full(3, np.nan)) is None
 
 
-# --- what is asked -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("text", "name", "overrides"),
     [
@@ -250,9 +220,6 @@ def test_a_truth_among_several_clips_is_of_none(tmp_path):
         default_truth(clip)
 
 
-# --- texts -------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def comparison():
     ranked = "points.mean_normalised"
@@ -274,11 +241,8 @@ def test_the_table(comparison):
     assert "standard deviation over 2 seeds" in notes and "box|only: not run: the ground truth has no box" in notes
     text = found.markdown()
     table = [line for line in text.splitlines() if line.startswith("|")]
-    assert (
-        len(table) == 5
-        and len({line.count("|") - line.count("\\|") for line in table}) == 1
-        and "box\\|only" in table[-1]
-    )
+    assert len(table) == 5 and len({line.count("|") - line.count("\\|") for line in table}) == 1
+    assert "box\\|only" in table[-1]
 
 
 def test_the_data(comparison):
@@ -296,8 +260,6 @@ def test_the_data(comparison):
         "seed": 1, "failed": True, "frames_per_s": 10.0, "points.mean_normalised": 0.07,
     }  # fmt: skip
 
-
-# --- tables ---
 
 GIVEN = Sheet(
     "a title",
@@ -320,11 +282,8 @@ def test_a_table_loses_no_column_where_there_is_little_room(capsys, monkeypatch,
     assert max(map(len, notes)) <= width and all(line == line.rstrip() for line in lines)
 
 
-@pytest.mark.parametrize(
-    ("encoding", "arrow"), [("cp1252", "\\u2193"), pytest.param("utf-8", "↓", marks=pytest.mark.nightly)]
-)
-def test_names_that_are_no_text_are_printed_escaped(encoding, arrow):
+def test_names_that_are_no_text_are_printed_escaped():
     code = "import click\nfrom facetrack_cli import __main__ as m\nm._open_streams()\nclick.echo('caf\\udce9 \\u2193')"
-    env = {**os.environ, "PYTHONIOENCODING": encoding}
+    env = {**os.environ, "PYTHONIOENCODING": "cp1252"}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, check=True)
-    assert done.stdout.decode(encoding) == f"caf\\udce9 {arrow}\n"
+    assert done.stdout == b"caf\\udce9 \\u2193\n"

@@ -44,9 +44,6 @@ def statuses(letters):
     return [{"i": "init", "t": "tracked", "l": "lost", "-": ""}[letter] for letter in letters]
 
 
-# --- errors ---
-
-
 def test_errors_in_pixels_and_normalised():
     found = measure_points([rows([0, 3, 1, 2, 9], "vvvvh", unit=20)], failure=0.1)
     assert (found.rows, found.missing, found.hidden_rows) == (4, 0, 1)
@@ -99,9 +96,6 @@ def test_lost_for_good_looks_at_the_last_visible_rows(errors, status, lost):
     part = rows(errors, status)
     assert lost_for_good(part) is lost
     assert measure_points([part, part]).lost_for_good == (None if lost is None else 2 * lost)
-
-
-# --- lengths ---
 
 
 def points(part, xy, frame=(0, 1), **columns):
@@ -157,9 +151,6 @@ def test_what_is_measured_as_a_box():
     assert not any(pair.is_box for pair in (Pair(window, window), Pair(box, bare), Pair(bare, box)))
 
 
-# --- lost ---
-
-
 def test_lost_against_the_truth():
     # a unit of 12: near is less than 2 off
     part = rows([1.99, 0, 0, 9, 9, 9, 9, 0, 2, 0], "vvvhhhvvvv", ours=statuses("tltttllltl"))
@@ -191,9 +182,6 @@ def test_the_given_row_is_left_out():
     assert [measure([part]).rows for measure in measures] == [2, 2, 2] and measure_coverage([part]).zero_std == 0
     silent = [rows([0, 0, 0], ours="", confidence=[1.0, 0.5, 0.5])]  # without any status
     assert measure_lost(silent) is measure_coverage(silent) is None and measure_confidence(silent).rows == 2
-
-
-# --- confidence ---
 
 
 def test_confidence_in_bins():
@@ -232,9 +220,6 @@ def test_every_confidence_is_in_the_bin_that_says_so(confidence):
         if len(inside):
             means = [inside.mean(), (inside > 0.5).mean(), (inside < 0.3).mean()]
             assert [one.mean_confidence, one.right, one.visible] == pytest.approx(means)
-
-
-# --- spread and jitter ---
 
 
 def test_coverage_of_ellipses_and_rows_without_a_spread():

@@ -1,10 +1,7 @@
 """Figures: what of the data is in them, and that their bytes stay the same."""
 
-import io
 import itertools
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from PIL import Image
 
 from facetrack_cli.cli.options import FIGURES
 from facetrack_cli.core.errors import InputError
@@ -75,28 +71,9 @@ def said(figure):
     return texts, labels(figure.axes[0])
 
 
-def pixels(png):
-    """(h, w, 3) of a png."""
-    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
-
-
 def drawn(axes):
     """(x, y) of every line with more than one point."""
     return [line.get_xydata() for line in axes.lines if len(line.get_xdata()) > 1]
-
-
-# --- the data behind the lines -----------------------------------------------------------------------------------
-
-
-def test_a_long_line_shows_a_peak_of_one_frame():
-    value = np.zeros(30_000)
-    value[20_007] = 9
-    figure = page.page_figure(track(30_000, 1, x=value, **dict.fromkeys(("y", "ess", "particles", "std_x", "w"))))
-    image = pixels(plot_style.render(figure))
-    across, up = panels(figure)["x"].transData.transform((20_007, 5)).round().astype(int)
-    colour = [int(plot_style.COLOURS[0][i : i + 2], 16) for i in (1, 3, 5)]
-    around = image[-up - 2 : -up + 2, across - 3 : across + 4].astype(int)
-    assert np.abs(around - colour).sum(axis=2).min() < 200
 
 
 def test_lines_break_where_frames_are_missing_and_single_ones_are_seen():
@@ -157,8 +134,6 @@ def test_legends_stand_between_the_first_panel_and_the_title():
     assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1
     assert panel.y1 + 8 < box.y0 < box.y1 < figure.bbox.y1 - 8
 
-
-# --- the page ----------------------------------------------------------------------------------------------------
 
 ALL = ["x", "y", "size", "confidence", "status", "effective sample size", "spread"]
 
@@ -290,9 +265,6 @@ def test_many_parts_are_drawn_as_bands():
     assert said(crowd)[1][:2] == ["person0", "person1"]
 
 
-# --- recipes and seeds side by side; equal bytes, a quiet import ------------------------------------------------------
-
-
 def legend(figure):
     return [text.get_text() for text in figure.legends[0].texts]
 
@@ -358,28 +330,6 @@ def test_same_numbers_give_the_same_bytes_whatever_the_user_has_set(form):
     assert not re.search(rb"(?i)date>|CreationDate|20[2-9]\d-\d\d", first)
 
 
-def test_the_first_import_says_nothing_and_no_pyplot(tmp_path):
-    """With a home folder that cannot be written, and no font cache."""
-    (tmp_path / "file").touch()
-    home = str(tmp_path / "file" / "home")
-    script = (
-        "import numpy as np, sys\n"
-        "from facetrack_cli.report.figures import compare, style\n"
-        "assert 'matplotlib' not in sys.modules\n"
-        "style.render(compare.curves_figure({'a': (np.arange(2.0), np.ones((1, 2)))}, 'a', ('x', 'y')))\n"
-        "assert 'matplotlib.pyplot' not in sys.modules"
-    )
-    settings = {"PATH": "", "HOME": home, "MPLCONFIGDIR": home, "TMPDIR": str(tmp_path)}
-    run = [sys.executable, "-W", "error", "-c", script]
-    done = subprocess.run(
-        run, env=settings, capture_output=True, text=True, check=False, cwd=Path(plot_style.__file__).parents[3]
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-
-
-# --- what a tracker reports -------------------------------------------------------------------------------------------
-
-
 NEW = ["particles", "identity", "entropy", "scale", "noise", "error"]
 
 
@@ -432,9 +382,6 @@ def test_a_panel_of_each_thing_that_is_reported_and_no_other():
     assert np.allclose(drawn(found["scale"])[0][:, 1], 1 + np.arange(60) / 100)
     assert np.allclose(drawn(found["error"])[0][:, 1], np.linspace(0.1, 0.9, 60))
     assert len({axes.get_xlim() for axes in found.values()}) == 1
-    blank = np.full(60, np.nan)
-    some = reported(0, identity_prob=blank, entropy=blank, noise=blank, error=blank)
-    assert [name for name in panels(page.page_figure(table(some))) if name in NEW] == ["particles", "scale"]
     bare = replace(table(reported()), diagnostics={}, identity=np.full(60, ""))
     bare = replace(bare, particles=np.full(60, 90.0), ess=np.full(60, 9.0))
     assert not {*NEW} & set(panels(page.page_figure(bare)))

@@ -6,9 +6,6 @@ import errno
 import json
 import multiprocessing
 import os
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -115,36 +112,6 @@ def test_of_this_machine_a_process_that_ended_leaves_nothing(tmp_path):
     began = time.monotonic()
     with FolderLease(tmp_path) as lease:
         assert lease.stale_note["process"] == number and time.monotonic() - began < 1
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_process_that_is_killed_or_suspended(tmp_path, soon, how):
-    code = f"""
-import sys, time
-from pathlib import Path
-from facetrack_cli.run_folder import lease
-lease.LEASE_S = {LEASE_S}
-with lease.FolderLease(Path(sys.argv[1])) as held:
-    print("held", flush=True)
-    input()
-    held.check()
-"""
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, tmp_path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    )
-    assert process.stdout.readline() == b"held\n" and is_refused(tmp_path)
-    process.send_signal(how)
-    if how is signal.SIGKILL:
-        process.wait(60)
-    else:
-        time.sleep(LEASE_S + 0.1)
-    with FolderLease(tmp_path):
-        process.send_signal(signal.SIGCONT)
-        said = process.communicate(b"\n")[1]
-        assert (b"another facetrack has taken this folder over" in said) == (how is signal.SIGSTOP)
-        assert is_refused(tmp_path)
-    assert names(tmp_path) == []
 
 
 NO_NOTES = ["", "x" * 50, "[1]", '{"process": 1}', '{"host": 1, "boot": [], "process": "x"}']
@@ -259,9 +226,6 @@ def test_a_folder_that_cannot_be_written(tmp_path, monkeypatch, which):
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match=r"cannot be written: .*; work in a copy of the folder$"):
         FolderLease(tmp_path / "file" / "run").__enter__()
-
-
-# --- files that are replaced together ---
 
 
 def test_two_may_finish_at_once(tmp_path, monkeypatch):

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 
 import imageio_ffmpeg
-import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import ExitCode, OutputError
@@ -191,11 +190,3 @@ def test_a_disk_without_space_for_a_checkpoint_is_no_harm(tmp_path, monkeypatch)
     monkeypatch.setattr(Kind, "write", full)
     done = run(job("factorized", tmp_path / "out", video=True))
     assert not done.warnings and same(tmp_path / "out", tmp_path / "whole")
-
-
-def test_parts_of_a_damaged_state_are_refused(tmp_path):
-    """What would make objects of other kinds is none of ours."""
-    path = tmp_path / FOLDER / "state.npz"
-    path.parent.mkdir()
-    record.KIND.write(path, {"key": np.array("k"), "run": np.array('{"of": "os:system", "fields": {}}')})
-    assert record.Checkpoints(tmp_path, "k").find() is None
