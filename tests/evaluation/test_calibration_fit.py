@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.engine.confidence import RISES
 from facetrack_cli.evaluation.reliability import ELLIPSE_90
-from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.samples import from_tools
 
@@ -145,12 +143,8 @@ def face(off, **columns):
     return joined([*points, box])
 
 
-def true(n, status=None, named=True):
-    whole = face(np.zeros(n), status=status or ["visible"] * n)
-    if named:
-        return whole
-    box = whole.find("face", "box")
-    return joined([box.renamed("", box.part)])
+def true(n, status=None):
+    return face(np.zeros(n), status=status or ["visible"] * n)
 
 
 def test_right_is_less_than_a_quarter_of_the_size():
@@ -163,15 +157,3 @@ def test_hidden_rows_count_by_their_place_and_absent_ones_are_wrong():
     status = ["visible", "hidden", "hidden", "absent", "lost"]
     found = fitting.collect([([face([0, 0, 20, 0, 0])], true(5, status))])["box"]
     assert found.right.tolist() == [True, False, False] and found.visible.tolist() == [False] * 3
-
-
-def test_boxes_without_names_are_those_of_the_only_box():
-    found = fitting.collect([([face([0, 0, 20])], true(3, named=False))])
-    assert list(found) == ["box"] and found["box"].right.tolist() == [True, False]
-
-
-def test_without_confidence_there_is_nothing_to_collect():
-    with pytest.raises(InputError, match="both a confidence and known ground truth"):
-        fitting.collect([([face([0, 0], confidence=np.full(2, np.nan))], true(2))])
-    with pytest.raises(UsageError, match="kcf gives no confidence"):
-        fitting.uncalibrated(load_recipe("kcf"))

@@ -14,19 +14,8 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.evaluation import summary
-from facetrack_cli.evaluation.compare import (
-    CUMULATIVE_AT,
-    Comparison,
-    Entry,
-    Score,
-    aligned,
-    check_measure,
-    default_truth,
-    rank,
-    score_run,
-    tail_overlap,
-)
+from facetrack_cli.evaluation import compare, summary
+from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, Entry, Score, default_truth, rank, score_run
 from facetrack_cli.evaluation.summary import Sheet
 from facetrack_cli.runs.seeds import labels, variant
 from facetrack_cli.trajectory.trajectory import joined, one_part
@@ -81,16 +70,16 @@ def test_more_is_better_for_shares_and_intervals_follow_from_the_spread():
 
 
 def test_ranking_by_what_cannot_rank_is_refused():
-    check_measure("points.median_px")
+    compare.check_measure("points.median_px")
     for measure, message in (("median_px", r"points\.median_px"), ("points.rows", "nothing to rank by")):
         with pytest.raises(UsageError, match=message):
-            check_measure(measure)
+            compare.check_measure(measure)
 
 
 def test_errors_are_aligned_by_frame():
     short = Entry("short", [score(0, 1.0, frames=3)])
     long = Entry("long", [score(0, 1.0), score(1, 1.0)])
-    frame, found = aligned([short, long, Entry("broken", error=InputError("no"))])
+    frame, found = compare.aligned([short, long, Entry("broken", error=InputError("no"))])
     assert frame.tolist() == [0, 1, 2, 3, 4] and list(found) == ["short", "long"]
     np.testing.assert_array_equal(found["short"], [[0, 1, 2, np.nan, np.nan]])
     np.testing.assert_array_equal(found["long"], [[0, 1, 2, 3, 4], [1, 2, 3, 4, 5]])
@@ -159,11 +148,11 @@ def test_a_run_of_boxes_is_scored():
 
 def test_the_last_tenth_decides():
     overlap = np.full(30, 0.8)
-    assert tail_overlap(overlap) == 0.8
+    assert compare.tail_overlap(overlap) == 0.8
     overlap[-2:] = 0.0  # most of the last three
-    assert tail_overlap(overlap) == 0.0
+    assert compare.tail_overlap(overlap) == 0.0
     overlap[5:] = np.nan
-    assert tail_overlap(overlap) == 0.8 and tail_overlap(np.full(3, np.nan)) is None
+    assert compare.tail_overlap(overlap) == 0.8 and compare.tail_overlap(np.full(3, np.nan)) is None
 
 
 @pytest.mark.parametrize(

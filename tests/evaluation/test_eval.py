@@ -202,7 +202,6 @@ def test_files_are_written_beside_the_tables(folder, capsys):
     ("arguments", "code", "told"),
     [
         (["--json", "-", "--csv", "-"], 2, "both name standard output"),
-        (["--json", ""], 2, "--json is empty"),
         (["--csv", "."], 2, "is a folder"),
         (["--csv", "no/where.csv"], 2, "there is no folder no"),
         (["--csv", "ours.csv", "--overwrite"], 2, "ours.csv: is read here"),

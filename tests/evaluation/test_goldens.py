@@ -15,17 +15,7 @@ from facetrack_cli.core.errors import ExitCode, InputError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.evaluation import goldens
-from facetrack_cli.evaluation.goldens import (
-    Task,
-    Verdict,
-    as_junit,
-    compared,
-    means,
-    read_golden,
-    record,
-    tasks,
-    write_golden,
-)
+from facetrack_cli.evaluation.goldens import Task, Verdict, compared, read_golden, write_golden
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe
 from facetrack_cli.runs.seeds import SeedPlan
@@ -63,7 +53,7 @@ def golden_in(folder, start=START, runs=RECORDED):
     """A golden of made-up runs of a clip in a folder."""
     clip = folder / "clip.mp4"
     clip.write_bytes(b"a clip")
-    return record(folder, SeedPlan("clip.sir", clip, load_recipe("sir"), start, (0,)), runs)
+    return goldens.record(folder, SeedPlan("clip.sir", clip, load_recipe("sir"), start, (0,)), runs)
 
 
 @pytest.fixture
@@ -92,7 +82,7 @@ def test_a_golden_is_read_as_it_was_written(golden, tmp_path):
 
 def test_a_mean_is_of_its_quantity_after_the_first_frame():
     nose, mouth = RECORDED[0].parts
-    found = means(RECORDED[0])
+    found = goldens.means(RECORDED[0])
     assert found["face/nose"]["x"] == pytest.approx(nose.x[1:].mean())
     assert found["face/nose"]["unseen"] == (nose.status[1:] == "lost").mean()
     assert found["face/nose"]["std_x"] == pytest.approx(np.exp(np.log(nose.std_x[1:] + 0.05).mean()) - 0.05)
@@ -337,7 +327,7 @@ def test_an_interrupt_leaves_the_goldens_as_they_were(update, facetrack, clips, 
 
 def test_junit_escapes_what_xml_cannot_hold():
     nasty, clean = 'a <b> & "c" \x00\x1b[31m ]]> \ud800', r'a <b> & "c" \x00\x1b[31m ]]> \ud800'
-    text = as_junit([Verdict(Task(Path("g"), Path(nasty), nasty, None), True, nasty, (nasty,))])
+    text = goldens.as_junit([Verdict(Task(Path("g"), Path(nasty), nasty, None), True, nasty, (nasty,))])
     assert ElementTree.fromstring(text).findtext(".//failure") == f"{clean}\n{clean}"
 
 
@@ -354,6 +344,6 @@ def test_junit_escapes_what_xml_cannot_hold():
 def test_a_sigma_that_is_off_by_30_percent_fails(stem, change, monkeypatch):
     """Of a shipped golden, as if its versions were others."""
     monkeypatch.setattr(goldens, "versions", lambda: {"numpy": "1.0"})
-    asked = [one for one in tasks(SAMPLES, {}) if one.path.stem == stem]
+    asked = [one for one in goldens.tasks(SAMPLES, {}) if one.path.stem == stem]
     (found,) = goldens.regress(SAMPLES, asked, overrides=[change] if change else [])
     assert found.failed is bool(change)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.evaluation import reliability
@@ -210,16 +209,6 @@ def test_auroc_counts_pairs(pairs):
     score, positive = np.array([p[0] for p in pairs], dtype=float), np.array([p[1] for p in pairs], dtype=bool)
     above = [(a > b) + 0.5 * (a == b) for a in score[positive] for b in score[~positive]]
     assert reliability.auroc(score, positive) == (pytest.approx(np.mean(above)) if above else None)
-
-
-@given(arrays.arrays(float, st.integers(1, 40), elements=st.floats(0, 1)))
-def test_every_confidence_is_in_the_bin_that_says_so(confidence):
-    for i, one in enumerate(reliability.reliability_bins(confidence, confidence > 0.5, confidence < 0.3)):
-        inside = confidence[(confidence >= one.low) & ((confidence < one.high) | (i == 9))]
-        assert one.rows == len(inside)
-        if len(inside):
-            means = [inside.mean(), (inside > 0.5).mean(), (inside < 0.3).mean()]
-            assert [one.mean_confidence, one.right, one.visible] == pytest.approx(means)
 
 
 def test_coverage_of_ellipses_and_rows_without_a_spread():

@@ -9,6 +9,7 @@ import shutil
 import struct
 import sys
 import time
+import zlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -98,6 +99,18 @@ def check_answer(facetrack, case):
 # --- by their names: what no seed is likely to find, or what was found once -------------------------------------------
 
 
+def png(width, height):
+    """A black grey image."""
+
+    def chunk(kind, content):
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    packer = zlib.compressobj(1)
+    rows = b"".join(packer.compress(bytes(width + 1)) for _ in range(height)) + packer.flush()
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
 def odd_calibration(valid):
     tree = json.loads((valid / "calibration.json").read_text())
     tree["maps"]["points"]["method"] = ["isotonic"] * 500
@@ -116,10 +129,6 @@ def pickled(valid):
 
 def odd_prior(valid):
     return hostile.npz(arrays_of(valid / "prior.npz"), shapes=(10**9, 5, 2))
-
-
-def flat_image(valid):
-    return cv2.imencode(".png", np.zeros((1, 60_000), np.uint8))[1].tobytes()
 
 
 def odd_metadata(valid):
@@ -143,6 +152,9 @@ NAMED = {
     "output-that-colours-the-terminal": ("plot IN/run -o \x1b]0;x\x07.png", "", "", ""),
     "one-frame-in-an-hour": (f"run IN/frames --fps 1/3600 {MIL} -o out -q --stop 3", "", "", ""),
     "frame-number-beyond-any-clip": (f"run IN/frames {MIL} -o out --init-frame {'9' * 30}", "", "", ""),
+    "recipe-of-9000-unknown-keys": (
+        "recipes check x.yaml", "x.yaml", "".join(f"key{i}: {i}\n" for i in range(9000)), "x.yaml",
+    ),
     "trajectory-nested-100000-deep": ("export x.json --to dlc", "x.json", '{"a":' * 100_000 + "1" + "}" * 100_000, "x"),
     "line-of-20-megabytes": (
         "export x.jsonl --to dlc", "x.jsonl", f'{{"type":"header","a":"{"a" * 20_000_000}"}}\n', "x.jsonl",
@@ -157,7 +169,8 @@ NAMED = {
     ),
     "gallery-that-is-a-pickle": ("gallery show x.npz -o out.png", "x.npz", pickled, "x.npz"),
     "prior-whose-header-promises-much": ("prior show x.npz", "x.npz", odd_prior, "x.npz"),
-    "image-one-pixel-high": (f"run frames {MIL} {RUN}", "frames/0.png", flat_image, "--box"),
+    "image-of-400-million-pixels": (f"run frames {MIL} {RUN}", "frames/0.png", lambda _: png(20_000, 20_000), "0.png"),
+    "image-one-pixel-high": (f"run frames {MIL} {RUN}", "frames/0.png", lambda _: png(60_000, 1), "--box"),
     "image-with-damaged-metadata": (f"run frames {MIL} {RUN}", "frames/0.jpg", odd_metadata, "0.jpg"),
 }  # fmt: skip
 

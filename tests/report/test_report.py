@@ -26,9 +26,9 @@ from facetrack_cli.report.story import identities
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.writers import RunSummary
-from tests.runs.test_run import SMALL, make_clip
 from tests.support.media import number, write_pictures, write_video
 from tests.support.report_run import KEYS, LOST, write_run
+from tests.support.sway import SMALL, make_clip
 
 PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII=")
 
@@ -239,7 +239,6 @@ def test_bad_input_gets_one_line(tmp_path, capsys, clip):
         ([tmp_path], ExitCode.INPUT, "no trajectory.json"),
         ([run, "-o", tmp_path / "no" / "x.html"], ExitCode.USAGE, "no folder"),
         ([run, "-o", tmp_path], ExitCode.USAGE, "is a folder"),
-        ([run, "--truth-format", "xml"], ExitCode.USAGE, "is not one of"),
         ([run, "--clip", tmp_path / "none.mp4"], ExitCode.INPUT, "no such file"),
         ([run, "--clip", small], ExitCode.INPUT, "is 32x24, not 64x48"),
         ([run, "--clip", short], ExitCode.INPUT, "there is no frame 12"),

@@ -17,7 +17,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.files import temporary_path
 from facetrack_cli.run_folder import lease as locks
 from facetrack_cli.run_folder import manifest
-from facetrack_cli.run_folder.lease import NOTE, FolderLease
+from facetrack_cli.run_folder.lease import LOCK, NOTE, FolderLease
 from facetrack_cli.run_folder.manifest import NAME, read_manifest, read_run, recover_interrupted
 from tests.support.leases import abandon, leave_here
 from tests.support.sway import FACETRACK, ROWS, SMALL, make_clip, names, until
@@ -245,3 +245,34 @@ def test_each_file_is_on_the_disk_before_its_name(clip, tmp_path, monkeypatch):
         assert said.index(("sync", one[0])) < said.index(("sync", NOTE)) < said.index(one)
     last = said.index(renamed[-1])
     assert ("sync", "out") in said[last:], "and the names are on the disk"
+
+
+@pytest.mark.skipif(
+    os.name != "posix" or os.getuid() != 0 or shutil.which("mkfs.ext4") is None,
+    reason="mounting a file system takes root and mkfs.ext4",
+)
+def test_what_exits_with_0_survives_a_power_loss(clip, tmp_path):
+    """Of a file system of its own on a file: whatever it holds at that moment, mounted again."""
+    image, folder, after, left = (tmp_path / name for name in ("disk.img", "disk", "after.img", "after"))
+
+    def mount(file, to):
+        to.mkdir()
+        done = subprocess.run(["mount", "-o", "loop", file, to], capture_output=True, text=True, check=False)
+        if done.returncode:
+            pytest.skip(f"no file system can be mounted here: {done.stderr.strip()}")
+        mounted.callback(subprocess.run, ["umount", to], check=True)
+
+    with image.open("wb") as file:
+        file.truncate(64 << 20)
+    subprocess.run(["mkfs.ext4", "-q", image], check=True)
+    command = [*FACETRACK, "run", clip, "--config", "sir", "--stop", "20", "-q", *SMALL, "-o", folder / "out"]
+    with contextlib.ExitStack() as mounted:
+        mount(image, folder)
+        done = subprocess.run(command, check=False)
+        shutil.copy(image, after)
+        mount(after, left)
+        found = [name for name in names(left / "out") if name not in (LOCK, NOTE)]  # they may be there still
+        assert done.returncode == 0 and found == ["annotated.mp4", NAME, "trajectory.csv", "trajectory.json"]
+        for name in found:
+            assert (left / "out" / name).read_bytes() == (folder / "out" / name).read_bytes() != b""
+        assert len(read_run(left / "out").frames) == 20

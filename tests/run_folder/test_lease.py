@@ -6,6 +6,9 @@ import errno
 import json
 import multiprocessing
 import os
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -112,6 +115,30 @@ def test_of_this_machine_a_process_that_ended_leaves_nothing(tmp_path):
     began = time.monotonic()
     with FolderLease(tmp_path) as lease:
         assert lease.stale_note["process"] == number and time.monotonic() - began < 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_a_process_that_is_suspended_and_comes_back(tmp_path, soon):
+    code = f"""
+import sys
+from pathlib import Path
+from facetrack_cli.run_folder import lease
+lease.LEASE_S = {LEASE_S}
+with lease.FolderLease(Path(sys.argv[1])) as held:
+    print("held", flush=True)
+    input()
+    held.check()
+"""
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    process = subprocess.Popen([sys.executable, "-c", code, tmp_path], **pipes)
+    assert process.stdout.readline() == b"held\n" and is_refused(tmp_path)
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(LEASE_S + 0.1)
+    with FolderLease(tmp_path):
+        process.send_signal(signal.SIGCONT)
+        assert b"another facetrack has taken this folder over" in process.communicate(b"\n")[1]
+        assert is_refused(tmp_path)
+    assert names(tmp_path) == []
 
 
 NO_NOTES = ["", "x" * 50, "[1]", '{"process": 1}', '{"host": 1, "boot": [], "process": "x"}']

@@ -185,14 +185,6 @@ def test_a_gallery_of_any_name_lies_in_the_working_directory_or_beside_the_recip
     assert run(facetrack, "--stop=2", "-o", "c", config=recipe)[0] == 0
 
 
-def test_a_gallery_makes_a_recipe_recognise_that_only_tracks(facetrack):
-    code, out, err = run(facetrack, "--gallery=IN/people.npz", "-o", "-", config="adaptive")
-    assert (code, err) == (0, "")
-    rows = [line.split(",") for line in out.splitlines()]
-    assert rows[1][-2] == ""  # nothing is known yet
-    assert {row[-2] for row in rows[2:]} <= {"anna", "ben", "cleo"}
-
-
 def test_in_a_comparison_the_gallery_goes_to_the_recipes_that_recognise():
     recipes = [load_recipe(name) for name in ("adaptive", "adaptive_recognition", "histogram")]
     file = str(FOLDER / "zoom.mp4")  # it is not read

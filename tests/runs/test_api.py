@@ -97,7 +97,6 @@ def test_a_grey_image_is_tracked_and_drawn(images):
         (lambda: follow([np.zeros((8, 8, 3))]), facetrack.InputError, r"image 0: is float64 \(8, 8, 3\); give "),
         (lambda: follow([NOISE, NOISE[:, 1:]]), facetrack.InputError, "image 1: is 79x60, not 80x60 as the first"),
         (lambda: follow([]), facetrack.InputError, "there is no frame 0"),
-        (lambda: follow([NOISE], fps=0), facetrack.FacetrackError, "fps 0 is no rate"),
         (lambda: record(formats=("xml",)), facetrack.FacetrackError, "formats: 'xml' is not"),
         (lambda: record(fps=float("nan")), facetrack.FacetrackError, "fps nan is no"),
     ],
@@ -297,8 +296,6 @@ def test_elan_is_a_name_of_eaf_and_nothing_is_replaced_unasked(run, tmp_path):
         table.export("eav")
     with pytest.raises(UsageError, match="drop_lost is not for eaf"):
         table.export("elan", drop_lost=True)
-    with pytest.raises(UsageError, match="vot holds one target"):
-        joined([*some_rows().parts, one_part("hand", "box", [10], x=[1.0], y=[1.0])]).export("vot")
 
 
 def test_the_video_is_that_of_the_run_or_drawn_from_the_rows(run, tmp_path):

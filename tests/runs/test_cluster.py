@@ -182,7 +182,6 @@ def clips(tmp_path_factory):
     [
         ("local", "--cluster local: names no scheduler; give local:N, tcp://HOST:PORT, or the scheduler file of"),
         ("head:8786", "names no scheduler"),
-        ("none.json", "--cluster none.json: names no scheduler"),
         ("odd.json", "--cluster odd.json: names no scheduler"),
         ("tcp://127.0.0.1:9", "no scheduler of Dask answers at tcp://127.0.0.1:9 within 0 s"),
     ],

@@ -30,18 +30,8 @@ from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.start import presence
-from facetrack_cli.trackers.people.descriptor import (
-    UNKNOWN,
-    VIEWS,
-    Cast,
-    Describer,
-    Doubt,
-    FaceDescriptor,
-    TrackSummary,
-    cast_of,
-    load_people,
-    save_people,
-)
+from facetrack_cli.trackers.people import descriptor
+from facetrack_cli.trackers.people.descriptor import UNKNOWN, VIEWS, Cast, Describer, Doubt, TrackSummary, cast_of
 from facetrack_cli.trajectory.people import read_people, read_still, rename, under_names
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.views import Clock
@@ -192,10 +182,11 @@ def test_names_that_are_none_are_refused_wherever_they_come_from(copy, capsys, n
 
 
 def test_a_gallery_has_names_that_are_some(tmp_path):
-    path, looks = tmp_path / "known.npz", FaceDescriptor(*(np.zeros((1, n), "<f8") for n in (576, 3, 3, 36, 0, 1)))
-    save_people(path, {"../x": looks})
+    path = tmp_path / "known.npz"
+    looks = descriptor.FaceDescriptor(*(np.zeros((1, n), "<f8") for n in (576, 3, 3, 36, 0, 1)))
+    descriptor.save_people(path, {"../x": looks})
     with pytest.raises(InputError, match=r"known.npz: is not a usable file of known people: .*name of a person"):
-        load_people(path)
+        descriptor.load_people(path)
 
 
 def test_a_film_without_its_rows_is_one_line(copy, capsys):
