@@ -1,7 +1,5 @@
 """Nothing half done looks finished: kills, power loss, two writers, files of different runs."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """A folder has one writer: on one machine, on several, and with clocks that differ."""
 
-from __future__ import annotations
-
 import errno
 import json
 import multiprocessing

@@ -1,7 +1,5 @@
 """A run that was ended goes on from its checkpoint, and gives byte for byte what one that was not ended gives."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

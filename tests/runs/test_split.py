@@ -1,7 +1,5 @@
 """One clip tracked in chunks: where it is cut, what becomes of each chunk, and the rows that are joined of them."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from pathlib import Path
