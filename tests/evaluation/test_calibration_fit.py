@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.engine.confidence import RISES
 from facetrack_cli.evaluation.reliability import ELLIPSE_90
-from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.samples import from_tools
 
@@ -34,9 +32,6 @@ def sample(probability, rows=400, clips=20, random=1):
     return Sample(known, right, np.ones(n, np.bool_), np.repeat(np.arange(clips), rows), rng.chisquare(2, n))
 
 
-# --- pool adjacent violators ----------------------------------------------------------------------------------------
-
-
 def naive_pool(y, weight):
     """max over a <= i of min over b >= i of the weighted mean of y[a..b] (Barlow et al., 1972)."""
     n, mean = len(y), lambda a, b: np.average(y[a : b + 1], weights=weight[a : b + 1])
@@ -51,9 +46,6 @@ def test_pool_is_the_twin_and_never_falls(pairs):
     assert np.all(np.diff(found) >= 0)
     assert np.sum(weight * found) == pytest.approx(np.sum(weight * y))
     np.testing.assert_allclose(pool(found, weight), found, atol=1e-12)
-
-
-# --- maps -----------------------------------------------------------------------------------------------------------
 
 
 def test_logistic_recovers_what_rows_were_drawn_by():
@@ -89,9 +81,6 @@ def test_clips_weigh_alike_however_long():
     assert np.average(p, weights=both.weight) == pytest.approx(0.5, abs=0.03)
 
 
-# --- the choice -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "probability",
     [
@@ -116,11 +105,6 @@ def test_each_clip_is_checked_by_the_map_of_the_others():
     np.testing.assert_array_equal(p[mine], fitting.probability(others, whole.take(mine).known))
 
 
-def test_one_clip_cannot_be_left_out():
-    with pytest.raises(InputError, match="two clips or more"):
-        fit(sample(lambda known: known["confidence"], clips=1))
-
-
 def test_figures_by_hand():
     known = {name: np.array([0.05, 0.95, 0.95]) for name in RISES}
     three = Sample(known, np.array([False, True, False]), np.ones(3, np.bool_), np.array([0, 1, 1]), np.ones(3))
@@ -128,9 +112,6 @@ def test_figures_by_hand():
     assert found.ece == pytest.approx((0.05 + abs(0.5 - 0.95)) / 2)
     assert found.brier == pytest.approx((0.05**2 + (0.05**2 + 0.95**2) / 2) / 2)
     assert found.log_loss == pytest.approx((-np.log(0.95) + (-np.log(0.95) - np.log(0.05)) / 2) / 2)
-
-
-# --- spread --------------------------------------------------------------------------------------------------------
 
 
 def test_the_spread_is_multiplied_by_what_brings_nine_of_ten_rows_into_the_ellipse():
@@ -144,9 +125,6 @@ def test_the_spread_is_multiplied_by_what_brings_nine_of_ten_rows_into_the_ellip
     assert off.spread == one.spread
     assert replace(one, far=np.full(len(one), np.inf)).spread == 20.0
     assert replace(one, right=np.zeros(len(one), np.bool_)).spread == 1.0
-
-
-# --- the rows ---
 
 
 def part(name, x, y, **columns):
@@ -165,12 +143,8 @@ def face(off, **columns):
     return joined([*points, box])
 
 
-def true(n, status=None, named=True):
-    whole = face(np.zeros(n), status=status or ["visible"] * n)
-    if named:
-        return whole
-    box = whole.find("face", "box")
-    return joined([box.renamed("", box.part)])
+def true(n, status=None):
+    return face(np.zeros(n), status=status or ["visible"] * n)
 
 
 def test_right_is_less_than_a_quarter_of_the_size():
@@ -183,15 +157,3 @@ def test_hidden_rows_count_by_their_place_and_absent_ones_are_wrong():
     status = ["visible", "hidden", "hidden", "absent", "lost"]
     found = fitting.collect([([face([0, 0, 20, 0, 0])], true(5, status))])["box"]
     assert found.right.tolist() == [True, False, False] and found.visible.tolist() == [False] * 3
-
-
-def test_boxes_without_names_are_those_of_the_only_box():
-    found = fitting.collect([([face([0, 0, 20])], true(3, named=False))])
-    assert list(found) == ["box"] and found["box"].right.tolist() == [True, False]
-
-
-def test_without_confidence_there_is_nothing_to_collect():
-    with pytest.raises(InputError, match="both a confidence and known ground truth"):
-        fitting.collect([([face([0, 0], confidence=np.full(2, np.nan))], true(2))])
-    with pytest.raises(UsageError, match="kcf gives no confidence"):
-        fitting.uncalibrated(load_recipe("kcf"))

@@ -12,23 +12,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.evaluation import summary
-from facetrack_cli.evaluation.compare import (
-    CUMULATIVE_AT,
-    Comparison,
-    Entry,
-    Score,
-    aligned,
-    check_measure,
-    default_truth,
-    rank,
-    score_run,
-    tail_overlap,
-)
+from facetrack_cli.evaluation import compare, summary
+from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, Entry, Score, default_truth, rank, score_run
 from facetrack_cli.evaluation.summary import Sheet
 from facetrack_cli.runs.seeds import labels, variant
 from facetrack_cli.trajectory.trajectory import joined, one_part
@@ -49,9 +36,6 @@ def entry(label, values, *, deterministic=False, **more):
 
 def places(*entries, measure=MEASURE):
     return {place.entry.label: place.text.replace("–", "-") for place in rank(entries, measure)}
-
-
-# --- order -------------------------------------------------------------------------------------------------------
 
 
 AROUND = np.array([-1.0, 1.0]) * 0.1  # two runs: the standard error is half their distance, the interval 0.2 wide
@@ -85,50 +69,28 @@ def test_more_is_better_for_shares_and_intervals_follow_from_the_spread():
     assert entry("single", [1.0]).spread(MEASURE) is None
 
 
-@given(st.lists(st.lists(st.floats(0, 100), min_size=2, max_size=4), min_size=1, max_size=6))
-def test_ranks_are_ranges_around_the_order(values):
-    entries = [entry(str(i), those) for i, those in enumerate(values)]
-    found = rank(entries, MEASURE)
-    means = [place.entry.mean(MEASURE) for place in found]
-    assert means == sorted(means)
-    for number, place in enumerate(found, 1):
-        assert 1 <= place.first <= number <= place.last <= len(found)
-
-
 def test_ranking_by_what_cannot_rank_is_refused():
-    check_measure("points.median_px")
+    compare.check_measure("points.median_px")
     for measure, message in (("median_px", r"points\.median_px"), ("points.rows", "nothing to rank by")):
         with pytest.raises(UsageError, match=message):
-            check_measure(measure)
+            compare.check_measure(measure)
 
 
 def test_errors_are_aligned_by_frame():
     short = Entry("short", [score(0, 1.0, frames=3)])
     long = Entry("long", [score(0, 1.0), score(1, 1.0)])
-    frame, found = aligned([short, long, Entry("broken", error=InputError("no"))])
+    frame, found = compare.aligned([short, long, Entry("broken", error=InputError("no"))])
     assert frame.tolist() == [0, 1, 2, 3, 4] and list(found) == ["short", "long"]
     np.testing.assert_array_equal(found["short"], [[0, 1, 2, np.nan, np.nan]])
     np.testing.assert_array_equal(found["long"], [[0, 1, 2, 3, 4], [1, 2, 3, 4, 5]])
-
-
-# --- one run -----------------------------------------------------------------------------------------------------
 
 
 def points(offset, frames=60, status="tracked"):
     """A face of two points 40 px apart that walks to the right; ours is `offset` (T,) pixels below the ground truth."""
     frame = np.arange(frames)
     x = 50 + 3 * np.abs(np.sin(frame / 5))
-    return tuple(
-        one_part(
-            "face",
-            part,
-            frame,
-            x=x + dx,
-            y=20 + np.broadcast_to(offset, frames),
-            status=np.broadcast_to(status, frames),
-        )
-        for part, dx in (("nose", 0), ("chin", 40))
-    )
+    same = {"y": 20 + np.broadcast_to(offset, frames), "status": np.broadcast_to(status, frames)}
+    return tuple(one_part("face", part, frame, x=x + dx, **same) for part, dx in (("nose", 0), ("chin", 40)))
 
 
 def run_of(made, seed=0):
@@ -186,14 +148,11 @@ def test_a_run_of_boxes_is_scored():
 
 def test_the_last_tenth_decides():
     overlap = np.full(30, 0.8)
-    assert tail_overlap(overlap) == 0.8
+    assert compare.tail_overlap(overlap) == 0.8
     overlap[-2:] = 0.0  # most of the last three
-    assert tail_overlap(overlap) == 0.0
+    assert compare.tail_overlap(overlap) == 0.0
     overlap[5:] = np.nan
-    assert tail_overlap(overlap) == 0.8 and tail_overlap(np.full(3, np.nan)) is None
-
-
-# --- what is asked -----------------------------------------------------------------------------------------------
+    assert compare.tail_overlap(overlap) == 0.8 and compare.tail_overlap(np.full(3, np.nan)) is None
 
 
 @pytest.mark.parametrize(
@@ -250,9 +209,6 @@ def test_a_truth_among_several_clips_is_of_none(tmp_path):
         default_truth(clip)
 
 
-# --- texts -------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def comparison():
     ranked = "points.mean_normalised"
@@ -274,11 +230,8 @@ def test_the_table(comparison):
     assert "standard deviation over 2 seeds" in notes and "box|only: not run: the ground truth has no box" in notes
     text = found.markdown()
     table = [line for line in text.splitlines() if line.startswith("|")]
-    assert (
-        len(table) == 5
-        and len({line.count("|") - line.count("\\|") for line in table}) == 1
-        and "box\\|only" in table[-1]
-    )
+    assert len(table) == 5 and len({line.count("|") - line.count("\\|") for line in table}) == 1
+    assert "box\\|only" in table[-1]
 
 
 def test_the_data(comparison):
@@ -296,8 +249,6 @@ def test_the_data(comparison):
         "seed": 1, "failed": True, "frames_per_s": 10.0, "points.mean_normalised": 0.07,
     }  # fmt: skip
 
-
-# --- tables ---
 
 GIVEN = Sheet(
     "a title",
@@ -320,11 +271,8 @@ def test_a_table_loses_no_column_where_there_is_little_room(capsys, monkeypatch,
     assert max(map(len, notes)) <= width and all(line == line.rstrip() for line in lines)
 
 
-@pytest.mark.parametrize(
-    ("encoding", "arrow"), [("cp1252", "\\u2193"), pytest.param("utf-8", "↓", marks=pytest.mark.nightly)]
-)
-def test_names_that_are_no_text_are_printed_escaped(encoding, arrow):
+def test_names_that_are_no_text_are_printed_escaped():
     code = "import click\nfrom facetrack_cli import __main__ as m\nm._open_streams()\nclick.echo('caf\\udce9 \\u2193')"
-    env = {**os.environ, "PYTHONIOENCODING": encoding}
+    env = {**os.environ, "PYTHONIOENCODING": "cp1252"}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, check=True)
-    assert done.stdout.decode(encoding) == f"caf\\udce9 {arrow}\n"
+    assert done.stdout == b"caf\\udce9 \\u2193\n"

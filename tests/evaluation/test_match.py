@@ -39,31 +39,22 @@ TRACK, TRUE = (box(range(50), status=np.where(T % 9, *words)) for words in (("tr
 CUT = table(box(range(100)).take(np.delete(np.arange(100), [40, 41])))
 SIZED = table(box(range(50)), source={"size": [320, 240]})
 FAR = truth(range(50), x=T + 640, y=np.full(50, 20.0))
+ODD = truth(range(50), "head", status=np.where(T == 7, "Hidden", "visible"))
+OTHERS = table(box(range(50), "1"), box(range(50), "2"), name="gt.txt")
+SHIFTED = replace(truth(range(3, 103)), header={"shift": 4})
 
 
 @pytest.mark.parametrize(
     ("ours", "theirs", "message"),
     [
-        (
-            HEAD,
-            truth(range(50), "head", status=np.where(T == 7, "Hidden", "visible")),
-            "gt.txt: frame 7, head/box: status 'Hidden' is none of visible, hidden, absent; correct it",
-        ),
+        (HEAD, ODD, "gt.txt: frame 7, head/box: status 'Hidden' is none of visible, hidden, absent; correct it"),
         (TWO, truth(range(50)), "gt.txt: .*head/box, hand/box; choose .* --target NAME/PART"),
         (FACE, truth(range(9)), "gt.txt: .* has face/nose, face/chin; .* or give ground truth of its points"),
-        (
-            HEAD,
-            table(box(range(50), "1"), box(range(50), "2"), name="gt.txt"),
-            "no part in common .* has 1/box, 2/box, the trajectory head/box",
-        ),
+        (HEAD, OTHERS, "no part in common .* has 1/box, 2/box, the trajectory head/box"),
         (table(box(range(50), "a", "nose")), truth(range(50), "b"), "no part in common.*not measured by boxes"),
         (CUT, truth(range(100)), "run.csv: no row of head/box in frame 40 and 1 more"),
         (SIZED, FAR, "50 of its 50 places are outside of the image of 320x240"),
-        (
-            table(box(range(100))),
-            replace(truth(range(3, 103)), header={"shift": 4}),
-            r"shifted by 3\? --shift 1;",  # the remedy counts from the file
-        ),
+        (table(box(range(100))), SHIFTED, r"shifted by 3\? --shift 1;"),  # the remedy counts from the file
     ],
 )
 def test_tables_that_do_not_belong_together(ours, theirs, message):
@@ -96,10 +87,7 @@ def test_names_are_paired_and_the_rest_is_noted():
     notes = []
     found = pairs(table(nose, lip), table(eye, nose, name="gt.csv"), note=notes.append)
     assert [(pair.ours.name, pair.is_box) for pair in found] == [("face/nose", False)]
-    assert notes == [
-        "gt.csv: face/eye is not in the trajectory, and left out",
-        "gt.csv: says nothing of face/lip",
-    ]
+    assert notes == ["gt.csv: face/eye is not in the trajectory, and left out", "gt.csv: says nothing of face/lip"]
     notes.clear()
     (pair,) = pairs(HEAD, truth(range(50), "1"), note=notes.append)
     assert (pair.ours.target, pair.truth.target) == ("head", "head")
@@ -110,15 +98,9 @@ def test_names_are_paired_and_the_rest_is_noted():
     ("frames", "message"),
     [
         (range(1, 101), r"frames 1\.\.100, the trajectory 0\.\.99: shifted by 1\? --shift -1; .*the 99 that both"),
-        (range(7, 107), r"shifted by 7\? --shift -7"),
-        (
-            range(200, 300),
-            r"frames 200\.\.299, the trajectory 0\.\.99: shifted by 200\? --shift -200; if not, name its own",
-        ),
+        (range(200, 300), r"frames 200\.\.299, the .*: shifted by 200\? --shift -200; if not, name its own"),
         (range(200, 250), r"if it is moved, --shift N; if not, name its own"),
         (range(61), r"frames 0\.\.60, the trajectory 0\.\.99: .*; if not, --partial measures the 61 that both have"),
-        (range(101), r"frames 0\.\.100"),
-        (range(5, 61), r"frames 5\.\.60"),
         (range(1), r"frames 0 alone"),
         (range(0, 90, 10), r"frames 0\.\.80"),
         (range(10, 100, 10), r"frames 10\.\.90"),

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.evaluation import reliability
@@ -42,9 +41,6 @@ def rows(errors, status="", *, frame=None, target="face", part="nose", unit=UNIT
 
 def statuses(letters):
     return [{"i": "init", "t": "tracked", "l": "lost", "-": ""}[letter] for letter in letters]
-
-
-# --- errors ---
 
 
 def test_errors_in_pixels_and_normalised():
@@ -101,9 +97,6 @@ def test_lost_for_good_looks_at_the_last_visible_rows(errors, status, lost):
     assert measure_points([part, part]).lost_for_good == (None if lost is None else 2 * lost)
 
 
-# --- lengths ---
-
-
 def points(part, xy, frame=(0, 1), **columns):
     x, y = zip(*xy, strict=True)
     return one_part("face", part, frame, x=x, y=y, status=["visible"] * len(xy), **columns)
@@ -157,9 +150,6 @@ def test_what_is_measured_as_a_box():
     assert not any(pair.is_box for pair in (Pair(window, window), Pair(box, bare), Pair(bare, box)))
 
 
-# --- lost ---
-
-
 def test_lost_against_the_truth():
     # a unit of 12: near is less than 2 off
     part = rows([1.99, 0, 0, 9, 9, 9, 9, 0, 2, 0], "vvvhhhvvvv", ours=statuses("tltttllltl"))
@@ -193,9 +183,6 @@ def test_the_given_row_is_left_out():
     assert measure_lost(silent) is measure_coverage(silent) is None and measure_confidence(silent).rows == 2
 
 
-# --- confidence ---
-
-
 def test_confidence_in_bins():
     errors = [0, 0, 9, 0, 9, 9, 0]
     found = measure_confidence([rows(errors, "vvvhvva", confidence=[1.0, 0.9, 0.95, 0.2, 0.1, 0.0, 0.05])])
@@ -222,19 +209,6 @@ def test_auroc_counts_pairs(pairs):
     score, positive = np.array([p[0] for p in pairs], dtype=float), np.array([p[1] for p in pairs], dtype=bool)
     above = [(a > b) + 0.5 * (a == b) for a in score[positive] for b in score[~positive]]
     assert reliability.auroc(score, positive) == (pytest.approx(np.mean(above)) if above else None)
-
-
-@given(arrays.arrays(float, st.integers(1, 40), elements=st.floats(0, 1)))
-def test_every_confidence_is_in_the_bin_that_says_so(confidence):
-    for i, one in enumerate(reliability.reliability_bins(confidence, confidence > 0.5, confidence < 0.3)):
-        inside = confidence[(confidence >= one.low) & ((confidence < one.high) | (i == 9))]
-        assert one.rows == len(inside)
-        if len(inside):
-            means = [inside.mean(), (inside > 0.5).mean(), (inside < 0.3).mean()]
-            assert [one.mean_confidence, one.right, one.visible] == pytest.approx(means)
-
-
-# --- spread and jitter ---
 
 
 def test_coverage_of_ellipses_and_rows_without_a_spread():

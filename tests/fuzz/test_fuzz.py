@@ -127,6 +127,10 @@ def pickled(valid):
     return hostile.npz({**arrays_of(valid / "gallery.npz"), "names": opens, "format": opens})
 
 
+def odd_prior(valid):
+    return hostile.npz(arrays_of(valid / "prior.npz"), shapes=(10**9, 5, 2))
+
+
 def odd_metadata(valid):
     """Of a JPEG, of which Pillow warns on standard error."""
     exif = b"Exif\0\0II*\0\x08\0\0\0\x02\0\x12\x01\x03\0\xff\xff\0\0\x01\0"
@@ -139,7 +143,6 @@ APART = f"{HEAD},w,h,status\n0,0,face,box,10,10,5,5,tracked\n1000000000,1,face,b
 FACES = "".join(f"{t},{t / 25},face{i},nose,{i},10\n" for t in range(FRAMES) for i in range(1000))
 COLOURED = "".join(f"{t},{t / 25},\x1b[31mface\x07,nose,10,10\n" for t in range(FRAMES))
 ODD_NAME = "\x1b]0;x\x07\x1b[31m.csv"
-CHECK = "recipes check x.yaml"
 # a command, the file that it reads, its content (or what makes it of the valid inputs), and what an error names
 NAMED = {
     "recipe-that-never-ends": ("recipes check /dev/zero", "", "", ""),
@@ -149,7 +152,9 @@ NAMED = {
     "output-that-colours-the-terminal": ("plot IN/run -o \x1b]0;x\x07.png", "", "", ""),
     "one-frame-in-an-hour": (f"run IN/frames --fps 1/3600 {MIL} -o out -q --stop 3", "", "", ""),
     "frame-number-beyond-any-clip": (f"run IN/frames {MIL} -o out --init-frame {'9' * 30}", "", "", ""),
-    "recipe-of-9000-unknown-keys": (CHECK, "x.yaml", "".join(f"key{i}: {i}\n" for i in range(9000)), "x.yaml"),
+    "recipe-of-9000-unknown-keys": (
+        "recipes check x.yaml", "x.yaml", "".join(f"key{i}: {i}\n" for i in range(9000)), "x.yaml",
+    ),
     "trajectory-nested-100000-deep": ("export x.json --to dlc", "x.json", '{"a":' * 100_000 + "1" + "}" * 100_000, "x"),
     "line-of-20-megabytes": (
         "export x.jsonl --to dlc", "x.jsonl", f'{{"type":"header","a":"{"a" * 20_000_000}"}}\n', "x.jsonl",
@@ -163,10 +168,7 @@ NAMED = {
         f"run IN/frames --config factorized --set confidence.calibration=x.json {RUN}", "x.json", odd_calibration, "x",
     ),
     "gallery-that-is-a-pickle": ("gallery show x.npz -o out.png", "x.npz", pickled, "x.npz"),
-    "prior-whose-header-promises-much": (
-        "prior show x.npz", "x.npz",
-        lambda valid: hostile.npz(arrays_of(valid / "prior.npz"), shapes=(10**9, 5, 2)), "x.npz",
-    ),
+    "prior-whose-header-promises-much": ("prior show x.npz", "x.npz", odd_prior, "x.npz"),
     "image-of-400-million-pixels": (f"run frames {MIL} {RUN}", "frames/0.png", lambda _: png(20_000, 20_000), "0.png"),
     "image-one-pixel-high": (f"run frames {MIL} {RUN}", "frames/0.png", lambda _: png(60_000, 1), "--box"),
     "image-with-damaged-metadata": (f"run frames {MIL} {RUN}", "frames/0.jpg", odd_metadata, "0.jpg"),
@@ -188,9 +190,6 @@ def test_parsers_take_what_is_whole_and_refuse_the_rest(parser):
     assert sum(guided.taken(parse, seed) for seed in guided.seeds(parser)), "all are tried"
     for data in guided.damaged(parser, 50):
         guided.taken(parse, data)
-
-
-# --- something else in a file's place ---------------------------------------------------------------------------------
 
 
 READING = f"""
@@ -240,6 +239,5 @@ def test_something_else_stands_where_a_file_is_to_be(facetrack, clips, command):
         named = () if name in ODD else (name, "file", "--gallery")
         check_answer(facetrack, Case([word.replace("@", name) for word in command.split(" ")], {}, named))
         shutil.rmtree("out", ignore_errors=True)
-    assert [*map(Path.read_bytes, sorted(before.iterdir()))] == [
-        *map(Path.read_bytes, sorted((clips / "run").iterdir()))
-    ]
+    left, now = ([path.read_bytes() for path in sorted(folder.iterdir())] for folder in (before, clips / "run"))
+    assert left == now

@@ -88,7 +88,6 @@ def test_the_recipe_shown_is_the_recipe(tmp_path):
         ["--config", "factorized", "--smooth"],
         ["--config", "factorized", "--lag", "3"],
     ],
-    ids=["box", "own recipe", "film", "smoothed", "lag"],
 )
 def test_the_command_repeats_the_run(options, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

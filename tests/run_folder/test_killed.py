@@ -1,7 +1,5 @@
 """Nothing half done looks finished: kills, power loss, two writers, files of different runs."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -70,9 +68,6 @@ def killed(clip, out, *arguments, frames):
     return last
 
 
-# --- kill -9 ---
-
-
 @pytest.fixture(scope="module")
 def torn(clip):
     """The folder of a run that was killed, and the last frame in its tables."""
@@ -114,14 +109,6 @@ def test_a_recovery_that_is_killed_is_made_again(torn, tmp_path, monkeypatch, mo
     monkeypatch.undo()
     assert recover_interrupted(tmp_path) >= 19
     assert len(read_run(tmp_path).frames) == read_manifest(tmp_path).frames >= 19
-
-
-@posix
-def test_a_note_that_says_nothing_is_no_harm(clip, tmp_path):
-    leave_here(tmp_path, '{"process": 1, "run": {"format": "no"}}')
-    (tmp_path / ".trajectory-999999999.part.csv").write_text("frame,\n0,")
-    assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, *TABLES, "-q") == 0
-    assert names(tmp_path) == [NAME, "trajectory.csv", "trajectory.json", "trajectory.jsonl"]
 
 
 @pytest.mark.parametrize("form", ["csv", "json", "jsonl"])
@@ -180,9 +167,6 @@ def test_a_worker_that_is_killed_is_replaced_once(clip, whole, tmp_path, kills):
     assert "its process ended with code -9" in known.error and known.exit_code == 1
 
 
-# --- one writer, one set ---
-
-
 def test_a_run_owns_all_its_outputs(clip, tmp_path):
     assert run(clip, "-o", tmp_path, "--stop", 5, *SMALL, "--format", "csv,json,jsonl", "--smooth", "-q") == 0
     (tmp_path / "report.html").write_text("mine")
@@ -237,9 +221,6 @@ def test_a_swapped_clip_is_known(tmp_path, capsys):
         assert "is not the clip that trajectory.json was made from" in "".join(capsys.readouterr())
 
 
-# --- power loss ---
-
-
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="asks Linux which file is brought to the disk")
 def test_each_file_is_on_the_disk_before_its_name(clip, tmp_path, monkeypatch):
     said = []
@@ -264,46 +245,32 @@ def test_each_file_is_on_the_disk_before_its_name(clip, tmp_path, monkeypatch):
     assert ("sync", "out") in said[last:], "and the names are on the disk"
 
 
-@pytest.fixture
-def disk(tmp_path):
-    """A file system of its own on a file: (folder, whatever it holds when the power is lost now)."""
-    image, folder = tmp_path / "disk.img", tmp_path / "disk"
-    after = [tmp_path / "after.img", tmp_path / "after"]
-    mounted = []
+@pytest.mark.skipif(
+    os.name != "posix" or os.getuid() != 0 or shutil.which("mkfs.ext4") is None,
+    reason="mounting a file system takes root and mkfs.ext4",
+)
+def test_what_exits_with_0_survives_a_power_loss(clip, tmp_path):
+    """Of a file system of its own on a file: whatever it holds at that moment, mounted again."""
+    image, folder, after, left = (tmp_path / name for name in ("disk.img", "disk", "after.img", "after"))
 
     def mount(file, to):
         to.mkdir()
         done = subprocess.run(["mount", "-o", "loop", file, to], capture_output=True, text=True, check=False)
         if done.returncode:
             pytest.skip(f"no file system can be mounted here: {done.stderr.strip()}")
-        mounted.append(to)
+        mounted.callback(subprocess.run, ["umount", to], check=True)
 
-    def lose_power():
-        shutil.copy(image, after[0])
-        mount(*after)
-        return after[1]
-
-    if os.name != "posix" or os.getuid() != 0 or shutil.which("mkfs.ext4") is None:
-        pytest.skip("mounting a file system takes root and mkfs.ext4")
     with image.open("wb") as file:
         file.truncate(64 << 20)
     subprocess.run(["mkfs.ext4", "-q", image], check=True)
-    try:
-        mount(image, folder)
-        yield folder, lose_power
-    finally:
-        for one in reversed(mounted):
-            subprocess.run(["umount", one], check=True)
-
-
-def test_what_exits_with_0_survives_a_power_loss(clip, disk):
-    folder, lose_power = disk
     command = [*FACETRACK, "run", clip, "--config", "sir", "--stop", "20", "-q", *SMALL, "-o", folder / "out"]
-    done = subprocess.run(command, check=False)
-    left = lose_power()
-    assert done.returncode == 0
-    found = [name for name in names(left / "out") if name not in (LOCK, NOTE)]  # whose removal need not be on the disk
-    assert found == ["annotated.mp4", NAME, "trajectory.csv", "trajectory.json"]
-    for name in found:
-        assert (left / "out" / name).read_bytes() == (folder / "out" / name).read_bytes() != b""
-    assert len(read_run(left / "out").frames) == 20
+    with contextlib.ExitStack() as mounted:
+        mount(image, folder)
+        done = subprocess.run(command, check=False)
+        shutil.copy(image, after)
+        mount(after, left)
+        found = [name for name in names(left / "out") if name not in (LOCK, NOTE)]  # they may be there still
+        assert done.returncode == 0 and found == ["annotated.mp4", NAME, "trajectory.csv", "trajectory.json"]
+        for name in found:
+            assert (left / "out" / name).read_bytes() == (folder / "out" / name).read_bytes() != b""
+        assert len(read_run(left / "out").frames) == 20

@@ -1,6 +1,5 @@
 """The recipes of Zhou et al. from clip to files: scale, who it is, goldens, and what is wrong said in one line."""
 
-import csv
 import json
 import re
 import shutil
@@ -47,7 +46,6 @@ def clips(tmp_path_factory):
     write_pictures(folder / "zoom", pictures)
     (folder / "zoom.init.yaml").write_text(f"frame: 0\nbox: {BOX}\n")
     dark = [np.zeros_like(picture) for picture in pictures]
-    write_pictures(folder / "dark", dark)
     write_pictures(folder / "fades", [*pictures[:2], *dark[:3]])
     write_pictures(folder / "grey", [np.repeat(picture[..., 1:2], 3, axis=2) for picture in pictures])
     write_pictures(folder / "pair", [np.hstack([one, one[:, ::-1]]) for one in pictures])
@@ -93,7 +91,7 @@ def test_the_scale_follows_the_truth(facetrack, clip, growth, alike, error, over
     assert found.mean() > overlap
 
 
-def test_a_run_writes_who_it_is_into_table_json_and_video(facetrack):
+def test_a_run_writes_who_it_is(facetrack):
     more = ["--gallery", PEOPLE, "--stop", 30]
     run, face, overlap, _, _ = followed(facetrack, "zoom", "adaptive_recognition", *more)
     passed = run.recognised(run.targets[0], "hopper")
@@ -102,11 +100,6 @@ def test_a_run_writes_who_it_is_into_table_json_and_video(facetrack):
     assert (face.identity[later] == "hopper").all() and face.identity_prob[later].min() > 0.9
     assert face.identity[0] == "" and (face.identity[1:] != "").all()
     assert overlap.mean() > 0.75 and face.particles[1:].mean() < 80  # .839, 64
-    with Path("out/trajectory.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 30 and rows[0]["identity"] == rows[0]["identity_prob"] == ""
-    assert rows[-1]["identity"] == "hopper" and float(rows[-1]["identity_prob"]) > 0.99
-
     whole = json.loads(Path("out/trajectory.json").read_text())
     assert whole["recipe"]["recognition"]["gallery"].endswith("people.npz")
     targets = [frame["targets"][0] for frame in whole["frames"]]
@@ -119,10 +112,6 @@ def test_a_run_writes_who_it_is_into_table_json_and_video(facetrack):
     (part,) = last["parts"]
     assert (part["x"], part["y"]) == pytest.approx((x, y), abs=1e-3)
     assert all(0.5 <= target["noise"] <= 2 and target["error"] > 0 for target in targets[1:])
-    (found,) = run.diagnostics.values()
-    assert found.labels["posterior"] == ("collins", "hopper", "ines", "marta", "otto", "viktor")
-    assert found.get("posterior").shape == (30, 6) and found.get("affine").shape == (30, 6)
-    assert "diagnostics" not in whole, "every version knows these"
 
 
 def test_a_golden_holds_who_it_is_and_finds_its_gallery(tmp_path, capfd, monkeypatch):
@@ -144,19 +133,12 @@ def test_a_golden_holds_who_it_is_and_finds_its_gallery(tmp_path, capfd, monkeyp
     golden, before = read_golden(path), path.read_bytes()
     assert golden.names == {"face": "hopper"} and golden.gallery == "people.npz"
     assert golden.settings["recognition"]["gallery"] == "people.npz" and str(tmp_path) not in path.read_text()
-    assert {"identity_prob", "particles", "angle", "w"} <= golden.spread["face/box"].keys()
     code, out = regress()
     assert code == 0 and "the same rows" in out
     assert regress("--update")[0] == 0 and path.read_bytes() == before, "with the gallery that it remembers"
-    some_gallery().save(Path("other.npz"))
-    code, out = regress("--gallery", "other.npz")
-    assert code == ExitCode.REGRESSION and ", face is hopper; record again" in out
     (folder / "people.npz").unlink()
     code, out = regress()
     assert code == ExitCode.REGRESSION and 'there is no file "clips/people.npz"' in out
-
-
-# --- --gallery -----------------------------------------------------------------------------------------------------
 
 
 RUN = ["run", "IN/zoom"]
@@ -188,34 +170,19 @@ def test_a_gallery_that_is_not_the_recipes_or_is_not_said(facetrack, words, code
     assert all(re.search(part, told) for part in said) and not list(Path().iterdir())
 
 
-@pytest.mark.parametrize("name", ["1e3", "a: b", 'q"q', "new\nline"])
-def test_a_gallery_may_have_any_name(facetrack, clips, name):
-    shutil.copy(clips / "people.npz", name)
-    code, _, err = run(facetrack, "--stop=2", "--gallery", name, "-o", "out")
-    assert (code, err) == (0, "")
-    header = json.loads(Path("out/trajectory.json").read_text())
-    assert header["recipe"]["recognition"]["gallery"] == name
-
-
-def test_a_relative_path_is_that_of_the_working_directory(facetrack, clips, monkeypatch):
+def test_a_gallery_of_any_name_lies_in_the_working_directory_or_beside_the_recipe(facetrack, clips, monkeypatch):
     recipe = Path("recipes/mine.yaml")
     recipe.parent.mkdir()
     shutil.copy(FOLDER.parent / "configs" / "adaptive_recognition.yaml", recipe)
-    shutil.copy(clips / "people.npz", "here.npz")
+    name = 'a: "q\new.npz'  # whatever YAML makes of it
+    shutil.copy(clips / "people.npz", name)
     shutil.copy(clips / "people.npz", "recipes/beside.npz")
-    assert run(facetrack, "--stop=2", "--gallery=here.npz", "-o", "a", config=recipe)[0] == 0
+    assert run(facetrack, "--stop=2", f"--gallery={name}", "-o", "a", config=recipe)[0] == 0
+    assert json.loads(Path("a/trajectory.json").read_text())["recipe"]["recognition"]["gallery"] == name
     # an option does not know of the recipe's folder, a key in the recipe does
     assert "no such file" in refused(run(facetrack, "--gallery=beside.npz", "-o", "b", config=recipe), 3)
     recipe.write_text(recipe.read_text().replace("recognition: {}", "recognition: {gallery: beside.npz}"))
     assert run(facetrack, "--stop=2", "-o", "c", config=recipe)[0] == 0
-
-
-def test_a_gallery_makes_a_recipe_recognise_that_only_tracks(facetrack):
-    code, out, err = run(facetrack, "--gallery=IN/people.npz", "-o", "-", config="adaptive")
-    assert (code, err) == (0, "")
-    rows = [line.split(",") for line in out.splitlines()]
-    assert rows[1][-2] == ""  # nothing is known yet
-    assert {row[-2] for row in rows[2:]} <= {"anna", "ben", "cleo"}
 
 
 def test_in_a_comparison_the_gallery_goes_to_the_recipes_that_recognise():
@@ -228,28 +195,14 @@ def test_in_a_comparison_the_gallery_goes_to_the_recipes_that_recognise():
     assert with_gallery([recipes[0], recipes[2]], file)[0].recognition.gallery == file
 
 
-# --- clips ---------------------------------------------------------------------------------------------------------
-
-
-def test_clips_and_boxes_of_every_kind(facetrack):
-    def track(clip, box):
-        return run(facetrack, "--box", box, "-o", "-", config="fixed_template", clip=clip)
-
-    for clip, box in (
-        ("grey", "79,80,66,66"),
-        ("zoom", "-15,-15,66,66"),
-        ("zoom", "79,80,6,6"),
-        ("zoom", "0,0,320,240"),
-    ):
-        code, out, err = track(clip, box)
-        assert code == 0 and out.count("\n") == 7 and "nan" not in out and "inf" not in out
-        assert err == "" or err.count("times as wide as high") == 1
-    for clip, box, said in (
-        ("dark", "79,80,66,66", "one grey level"),
-        ("zoom", "-32,-32,66,66", "more than half of the box lies outside"),
-        ("zoom", "79,80,5,66", "smaller than 6x6"),
-    ):
-        assert said in refused(track(clip, box), 3)
+@pytest.mark.parametrize(
+    ("clip", "box"),
+    [("grey", "79,80,66,66"), ("zoom", "-15,-15,66,66"), ("zoom", "79,80,6,6"), ("zoom", "0,0,320,240")],
+)
+def test_clips_and_boxes_of_every_kind(facetrack, clip, box):
+    code, out, err = run(facetrack, "--box", box, "-o", "-", config="fixed_template", clip=clip)
+    assert code == 0 and out.count("\n") == 7 and "nan" not in out and "inf" not in out
+    assert err == "" or err.count("times as wide as high") == 1
 
 
 def test_a_face_that_is_lost_is_known_still_and_told_by_the_exit_code(facetrack):
@@ -258,9 +211,6 @@ def test_a_face_that_is_lost_is_known_still_and_told_by_the_exit_code(facetrack)
     assert code == 0 and [row[10] for row in rows][-1] == "lost" and rows[-1][-2] == rows[1][-2] != ""
     args = ["--box=79,80,66,66", "--gallery=IN/people.npz", "--fail-on-lost", "-o", "out"]
     assert run(facetrack, *args, clip="fades")[0] == 4
-
-
-# --- several targets -----------------------------------------------------------------------------------------------
 
 
 PLAIN = RECOGNITION.replace("recognition: {}\n", "")

@@ -82,29 +82,21 @@ def test_a_grey_image_is_tracked_and_drawn(images):
     assert facetrack.draw(last).shape == images[0].shape and last.rows.status[0] in ("tracked", "lost")
 
 
-# --- what is refused ---
-
-
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
         (lambda: facetrack.track_video("none.mp4", "sir"), facetrack.InputError, r"none\.mp4: "),
         (lambda: facetrack.load_recipe("sir", {"filter.particle": 5}), facetrack.RecipeError, "particle"),
         (lambda: track(init=(1, 2, 3)), facetrack.InputError, "neither a file, a box"),
-        (lambda: track(init=(1, 2, float("nan"), 3)), facetrack.InputError, "neither a file, a box"),
         (lambda: track(faces="both"), facetrack.FacetrackError, "faces 'both' is not one of one, all"),
         (lambda: track(lag=-1), facetrack.FacetrackError, "lag -1 is no whole number from 0 on"),
-        (lambda: track(stop=2.5), facetrack.FacetrackError, "stop 2.5 is no whole number"),
         (lambda: track(stop=0), facetrack.FacetrackError, "^--stop 0 leaves no frame at all; it is the frame to stop"),
         (lambda: track(init=NOBODY), facetrack.InputError, "^x: has no targets; give one, with a box or points"),
         (lambda: follow([NOISE], init=NOBODY), facetrack.InputError, "^x: has no targets; give one"),
         (lambda: track(fps=0), facetrack.FacetrackError, "fps 0 is no rate"),
         (lambda: follow([np.zeros((8, 8, 3))]), facetrack.InputError, r"image 0: is float64 \(8, 8, 3\); give "),
-        (lambda: follow([NOISE[:0]]), facetrack.InputError, r"image 0: is uint8 \(0, 80, 3\); give "),
         (lambda: follow([NOISE, NOISE[:, 1:]]), facetrack.InputError, "image 1: is 79x60, not 80x60 as the first"),
         (lambda: follow([]), facetrack.InputError, "there is no frame 0"),
-        (lambda: follow([NOISE], fps=0), facetrack.FacetrackError, "fps 0 is no rate"),
-        (lambda: follow([NOISE], lag=1.5), facetrack.FacetrackError, r"lag 1\.5 is no whole number"),
         (lambda: record(formats=("xml",)), facetrack.FacetrackError, "formats: 'xml' is not"),
         (lambda: record(fps=float("nan")), facetrack.FacetrackError, "fps nan is no"),
     ],
@@ -147,16 +139,6 @@ def test_a_fault_of_ours_is_raised_and_not_the_end_of_a_clip(monkeypatch):
         facetrack.track_video(CLIP, "factorized")
 
 
-def test_only_public_names_are_there():
-    assert all(getattr(facetrack, name) is not None for name in facetrack.__all__)
-    assert set(facetrack.__all__) < set(dir(facetrack)) and "import_module" not in dir(facetrack)
-    with pytest.raises(AttributeError, match="nothing"):
-        facetrack.nothing  # noqa: B018
-
-
-# --- recordings ---
-
-
 @pytest.mark.parametrize(("recipe", "clip"), [("factorized", CLIP), ("head_hands", FOLDER / "signing.mp4")])
 def test_a_recording_is_what_run_writes(tmp_path, recipe, clip):
     init, images = str(clip.with_suffix(".init.yaml")), tmp_path / "images"
@@ -194,9 +176,6 @@ def test_a_recording_keeps_what_came_before_an_error(tmp_path, images):
     with pytest.raises(facetrack.InputError, match="has no start"), facetrack.Recording(tmp_path / "x") as out:
         out.write(results[1])
     assert not (tmp_path / "x").exists()
-
-
-# --- one image at a time ---
 
 
 def rows(results):
@@ -270,9 +249,6 @@ def test_a_tracker_of_opencv_has_no_state_to_save(images, tmp_path):
     assert names(tmp_path) == []
 
 
-# --- a trajectory in other shapes ---
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run") / "out"
@@ -320,8 +296,6 @@ def test_elan_is_a_name_of_eaf_and_nothing_is_replaced_unasked(run, tmp_path):
         table.export("eav")
     with pytest.raises(UsageError, match="drop_lost is not for eaf"):
         table.export("elan", drop_lost=True)
-    with pytest.raises(UsageError, match="vot holds one target"):
-        joined([*some_rows().parts, one_part("hand", "box", [10], x=[1.0], y=[1.0])]).export("vot")
 
 
 def test_the_video_is_that_of_the_run_or_drawn_from_the_rows(run, tmp_path):

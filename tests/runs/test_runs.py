@@ -154,8 +154,6 @@ def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch, tmp_path
     assert list(run_plans([dead, dead], 2, stop, report)) == [], "a signal comes first"
 
 
-# --- where it begins ---
-
 BOX = (106.0, 74.0, 106.0, 106.0)
 
 

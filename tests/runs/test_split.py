@@ -1,7 +1,5 @@
 """One clip tracked in chunks: where it is cut, what becomes of each chunk, and the rows that are joined of them."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from pathlib import Path
@@ -183,9 +181,6 @@ def test_chunks_cover_all_frames_and_overlap(first, count, gaps, length):
         assert length - 0.21 <= times[after] - times[begin] <= length + 0.21
 
 
-# --- where two chunks meet --------------------------------------------------------------------------------------------
-
-
 def box(target, first, stop, x=50.0, side=20.0, status="tracked"):
     frames = np.arange(first, stop)
     same = np.ones(len(frames))
@@ -266,10 +261,7 @@ def test_faces_take_the_names_of_those_they_agree_with():
     assert met.seam.agrees and met.begun == {"face_4"}
     assert [part.x[0] for part in renamed(later, met.names).of_target("face")] == [51]
     # one who was lost all the while may have left, one who was not may not
-    gone, one = (
-        joined([box("face", 0, 20, x=50), box("face_2", 0, 20, x=150, status="lost")]),
-        box("face", 10, 30, x=50),
-    )
+    gone, one = joined([box("face", 0, 20), box("face_2", 0, 20, x=150, status="lost")]), box("face", 10, 30)
     assert stitch(gone, one, {"face", "face_2"}, matched=True).seam.agrees
     assert not stitch(earlier, one, {"face", "face_2"}, matched=True).seam.agrees
     # and after a gap nobody is known again
