@@ -71,6 +71,8 @@ WRONG = [
     (HANDS, "targets.left_hand.likelihood.learn_from=foot", 'there is no target "foot" to learn from'),
     (HANDS, "targets.left_hand.motion.scale=0.1", "a target of type cloud has none: remove it"),
     (HANDS, "targets.left_hand.particles=1", 'unknown key "particles" in "targets.left_hand"'),
+    (HANDS, "hands={}", "left_hand is one of hands"),
+    ("signer", "hands.shares=[0.5, 0.3, 0.1]", "the shares add up to"),
     (HANDS, "targets={}", "targets must have at least 1 item, not 0"),
 ]  # fmt: skip
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.evaluation.accuracy import measure_points
 from facetrack_cli.evaluation.reliability import measure_confidence, measure_coverage, measure_lost
 from facetrack_cli.evaluation.rows import match
@@ -20,7 +19,6 @@ from facetrack_cli.report.figures import page
 from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.make import Image, command, init_yaml, recipe_yaml
 from facetrack_cli.report.story import history_of, key_frames, reasons
-from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
@@ -180,15 +178,6 @@ def test_a_report_says_what_was_corrected(table):
     assert kinds == {
         0: ["start"], 1: ["worst"], 3: ["lost"], 5: ["corrected"], 8: ["corrected"], 10: ["corrected"], 12: ["end"]
     }  # fmt: skip
-
-
-def test_the_start_of_the_page_has_the_corrections(table, tmp_path):
-    header = read_header(table)
-    assert header.init.start.corrections[1] == Correction(
-        8, "face", TargetStart(None, {"lip": (30, 20)}), {"nose": (10, 20)}, learn=True
-    )
-    (tmp_path / "again.init.yaml").write_text(init_yaml(header))
-    assert read_init(tmp_path / "again.init.yaml").corrections == header.init.start.corrections
 
 
 START = """frame: 0

@@ -16,7 +16,7 @@ from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe import FilterSettings, LikelihoodSettings, Refusal, Section, sections
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.model import completed, json_schema, rebuild, register, to_dict
+from facetrack_cli.recipe.model import json_schema, rebuild, register
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
@@ -124,14 +124,6 @@ def test_all_three_together_follow_a_clip(registry):
     assert off < 5  # a target that stands still is off by 7.8
     ess = [part.ess for part in parts]
     assert all(1 <= one <= recipe.particles == 500 for one in ess)
-
-
-def test_it_is_the_same_recipe_when_it_is_read_back(plugged):
-    settings = to_dict(plugged["recipe"])
-    assert settings["likelihood"] == {"type": "grey_difference", "sigma": 8.0}
-    assert completed(settings) == settings
-    old = {**settings, "likelihood": {"type": "grey_difference"}}
-    assert completed(old)["likelihood"]["sigma"] == 20.0
 
 
 # --- messages, schema and tables know of it

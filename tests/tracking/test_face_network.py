@@ -9,7 +9,6 @@ import pytest
 from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
-from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import GROUPS, POINTS
 from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.engine.loop import track
@@ -153,12 +152,6 @@ def test_a_correction_puts_parts_and_points_of_the_network_right_and_all_may_be_
         found = errors(places(results[:11], (*PARTS, *FEATURES)), mesh, poses, (*PARTS, *FEATURES))
         assert found[5].max() < 0.1 and (found[5:] < 0.35).mean() > 0.97
         assert {*results[12].rows.status} == {"absent"} and np.isnan(results[12].rows.x).all()
-
-
-def test_a_correction_of_a_point_of_the_network_is_refused(file):
-    one = Correction(2, "face", TargetStart(points={"chin": (100.0, 90.0)}))
-    with pytest.raises(InputError, match=r"has chin; what is followed is nose, .*lower"):
-        results_of(file, FakeMesh(POSES[:3]), POSES[:3], corrections=(one,))
 
 
 # --- smoothing --------------------------------------------------------------------------------------------------------

@@ -11,7 +11,6 @@ from facetrack_cli.trackers.face import landmark_filters, landmark_kernels
 from facetrack_cli.trackers.face.landmark_filters import (
     AREA,
     BIAS,
-    FADES,
     MOTION,
     NO_FACE,
     NOISE,
@@ -34,8 +33,7 @@ ASTRAY, DRIFT, MAX_NOISE, MISLED, SLIP = (  # pixels
 PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])
 VISIBLE = np.ones(3)
 EXACT = 0.2 * np.eye(2) * np.ones((3, 1, 1))  # covariance of the filter's state
-AWAY = np.array([[3.0, -1.5], [-2.0, 2.5], [0.0, 4.0]])
-FAR_AWAY, TOGETHER = np.array([20.0, 0.0]), np.array([6.0, -3.0])
+FAR_AWAY = np.array([20.0, 0.0])
 
 
 def begun(z, x0, std, least=REGRESSION, keep=1.0):
@@ -55,14 +53,6 @@ def fed(sensor, offset, frames, rng, visible=VISIBLE):
     return sensor
 
 
-def test_a_bias_of_a_start_that_a_sensor_placed_fades_while_nothing_is_measured_and_that_of_a_hand_stays():
-    hand, placed = (begun(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep) for keep in (1.0, FADES))
-    for _ in range(60):
-        hand, placed = (after_frame(one, np.full((3, 2), np.nan)) for one in (hand, placed))
-    np.testing.assert_array_equal(hand.bias[0], AWAY)
-    np.testing.assert_allclose(placed.bias[0], FADES**60 * AWAY)
-
-
 @pytest.mark.parametrize("how", ["all hidden", "another hidden", "far off", "not seen"])
 def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
     """What covers a part moves what a sensor says of all of them; it is not how the sensor usually errs."""
@@ -76,23 +66,12 @@ def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
     assert (after.var > before.var).all(), "meanwhile it is less known"
 
 
-def test_windows_that_see_a_part_elsewhere_speak_against_a_sensor():
-    sensor = begun(PLACES, PLACES, 2.0)
-    after = [after_frame(sensor, PLACES, odds=odds).reliability[0, 0] for odds in (-9.0, -3.0, 0.0)]
-    assert after[0] < 0.5 < after[1] < after[2]
-    hidden = after_frame(sensor, PLACES, visible=np.zeros(3), odds=-9.0)
-    assert (hidden.reliability > 0.9).all(), "of what is hidden they say nothing"
-
-
 # --- two sensors ----------------------------------------------------------------------------------------------------
 
 
 def said(z, var, sure):
     """What one sensor says: z (K, 2), its variance and how sure it is."""
     return np.asarray(z, float), np.full(3, var), np.full(3, sure)
-
-
-NOTHING = said(PLACES, 1.0, 0.0)
 
 
 def stacked(*each, area=AREA):
@@ -118,18 +97,6 @@ def test_rows_of_a_face_are_those_of_the_plain_twin(shown):
     expected, hows = twin.shown(*given, how_it_was)
     np.testing.assert_allclose(rows, expected, atol=1e-12)
     assert how.tolist() == hows and set(hows) == {0, 1, 2}
-
-
-def test_what_all_parts_move_together_is_the_head_s_and_what_one_moves_is_not():
-    def moved(z, sure=0.9):
-        one = said(z, 4.0, 0.9)
-        return fused(stacked((*one[:2], sure * np.ones(3)), NOTHING, NOTHING), PLACES)[1]
-
-    np.testing.assert_allclose(moved(PLACES + TOGETHER), TOGETHER * SLIP**2 / (SLIP**2 + 4))
-    opened = PLACES.copy()
-    opened[2, 1] += 15.0
-    np.testing.assert_allclose(moved(opened), 0, atol=1e-9)
-    np.testing.assert_array_equal(moved(PLACES + 6.0, np.array([0.9, 0.9, 0.2])), 0)
 
 
 def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
@@ -160,16 +127,6 @@ def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
             says = (np.arange(8) >> i) % 2 == 0
             odds = np.log(share[says].sum() / share[~says].sum()) - np.log(0.9 / 0.1)
             assert got[i, part] == pytest.approx(odds, rel=1e-3, abs=1e-3)
-
-
-@pytest.mark.parametrize(("second", "windows_right"), [(FAR_AWAY, False), (0.0, True), (-FAR_AWAY, True)])
-def test_what_two_sensors_say_alike_is_believed_though_windows_prefer_another_place(second, windows_right):
-    one, two = said(PLACES + FAR_AWAY, 9.0, 0.97), said(PLACES + second, 9.0, 0.97)
-    windows = said(PLACES, 1.0, 0.97)
-    readings = stacked(one, two, windows)
-    there = np.array([-9.0 if (set_ >> 2) % 2 else 0.0 for set_ in range(8)])
-    odds = who_is_right(readings, np.repeat(there[:, None], 3, axis=1)) + np.log(0.97 / 0.03)
-    assert ((odds[2] > 0) == windows_right).all() and ((odds[0] < 0) == windows_right).all()
 
 
 # --- is the face turned to the camera? -----------------------------------------------------------------------------

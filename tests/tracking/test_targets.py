@@ -23,11 +23,6 @@ def start(**boxes):
     return Start(0, {name: TargetStart(box=one) for name, one in boxes.items()}, "clip.init.yaml")
 
 
-def test_targets_come_in_the_order_of_the_recipe():
-    given = start(right_hand=box(RIGHT), head=box(HEAD), left_hand=box(LEFT))
-    assert list(name_targets(given, ALL, None).targets) == list(ALL)
-
-
 SPECK = (24.0, 60.0, 11.0, 11.0)  # leftmost, and the smallest
 BOTH, OTHER = {"left_hand": LEFT, "right_hand": RIGHT}, {"right_hand": RIGHT}
 FOUND = [  # boxes of the start; what else is in the image; the hands that are found
