@@ -78,20 +78,6 @@ def wrong(allowed, those):
     return [f"{path}:{line} imports {module}" for path, module, line, _ in those if not allowed(path, module)]
 
 
-def test_imports_are_read_whole():
-    source = (
-        "import numpy.typing\nfrom facetrack_cli import recipe\nfrom typing import TYPE_CHECKING\n"
-        "if TYPE_CHECKING:\n    from facetrack_cli.core.types import Frame\ndef f():\n    import cv2\n"
-    )
-    assert set(imports(source)) == {
-        ("numpy.typing", 1, True),
-        ("facetrack_cli.recipe", 2, True),
-        ("typing", 3, True),
-        ("facetrack_cli.core.types", 5, False),
-        ("cv2", 7, False),
-    }
-
-
 def test_imports_between_rooms_point_down():
     assert {path.parts[0] for path in FILES if len(path.parts) > 1} == set(ROOMS)
 

@@ -142,10 +142,8 @@ def test_an_archive_that_inflates(tmp_path):
     ("arguments", "code", "line"),
     [
         ([*RUN, "--threads", "99999999999"], 2, "is not in the range 1<=x<=1000"),
-        ([*RUN, "-j", "99999999999"], 2, "is not in the range 1<=x<=1000"),
         (["gallery", "show", "."], 3, ".: cannot be read: Is a directory"),
         (["run", "x/" * 2100 + "clip.mp4"], 3, "File name too long; name another file or folder"),
-        (["compare", "x" * 300 + ".mp4", "--config", "mil"], 3, "File name too long"),
     ],
 )
 def test_what_is_the_users_is_no_internal_error(capsys, tmp_path, monkeypatch, arguments, code, line):

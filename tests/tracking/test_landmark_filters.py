@@ -14,7 +14,6 @@ from facetrack_cli.trackers.face.landmark_filters import (
     MOTION,
     NO_FACE,
     NOISE,
-    REGRESSION,
     BiasFilter,
     Facing,
     LandmarkFilter,
@@ -31,39 +30,7 @@ ASTRAY, DRIFT, MAX_NOISE, MISLED, SLIP = (  # pixels
     EYES * getattr(landmark_kernels, name) for name in ("ASTRAY", "DRIFT", "MAX_NOISE", "MISLED", "SLIP")
 )
 PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])
-VISIBLE = np.ones(3)
-EXACT = 0.2 * np.eye(2) * np.ones((3, 1, 1))  # covariance of the filter's state
 FAR_AWAY = np.array([20.0, 0.0])
-
-
-def begun(z, x0, std, least=REGRESSION, keep=1.0):
-    """The filter of a single sensor."""
-    return BiasFilter.begin(z[None], x0, np.array([std]), np.array([least]), keep)
-
-
-def after_frame(sensor, z, state=PLACES, cov=EXACT, visible=VISIBLE, odds=np.nan):
-    return sensor.updated(z[None], state, cov, visible, np.full((1, 3), odds), np.zeros((1, 3)))
-
-
-def fed(sensor, offset, frames, rng, visible=VISIBLE):
-    """After `frames` in which the sensor says where the parts are, plus an offset and noise."""
-    for _ in range(frames):
-        z = PLACES + offset + rng.standard_normal((3, 2))
-        sensor = after_frame(sensor, z, PLACES + np.sqrt(0.2) * rng.standard_normal((3, 2)), EXACT, visible)
-    return sensor
-
-
-@pytest.mark.parametrize("how", ["all hidden", "another hidden", "far off", "not seen"])
-def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
-    """What covers a part moves what a sensor says of all of them; it is not how the sensor usually errs."""
-    rng = np.random.default_rng(3)
-    before = fed(begun(PLACES, PLACES, 2.0), 0.0, 50, rng)
-    visible = {"all hidden": np.zeros(3), "another hidden": np.array([1.0, 0.0, 1.0])}.get(how, VISIBLE)
-    offset = {"far off": 40.0, "not seen": np.nan}.get(how, 5.0)
-    after = fed(before, offset, 80, rng, visible=visible)
-    np.testing.assert_allclose(after.bias, before.bias, atol=1e-9)
-    np.testing.assert_allclose(after.noise, before.noise, atol=1e-9)
-    assert (after.var > before.var).all(), "meanwhile it is less known"
 
 
 # --- two sensors ----------------------------------------------------------------------------------------------------
