@@ -77,7 +77,6 @@ def test_what_cannot_be_is_refused(name, overrides, said):
     ("name", "overrides"),
     [
         ("auxiliary_prior", ["filter.type=sir"]),
-        ("contour", ["motion.position.B=[[0, 3px], [0.0, 0]]"]),
         ("adaptive", ["filter.particles=20000", "motion.velocity.samples=32"]),
         ("adaptive", ["filter.particles=900", "motion.velocity.samples=null"]),
         ("fixed_template", ["filter.particles=100000"]),
@@ -102,7 +101,6 @@ def test_no_noise_is_a_length_of_dynamics():
         ("inner: 1.0}", "iner: 1.0}", "iner", 'unknown key "iner" in "targets.head.likelihood.skin"; did you mean'),
         ("  right_hand:\n", "  left_hand:\n", "left_hand", 'the key "left_hand" is repeated'),
         ("  right_hand:\n", "  Right Hand:\n", "Right Hand", '"Right Hand" cannot be one of targets; a name has'),
-        ("  right_hand:\n", f"  {'a' * 70}:\n", "a" * 70, "cannot be one of targets; a name has small letters"),
     ],
 )
 def test_a_wrong_recipe_of_several_targets_is_told_where_it_is_wrong(tmp_path, old, new, marked, said):

@@ -139,14 +139,13 @@ def test_lengths_scale_with_the_target_and_windows_of_the_init_file_win():
     points = load_recipe("factorized").target.parts
     small = {part: (10.0 * i, 5.0 * (i % 2)) for i, part in enumerate(points)}
     large = {part: (4 * x, 4 * y) for part, (x, y) in small.items()}
-    [a] = build_tracker(load_recipe("factorized"), Start(0, {"face": TargetStart(points=small)}, "x"))
-    [b] = build_tracker(
-        load_recipe("factorized"), Start(0, {"face": TargetStart(points=large, windows={"nose": (31.0, 17.0)})}, "x")
-    )
+
+    def built(*overrides, **more):
+        [target] = build_tracker(load_recipe("factorized", overrides), Start(0, {"face": TargetStart(**more)}, "x"))
+        return target
+
+    a, b = built(points=small), built(points=large, windows={"nose": (31.0, 17.0)})
     np.testing.assert_allclose(b.motion.sigma, 4 * a.motion.sigma)
     np.testing.assert_allclose(b.likelihood.windows[1:], 4 * a.likelihood.windows[1:])
     np.testing.assert_allclose(b.likelihood.windows[0], [31, 17])
-    [c] = build_tracker(
-        load_recipe("factorized", ["motion.sigma=3px"]), Start(0, {"face": TargetStart(points=large)}, "x")
-    )
-    np.testing.assert_allclose(c.motion.sigma, 3.0)
+    np.testing.assert_allclose(built("motion.sigma=3px", points=large).motion.sigma, 3.0)

@@ -212,20 +212,16 @@ def test_a_run_says_which_network_it_used_and_what_of_it_did_not_count(share, sa
     assert Manifest().network == ""
 
 
-def test_runs_of_a_clip_are_smoothed_and_the_report_names_the_network(file, tmp_path, monkeypatch):
+def test_a_smoothed_run_of_a_clip_and_its_report_name_the_network(file, tmp_path, monkeypatch):
     monkeypatch.setattr(targets, "Mesh", lambda path: FakeMesh([IN_CLIP] * 9, noise=0.6))
     sets = ("--set", f"head.landmarks.network={file}", "--set", "filter.particles=100", "--stop", "9", "--no-video")
-    tables = []
-    for more in ((), ("-q", "--smooth")):
-        out = tmp_path / f"run{len(more)}"
-        output = called("run", FOLDER / "expressions.mp4", "--config", "face", *sets, *more, "-o", out)
-        record = json.loads((out / "run.json").read_text())
-        assert record["networks"] == [str(file)] and 0.9 < record["borne_out"] <= 1
-        assert ("with the network a.tflite" in output) == (not more), "the quiet one says nothing"
-        tables.append(read_trajectory(out / "trajectory.csv"))
-        assert [part for _, part in tables[-1].names] == [*PARTS, BOX, *FEATURES]
-    ahead, smooth = (np.stack([[one.x, one.y] for one in table.parts[6:]]).T for table in tables)
-    assert smooth.shape == (9, 2, 23) and jitter(smooth) < 0.8 * jitter(ahead)
+    out = tmp_path / "run"
+    output = called("run", FOLDER / "expressions.mp4", "--config", "face", *sets, "--smooth", "-o", out)
+    record = json.loads((out / "run.json").read_text())
+    assert record["networks"] == [str(file)] and 0.9 < record["borne_out"] <= 1
+    assert "with the network a.tflite" in output
+    table = read_trajectory(out / "trajectory.csv")
+    assert [part for _, part in table.names] == [*PARTS, BOX, *FEATURES] and len(table.frames) == 9
     if find_spec("matplotlib"):
         called("report", out)
         [page] = out.glob("*.html")

@@ -137,12 +137,6 @@ def test_a_mistake_is_one_line_with_its_place(tmp_path, text, line, said):
     assert re.match(rf"{re.escape(str(path))}:{line}[: ]", message), message
 
 
-@pytest.mark.parametrize("name, said", [("none.yaml", "No such file"), (".", "Is a directory")])
-def test_no_file_to_read(tmp_path, name, said):
-    with pytest.raises(InputError, match=said):
-        read_init(tmp_path / name)
-
-
 # --- written, and read back ----------------------------------------------------------------------------------------
 
 numbers = st.floats(-1e6, 1e6, allow_nan=False)

@@ -35,13 +35,10 @@ def around(x0, spread=0.3, n=50, seed=0):
     return Particles(x, np.full(n, -np.log(n)))
 
 
-def told(learned, value):
-    return learned._replace(sensor_odds=np.broadcast_to(np.asarray(value, float), learned.good.shape))
-
-
 def step(model, learned, image, x, says=2.0):
     """After one more frame with the parts at x (K, 2), of which a sensor `says` so much."""
-    learned = told(model.look(learned, frame(image), x), says)
+    learned = model.look(learned, frame(image), x)
+    learned = learned._replace(sensor_odds=np.full(learned.good.shape, says))
     return model.learn(learned, frame(image), x, around(x))
 
 
