@@ -50,12 +50,9 @@ def result(frame, targets):
     placed = []
     for one in targets:
         k = len(one.rows)
-        diagnostics = {
-            name: replace(found, frame=np.array([frame.index])) for name, found in one.rows.diagnostics.items()
-        }
-        rows = replace(
-            one.rows, frame=np.full(k, frame.index), time_s=np.full(k, frame.time_s), diagnostics=diagnostics
-        )
+        frames = np.array([frame.index])
+        said = {name: replace(found, frame=frames) for name, found in one.rows.diagnostics.items()}
+        rows = replace(one.rows, frame=np.full(k, frame.index), time_s=np.full(k, frame.time_s), diagnostics=said)
         placed.append(one._replace(rows=rows))
     return FrameResult(frame, tuple(placed))
 
