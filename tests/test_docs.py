@@ -129,17 +129,13 @@ def test_command_lines_parse():
                 load_recipe(name, [text for text in (*params.get("overrides", ()), *own) if text != "KEY=VALUE"])
 
 
-def test_scripts_named_are_there():
-    for page in PAGES:
-        for script in re.findall(r"\b(?:benchmarks|tests|tools)/[\w/]+\.py", page.read_text(encoding="utf-8")):
-            assert (ROOT / script).exists(), f"{page.name}: {script}"
-
-
-def test_every_benchmark_and_picture_is_shown():
+def test_scripts_named_are_there_and_every_benchmark_and_picture_is_shown():
     """A benchmark that no page, check or other script names has no figure; a picture that no page shows is weight."""
     beside = [ROOT / "CONTRIBUTING.md", ROOT / ".ci" / "run", *(ROOT / "tools").glob("*.py")]
     scripts = sorted((ROOT / "benchmarks").glob("*.py"))
     said = "\n".join(path.read_text(encoding="utf-8") for path in [*PAGES, *beside])
+    for script in re.findall(r"\b(?:benchmarks|tests|tools)/[\w/]+\.py", said):
+        assert (ROOT / script).exists(), script
     imported = "\n".join(path.read_text(encoding="utf-8") for path in [*scripts, *beside])
     for script in scripts:
         named = f"benchmarks/{script.name}" in said

@@ -180,23 +180,3 @@ def test_a_page_is_typed(page, short, folder, facetrack, monkeypatch):
         command = INSTALL.sub("true", text) if language == "sh" else f"python - << 'END'\n{text}\nEND"
         code, printed = called(command, folder, facetrack) if language == "sh" else bash(command, folder)
         assert code == int(comments.get("exit code", 0)), f"{page.name}: {text}\n{printed}"
-
-
-def test_few_blocks_are_not_typed():
-    left_out = [page.name for page in PAGES for _ in re.findall("<!-- not typed: ", page.read_text(encoding="utf-8"))]
-    assert len(left_out) < 16, left_out
-
-
-@pytest.mark.parametrize(
-    ("shown", "same"),
-    [
-        ("nose 0.70 250 of 260", True),
-        ("nose 0.5 260 of 260", False),
-        ("mouth 0.77 260 of 260", False),
-        ("nose 0.77 ...", True),
-        ("a table 0.50 ± 0.30 4.1 s", True),
-        ("a table 0.50 ± 0.10 4.1 s", False),
-    ],
-)
-def test_what_is_printed_is_found(shown, same):
-    assert is_printed(shown, "first\nnose  0.77   260 of 260\na table 0.90 ± 0.31   9 s\n") == same

@@ -30,27 +30,12 @@ from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.source import open_source
 
-ROWS = (
-    '{"schema": "facetrack-trajectory", "version": 1, "source": {"path": "clip.mp4", "size": [64, 48]}, "frames": ['
-    '{"frame": 0, "time_s": 0, "targets": [{"target": "face", "parts": [{"part": "nose", "x": 1, "y": 2}]}]}]}'
-)
-
 
 def raising(error):
     def fails(*_):
         raise error
 
     return fails
-
-
-@pytest.fixture
-def run(tmp_path, monkeypatch):
-    """A folder with a trajectory, its clip and ground truth, which is the current one."""
-    monkeypatch.chdir(tmp_path)
-    Path("trajectory.json").write_text(ROWS)
-    Path("clip.mp4").write_bytes(b"a clip")
-    Path("clip.truth.csv").write_text("frame,target,part,x,y\n0,face,nose,1,2\n")
-    return tmp_path
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
@@ -89,25 +74,6 @@ def test_nothing_is_left_behind_when_interrupted(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         write_new(tmp_path / "new.csv", b"half", overwrite=False)
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("eval", "trajectory.json", "--json", "clip.mp4"),
-        ("eval", "trajectory.json", "--csv", "clip.truth.csv"),
-        ("eval", "trajectory.json", "--csv", "./trajectory.json"),
-        ("export", "trajectory.json", "--to", "dlc", "-o", "clip.mp4"),
-        ("export", "trajectory.json", "--to", "eaf", "--media", "clip.truth.csv", "-o", "clip.truth.csv"),
-        ("export", ".", "--to", "dlc", "-o", "trajectory.json"),
-    ],
-)
-def test_what_is_read_is_never_replaced(run, capsys, command):
-    before = {path: path.read_bytes() for path in run.iterdir()}
-    assert main([*command, "--overwrite"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.endswith(f"{Path(command[-1])}: is read here, and would be replaced; name another file")
-    assert {path: path.read_bytes() for path in run.iterdir()} == before
 
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
@@ -176,10 +142,8 @@ def test_an_archive_that_inflates(tmp_path):
     ("arguments", "code", "line"),
     [
         ([*RUN, "--threads", "99999999999"], 2, "is not in the range 1<=x<=1000"),
-        ([*RUN, "-j", "99999999999"], 2, "is not in the range 1<=x<=1000"),
         (["gallery", "show", "."], 3, ".: cannot be read: Is a directory"),
         (["run", "x/" * 2100 + "clip.mp4"], 3, "File name too long; name another file or folder"),
-        (["compare", "x" * 300 + ".mp4", "--config", "mil"], 3, "File name too long"),
     ],
 )
 def test_what_is_the_users_is_no_internal_error(capsys, tmp_path, monkeypatch, arguments, code, line):

@@ -21,25 +21,13 @@ Image = NDArray[np.uint8]
 Size = tuple[int, int]
 SIZE: Size = (64, 48)
 
+OPUS = ("-c:a", "libopus")
 # by suffix: an encoder for images, one for sound, and what it takes to make them small and quick
 CODECS = {
     ".mp4": ("-c:v", "libx264", "-preset", "ultrafast", "-c:a", "aac", "-movflags", "+faststart"),
     ".mov": ("-c:v", "mjpeg", "-q:v", "3", "-c:a", "pcm_s16le"),
     ".mkv": ("-c:v", "libx264", "-preset", "ultrafast", "-c:a", "aac"),
-    ".webm": (
-        "-c:v",
-        "libvpx",
-        "-deadline",
-        "realtime",
-        "-cpu-used",
-        "8",
-        "-threads",
-        "1",
-        "-b:v",
-        "1M",
-        "-c:a",
-        "libopus",
-    ),
+    ".webm": (*("-c:v", "libvpx", "-deadline", "realtime", "-cpu-used", "8", "-threads", "1", "-b:v", "1M"), *OPUS),
     ".avi": ("-c:v", "mpeg4", "-q:v", "3", "-c:a", "mp3"),
     ".mpg": ("-c:v", "mpeg1video", "-q:v", "3", "-c:a", "mp2"),
     ".ts": ("-c:v", "libx264", "-preset", "ultrafast", "-c:a", "aac"),
@@ -93,16 +81,8 @@ def write_video(
     """
     pictures = [numbered(index, size) for index in range(frames)] if isinstance(frames, int) else list(frames)
     raw = b"".join(picture.tobytes() for picture in pictures)
-    key = (
-        path.suffix,
-        hashlib.sha256(raw).digest(),
-        pictures[0].shape,
-        fps,
-        str(times),
-        sound,
-        sound_delay_s,
-        (*options,),
-    )
+    made_of = hashlib.sha256(raw).digest(), pictures[0].shape, fps, str(times), sound, sound_delay_s
+    key = (path.suffix, *made_of, *options)
     if key in _WRITTEN:
         path.write_bytes(_WRITTEN[key])
         return path

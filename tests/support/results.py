@@ -39,12 +39,8 @@ def target(name, parts, particles=None, cloud=None, identity=None, identity_prob
     rows = build(names or [(name, "")], np.arange(k), np.zeros(k), identity=[identity or ""] * k, **columns)
     if reported is not None:
         declared = tuple(KNOWN.values())
-        rows = with_(rows, diagnostics={name: Diagnostics.of(declared, [0], [reported])})
+        rows = replace(rows, diagnostics={name: Diagnostics.of(declared, [0], [reported])})
     return TargetResult(rows, np.zeros((0, k, 2)) if cloud is None else cloud, tuple(notes))
-
-
-def with_(rows, **columns):
-    return replace(rows, **columns)
 
 
 def result(frame, targets):
@@ -54,10 +50,9 @@ def result(frame, targets):
     placed = []
     for one in targets:
         k = len(one.rows)
-        diagnostics = {
-            name: with_(found, frame=np.array([frame.index])) for name, found in one.rows.diagnostics.items()
-        }
-        rows = with_(one.rows, frame=np.full(k, frame.index), time_s=np.full(k, frame.time_s), diagnostics=diagnostics)
+        frames = np.array([frame.index])
+        said = {name: replace(found, frame=frames) for name, found in one.rows.diagnostics.items()}
+        rows = replace(one.rows, frame=np.full(k, frame.index), time_s=np.full(k, frame.time_s), diagnostics=said)
         placed.append(one._replace(rows=rows))
     return FrameResult(frame, tuple(placed))
 

@@ -268,7 +268,6 @@ def test_what_is_predicted_is_where_the_picture_went(best):
 PATCHES = Patches((40.0, 50.0))
 MIXING, SIGMA = components(0.3, 0.3, 0.4), components(0.4, 0.5, 0.6)
 MODEL = appearance(PATCHES, 0.1, mixing=MIXING, sigma=SIGMA, least_sigma=0.05)
-FIXED = changed(MODEL, mixing=components(0, 0, 1))
 TRUTH = state(80, 60)
 W, S, F = 0, 1, 2
 

@@ -293,7 +293,6 @@ def test_a_box_cannot_place_parts_that_no_cascade_knows(box):
 AT_ONCE = dict.fromkeys(PARTS, (160.0, 140.0))
 REFUSED = [
     ("factorized", "has nase; what is followed is nose", given(5, points={"nase": (3, 3)})),
-    ("factorized", "has lip", given(5, absent=("lip",))),
     ("histogram", "has no box, which the recipe follows", given(5, points={"nose": (3, 3)})),
     ("histogram", "the box of face at frame 5 is smaller than", given(5, box=(3, 3, 2, 2))),
     ("factorized", "cannot be learned, or kept, there", given(5, points=NOSE, absent=("lip_upper",), learn=True)),

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.evaluation.accuracy import measure_points
 from facetrack_cli.evaluation.reliability import measure_confidence, measure_coverage, measure_lost
 from facetrack_cli.evaluation.rows import match
@@ -20,7 +19,6 @@ from facetrack_cli.report.figures import page
 from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.make import Image, command, init_yaml, recipe_yaml
 from facetrack_cli.report.story import history_of, key_frames, reasons
-from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
@@ -76,9 +74,6 @@ def table(tmp_path):
     return read_trajectory(tmp_path / "trajectory.json")
 
 
-# --- tables ------------------------------------------------------------------------------------------------------
-
-
 # --- measures ----------------------------------------------------------------------------------------------------
 
 
@@ -92,6 +87,8 @@ def test_an_absent_row_is_a_miss_where_the_truth_is_visible_and_no_error_elsewhe
     found = measure_points([part])
     assert (found.rows, found.missing, found.hidden_rows) == (2, 1, 0)
     assert found.failure_rate == pytest.approx(1 / 3)
+    found = measure_lost([rows([0, 0, NAN, NAN, 0, 0], "vvhhvv", ours=corrected("ittaat"))])
+    assert (found.rows, found.covered, found.called) == (3, 1, 0), "neither called lost nor missed"
 
 
 def test_a_place_given_by_hand_is_no_merit_but_in_the_first_frame():
@@ -101,12 +98,6 @@ def test_a_place_given_by_hand_is_no_merit_but_in_the_first_frame():
     assert found.rows == 3 and found.mean_px == 4
     part = replace(part, confidence=np.array([1.0, 0.2, 1.0, 0.2]), std=np.ones((4, 2)))
     assert [measure([part]).rows for measure in (measure_lost, measure_confidence, measure_coverage)] == [2, 2, 2]
-
-
-def test_what_is_said_to_be_absent_is_not_what_the_tracker_says():
-    part = rows([0, 0, NAN, NAN, 0, 0], "vvhhvv", ours=corrected("ittaat"))
-    found = measure_lost([part])
-    assert (found.rows, found.covered, found.called) == (3, 1, 0), "neither called lost nor missed"
 
 
 def boxes(status, x, frames=6, **more):
@@ -180,15 +171,6 @@ def test_a_report_says_what_was_corrected(table):
     assert kinds == {
         0: ["start"], 1: ["worst"], 3: ["lost"], 5: ["corrected"], 8: ["corrected"], 10: ["corrected"], 12: ["end"]
     }  # fmt: skip
-
-
-def test_the_start_of_the_page_has_the_corrections(table, tmp_path):
-    header = read_header(table)
-    assert header.init.start.corrections[1] == Correction(
-        8, "face", TargetStart(None, {"lip": (30, 20)}), {"nose": (10, 20)}, learn=True
-    )
-    (tmp_path / "again.init.yaml").write_text(init_yaml(header))
-    assert read_init(tmp_path / "again.init.yaml").corrections == header.init.start.corrections
 
 
 START = """frame: 0

@@ -123,13 +123,10 @@ def p_of(looks, others=0.0, *, cut=False, company=False, stranger_s=None):
     return probabilities(np.atleast_1d(looks), np.atleast_1d(others), alone)
 
 
-def test_no_look_denies_the_one_face_of_a_shot():
+def test_looks_decide_after_a_cut_or_in_company_and_no_look_denies_the_one_face_of_a_shot():
     for looks in np.linspace(-BOUND, BOUND, 9):
         assert p_of(looks, -AWAY * (looks > -2)) > 0.4
     assert p_of(-BOUND) > 0.5
-
-
-def test_after_a_cut_or_in_company_looks_decide():
     assert p_of(-1.0, cut=True) > 0.5 > p_of(-BOUND, cut=True)
     assert p_of(1.0, cut=True, company=True) > 0.5 > p_of(-1.0, company=True)
     assert p_of(-NEAR + 0.1, NEAR, company=True) > 0.5, "it is where it was: that counts as much as the looks"

@@ -89,15 +89,6 @@ def test_a_belief_is_what_its_plain_twin_says(share):
         np.testing.assert_allclose(ours, theirs, atol=1e-6)
 
 
-def test_the_skin_of_a_hand_leans_as_a_line_does():
-    line, x = np.zeros((40, 40), np.float32), np.zeros((1, 2, 4))
-    line[range(10, 31), range(10, 31)] = 1.0
-    for image, place, lean in ((line, (20, 20), 1), (line[::-1].copy(), (20, 19), -1), (line, (200, 20), 0)):
-        x[..., :2] = place
-        form = gathered(x, np.ones((1, 2), bool), np.ones(1), image, 1.0, image, 5.0)[5]
-        assert form[0, 2] == pytest.approx(lean, abs=0.05)
-
-
 @pytest.mark.parametrize("hands", [[], [(2.0, 3.5), (20.0, 4.0)]])
 def test_a_head_is_learned_as_its_plain_twin_says(hands):
     rng, hands = np.random.default_rng(5), np.array(hands).reshape(-1, 2)

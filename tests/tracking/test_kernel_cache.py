@@ -55,14 +55,11 @@ def unwritable(monkeypatch, *parts):
     monkeypatch.setattr(kernel_cache, "_writable", lambda folder: not any(part in folder for part in parts))
 
 
-def test_nothing_is_set_where_numba_finds_a_place(place, monkeypatch):
+def test_nothing_is_set_where_numba_finds_a_place_and_else_a_process_has_a_folder_of_its_own(place, monkeypatch):
     for parts in ((), ("__pycache__",)):
         unwritable(monkeypatch, *parts)
         kernel_cache.provide_cache()
         assert "NUMBA_CACHE_DIR" not in os.environ
-
-
-def test_where_numba_finds_none_each_process_has_a_folder_of_its_own(place, monkeypatch):
     unwritable(monkeypatch, "__pycache__", "home")
     kernel_cache.provide_cache()
     assert Path(os.environ.pop("NUMBA_CACHE_DIR")).parent == place

@@ -10,12 +10,9 @@ from hypothesis import strategies as st
 from facetrack_cli.trackers.face import landmark_filters, landmark_kernels
 from facetrack_cli.trackers.face.landmark_filters import (
     AREA,
-    BIAS,
-    FADES,
     MOTION,
     NO_FACE,
     NOISE,
-    REGRESSION,
     BiasFilter,
     Facing,
     LandmarkFilter,
@@ -28,60 +25,7 @@ from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity
 from tests.twins import landmark_filters as twin
 
-ASTRAY, DRIFT, MAX_NOISE, MISLED, SLIP = (  # pixels
-    EYES * getattr(landmark_kernels, name) for name in ("ASTRAY", "DRIFT", "MAX_NOISE", "MISLED", "SLIP")
-)
 PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])
-VISIBLE = np.ones(3)
-EXACT = 0.2 * np.eye(2) * np.ones((3, 1, 1))  # covariance of the filter's state
-AWAY = np.array([[3.0, -1.5], [-2.0, 2.5], [0.0, 4.0]])
-FAR_AWAY, TOGETHER = np.array([20.0, 0.0]), np.array([6.0, -3.0])
-
-
-def begun(z, x0, std, least=REGRESSION, keep=1.0):
-    """The filter of a single sensor."""
-    return BiasFilter.begin(z[None], x0, np.array([std]), np.array([least]), keep)
-
-
-def after_frame(sensor, z, state=PLACES, cov=EXACT, visible=VISIBLE, odds=np.nan):
-    return sensor.updated(z[None], state, cov, visible, np.full((1, 3), odds), np.zeros((1, 3)))
-
-
-def fed(sensor, offset, frames, rng, visible=VISIBLE):
-    """After `frames` in which the sensor says where the parts are, plus an offset and noise."""
-    for _ in range(frames):
-        z = PLACES + offset + rng.standard_normal((3, 2))
-        sensor = after_frame(sensor, z, PLACES + np.sqrt(0.2) * rng.standard_normal((3, 2)), EXACT, visible)
-    return sensor
-
-
-def test_a_bias_of_a_start_that_a_sensor_placed_fades_while_nothing_is_measured_and_that_of_a_hand_stays():
-    hand, placed = (begun(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep) for keep in (1.0, FADES))
-    for _ in range(60):
-        hand, placed = (after_frame(one, np.full((3, 2), np.nan)) for one in (hand, placed))
-    np.testing.assert_array_equal(hand.bias[0], AWAY)
-    np.testing.assert_allclose(placed.bias[0], FADES**60 * AWAY)
-
-
-@pytest.mark.parametrize("how", ["all hidden", "another hidden", "far off", "not seen"])
-def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
-    """What covers a part moves what a sensor says of all of them; it is not how the sensor usually errs."""
-    rng = np.random.default_rng(3)
-    before = fed(begun(PLACES, PLACES, 2.0), 0.0, 50, rng)
-    visible = {"all hidden": np.zeros(3), "another hidden": np.array([1.0, 0.0, 1.0])}.get(how, VISIBLE)
-    offset = {"far off": 40.0, "not seen": np.nan}.get(how, 5.0)
-    after = fed(before, offset, 80, rng, visible=visible)
-    np.testing.assert_allclose(after.bias, before.bias, atol=1e-9)
-    np.testing.assert_allclose(after.noise, before.noise, atol=1e-9)
-    assert (after.var > before.var).all(), "meanwhile it is less known"
-
-
-def test_windows_that_see_a_part_elsewhere_speak_against_a_sensor():
-    sensor = begun(PLACES, PLACES, 2.0)
-    after = [after_frame(sensor, PLACES, odds=odds).reliability[0, 0] for odds in (-9.0, -3.0, 0.0)]
-    assert after[0] < 0.5 < after[1] < after[2]
-    hidden = after_frame(sensor, PLACES, visible=np.zeros(3), odds=-9.0)
-    assert (hidden.reliability > 0.9).all(), "of what is hidden they say nothing"
 
 
 # --- two sensors ----------------------------------------------------------------------------------------------------
@@ -92,9 +36,6 @@ def said(z, var, sure):
     return np.asarray(z, float), np.full(3, var), np.full(3, sure)
 
 
-NOTHING = said(PLACES, 1.0, 0.0)
-
-
 def stacked(*each, area=AREA):
     return SensorReading(*map(np.stack, zip(*each, strict=True)), area)
 
@@ -103,33 +44,16 @@ def stacked(*each, area=AREA):
 def test_rows_of_a_face_are_those_of_the_plain_twin(shown):
     rng = np.random.default_rng(5)
     at, seen, how = rng.uniform(0, 160, (9, 2)), rng.random(9), np.zeros(9, np.int64)
-    root, head = (
-        rng.normal(size=(9, 2, 2)) * np.array([1, 1, 1, 9, 1, 1, 9, 1, 1])[:, None, None],
-        rng.normal(size=(2, 2)),
-    )
+    root = rng.normal(size=(9, 2, 2)) * np.array([1, 1, 1, 9, 1, 1, 9, 1, 1])[:, None, None]
+    head, face = rng.normal(size=(2, 2)), Similarity(np.array([20.0, 0.0]), 1.3, 0.4)
     at[8], how[1] = np.nan, 2
-    cov, face = (
-        root @ root.transpose(0, 2, 1) * np.where(np.isnan(at[:, :1, None]), np.nan, 1),
-        Similarity(FAR_AWAY, 1.3, 0.4),
-    )
+    cov = root @ root.transpose(0, 2, 1) * np.where(np.isnan(at[:, :1, None]), np.nan, 1)
     how_it_was, rows = how.copy(), np.empty((6, 9))
     given = at, cov, seen, 4, shown, head @ head.T, face.matrix, face.centre, MIDDLE, 9.0, 0.5
     landmark_kernels.show(*given, rows, how)
     expected, hows = twin.shown(*given, how_it_was)
     np.testing.assert_allclose(rows, expected, atol=1e-12)
     assert how.tolist() == hows and set(hows) == {0, 1, 2}
-
-
-def test_what_all_parts_move_together_is_the_head_s_and_what_one_moves_is_not():
-    def moved(z, sure=0.9):
-        one = said(z, 4.0, 0.9)
-        return fused(stacked((*one[:2], sure * np.ones(3)), NOTHING, NOTHING), PLACES)[1]
-
-    np.testing.assert_allclose(moved(PLACES + TOGETHER), TOGETHER * SLIP**2 / (SLIP**2 + 4))
-    opened = PLACES.copy()
-    opened[2, 1] += 15.0
-    np.testing.assert_allclose(moved(opened), 0, atol=1e-9)
-    np.testing.assert_array_equal(moved(PLACES + 6.0, np.array([0.9, 0.9, 0.2])), 0)
 
 
 def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
@@ -160,16 +84,6 @@ def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
             says = (np.arange(8) >> i) % 2 == 0
             odds = np.log(share[says].sum() / share[~says].sum()) - np.log(0.9 / 0.1)
             assert got[i, part] == pytest.approx(odds, rel=1e-3, abs=1e-3)
-
-
-@pytest.mark.parametrize(("second", "windows_right"), [(FAR_AWAY, False), (0.0, True), (-FAR_AWAY, True)])
-def test_what_two_sensors_say_alike_is_believed_though_windows_prefer_another_place(second, windows_right):
-    one, two = said(PLACES + FAR_AWAY, 9.0, 0.97), said(PLACES + second, 9.0, 0.97)
-    windows = said(PLACES, 1.0, 0.97)
-    readings = stacked(one, two, windows)
-    there = np.array([-9.0 if (set_ >> 2) % 2 else 0.0 for set_ in range(8)])
-    odds = who_is_right(readings, np.repeat(there[:, None], 3, axis=1)) + np.log(0.97 / 0.03)
-    assert ((odds[2] > 0) == windows_right).all() and ((odds[0] < 0) == windows_right).all()
 
 
 # --- is the face turned to the camera? -----------------------------------------------------------------------------
@@ -227,10 +141,11 @@ def moving_face(frames, rng, turn=0.01, s=MOTION, r=NOISE):
 def test_each_point_is_the_kalman_filter_that_is_written():
     rng = np.random.default_rng(1)
     _, zs = moving_face(30, rng)
-    odds = rng.uniform(-7, 7, (30, 30))
-    one = LandmarkFilter.begin(zs[0])
+    odds, bias = rng.uniform(-7, 7, (30, 30)), rng.uniform(0, 3, 30)
+    least = EYES * rng.choice([0.002, 0.02, 0.1], 30)  # of what a point moves by itself: lids move fast
+    one = LandmarkFilter.begin(zs[0], bias, least)
     rest, moved, before = zs[0].copy(), zs[0].copy(), [zs[0], zs[0]]
-    off, var, s2 = np.zeros((30, 2)), np.full(30, (0.015 * EYES) ** 2), np.full(30, (0.05 * EYES) ** 2)
+    off, var, s2 = np.zeros((30, 2)), np.full(30, (0.015 * EYES) ** 2), np.maximum(0.05 * EYES, least) ** 2
     r2, seen = var.copy(), np.ones(30)
     for t in range(1, 30):
         z = None if t % 7 == 3 else zs[t]
@@ -249,7 +164,7 @@ def test_each_point_is_the_kalman_filter_that_is_written():
                 rate = seen[j] / 100
                 r2[j] += rate * (min(bend @ bend / 12, 4 * r2[j]) - r2[j])
                 r2[j] = min(max(r2[j], (0.005 * EYES) ** 2), (0.05 * EYES) ** 2)
-                s2[j] = max(s2[j] + rate * (off[j] @ off[j] / 2 - s2[j]), (0.02 * EYES) ** 2)
+                s2[j] = max(s2[j] + rate * (off[j] @ off[j] / 2 - s2[j]), least[j] ** 2)
                 rest[j] = rest[j] + rate / 4 * off[j]
             before = [before[1], z]
         one = one.after(z, odds[t])
@@ -258,7 +173,7 @@ def test_each_point_is_the_kalman_filter_that_is_written():
         np.testing.assert_allclose(one.var, var)
     for mine, written in ((one.rest, rest), (one.motion_var, s2), (one.noise_var, r2), (one.last, np.stack(before))):
         np.testing.assert_allclose(mine, written)
-    np.testing.assert_allclose(one.cov[:, 0, 0], var + BIAS**2)
+    np.testing.assert_allclose(one.cov[:, 0, 0], var + bias**2)
 
 
 def test_in_another_stabilized_image_all_is_as_it_would_have_been_there():
@@ -296,23 +211,6 @@ def test_a_belief_has_the_motion_that_the_filter_predicts_by():
     np.testing.assert_allclose(motion.matrix @ cov @ motion.matrix + motion.cov, cov)
 
 
-def test_what_was_still_for_long_is_followed_at_once_where_its_least_motion_says_so():
-    """A blink: some lids of a face go down for three frames, after a minute."""
-    still, lids = REST + 0, np.arange(30) < 3
-    shut = still + np.where(lids[:, None], (0, 0.12 * EYES), 0)
-    followed = []
-    for least in (0.1 * EYES, 0.002 * EYES):
-        one = LandmarkFilter.begin(still, 0.02 * EYES, np.where(lids, least, 0.02 * EYES))
-        rng = np.random.default_rng(4)
-        for _ in range(600):
-            one = one.after(still + 0.02 * EYES * rng.standard_normal(still.shape), SHOWN)
-        for _ in range(2):
-            one = one.after(shut, SHOWN)
-        followed.append((one.at - still)[lids, 1].mean() / (0.12 * EYES))
-        np.testing.assert_allclose(one.cov[:, 0, 0], one.var + (0.02 * EYES) ** 2)
-    assert followed[0] > 0.85 and followed[1] < 0.6
-
-
 # --- kernels and their twins -----------------------------------------------------------------------------------------
 
 
@@ -321,7 +219,7 @@ def any_readings(rng, z, x0):
     z = np.where(rng.random(z.shape[:2])[..., None] < 0.25, np.nan, z)
     z[rng.integers(3)] = np.nan if rng.random() < 0.3 else z[0] + 1
     biases = BiasFilter.begin(z + rng.normal(0, 3, z.shape), x0, np.array([2.0, 3, 2]), np.ones(3), 0.98)
-    error_rate, reliability = rng.uniform(0.01, 0.9, (2, *z.shape[:2]))
+    error_rate, reliability = rng.uniform(0.01, 0.9, z.shape[:2]), rng.uniform(0.01, 0.99, z.shape[:2])
     return z, biases._replace(reliability=reliability, error_rate=error_rate)
 
 
@@ -332,12 +230,13 @@ def test_all_sensors_in_one_call_are_the_plain_twin(seed, parts):
     at = MIDDLE + 30 * rng.standard_normal((parts, 2))
     spread = rng.choice([1.0, 6.0, 15.0])
     z, biases = any_readings(rng, at + rng.normal(0, 5, 2) + spread * rng.standard_normal((3, parts, 2)), at)
-    visible, root = rng.choice([0.0, 0.3, 1.0], parts), rng.standard_normal((parts, 2, 2))
+    visible, root = rng.choice([0.0, 0.3, 1.0], parts, p=[0.2, 0.2, 0.6]), rng.standard_normal((parts, 2, 2))
     cov = root @ root.transpose(0, 2, 1)
     readings = biases.reading(z, visible)
     for mine, plain in zip(readings[:3], twin.readings(z, visible, *biases[:5], biases.keep), strict=True):
         np.testing.assert_allclose(mine, plain, rtol=1e-9)
     together, shift, apart = fused(readings, at)
+    assert shift.all() or parts < 14, "a head is moved"
     for mine, plain in zip((together, shift, apart), twin.fused(*readings[:3], at), strict=True):
         np.testing.assert_allclose(mine, plain, rtol=1e-9, atol=1e-9)
     all_, differ, cross = compared(readings, at, cov, visible)

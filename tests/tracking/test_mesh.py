@@ -1,6 +1,7 @@
 """The landmark network, where its file is there, and the sensors of points with and without it."""
 
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -80,17 +81,12 @@ def test_a_file_that_is_no_network_is_refused_in_a_line(tmp_path, content, capfd
 
 
 def test_another_network_is_refused_before_anything_is_tracked(tmp_path, monkeypatch):
-    class Iris:
-        def setInput(self, blob):  # noqa: N802
-            assert blob.shape == (1, 3, 192, 192)
-
-        def getUnconnectedOutLayersNames(self):  # noqa: N802
-            return ("contours", "iris")
-
-        def forward(self, names):
-            return [np.zeros((1, 213)), np.zeros((1, 15))]
-
-    monkeypatch.setattr("cv2.dnn.readNetFromTFLite", lambda path, **engine: Iris())
+    iris = SimpleNamespace(
+        setInput=lambda blob: None,
+        getUnconnectedOutLayersNames=lambda: ("contours", "iris"),
+        forward=lambda names: [np.zeros((1, 213)), np.zeros((1, 15))],
+    )
+    monkeypatch.setattr("cv2.dnn.readNetFromTFLite", lambda path, **engine: iris)
     with pytest.raises(InputError, match=r"iris\.tflite: is another network than MediaPipe's face mesh; get it by"):
         Mesh(tmp_path / "iris.tflite")
 

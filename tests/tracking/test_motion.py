@@ -113,9 +113,6 @@ def test_the_density_of_a_jump_is_the_formula_and_integrates_to_one():
     np.testing.assert_allclose(np.exp(log_p[:, 0]).sum(axis=0) * STEP**2, 1.0, atol=1e-3)
     for part in range(3):
         np.testing.assert_allclose(np.exp(log_p[::977, 0, part]), jump_density(GRID[::977, 0], PARENT[part], part))
-    table = JUMPS.log_transition(GRID[:4].repeat(3, axis=1), np.stack([PARENT, PARENT + 1, PARENT - 2]))
-    one = JUMPS.log_transition(GRID[2:3].repeat(3, axis=1), PARENT[None] + 1)
-    np.testing.assert_allclose(table[2, 1], one[0, 0])
 
 
 @pytest.mark.parametrize("measured", [[], [MEASURED, OTHER], [OTHER, MEASURED, MEASURED]])

@@ -268,20 +268,13 @@ def test_fit_says_what_is_wrong(tmp_path):
     wild = np.repeat(FACE[None], 3, 0)
     wild[1, 3] = 1e5
     wild = write_truth(tmp_path / "wild.csv", wild)
-    double = write_truth(write_truth(tmp_path / "double.csv", talking(2)), talking(2))
-    empty = tmp_path / "empty.csv"
-    empty.write_text(",".join(COLUMNS) + "\n")
     for paths, given, error, said in [
         ([good, four], {}, InputError, "four.csv: there is no part lip_lower"),
         ([hidden], {}, InputError, "none of its 5 frames"),
         ([flat], {}, InputError, "frame 0: .* are 0.00 apart"),
         ([wild], {}, InputError, "wild.csv: frame 1: a part of face moves"),
-        ([double], {}, InputError, "frame 0 has two rows of face/nose"),
-        ([empty], {}, InputError, "no row"),
-        ([tmp_path / "absent.csv"], {}, InputError, "absent.csv"),
         ([good], {"parts": ["nose", "lip_upper"]}, UsageError, "here are nose, lip_upper, with nose and mouth_left"),
         ([good], {"stable": "ear"}, UsageError, "with ear and .* --stable"),
-        ([good], {"scale": ("nose", "nose")}, UsageError, "with nose and nose, nose"),
         ([good], {"parts": [*PARTS, "nose"]}, UsageError, "named once"),
     ]:
         with pytest.raises(error, match=said) as caught:

@@ -94,9 +94,6 @@ def test_lengths_are_in_units_of_the_mean_side_of_the_box():
 
 BOX = ",".join(f"{side:g}" for side in START)
 FRAMES = 4
-POINTS = (
-    "{nose: [120, 90], mouth_left: [110, 100], mouth_right: [130, 100], lip_upper: [120, 98], lip_lower: [120, 103]}"
-)
 
 
 def starts(box="[100, 60, 40, 52]", points=""):
@@ -115,7 +112,7 @@ def clips(tmp_path_factory):
         rows = [f"{n},head,box,{x + (w - 1) / 2},{y + (h - 1) / 2},{w},{h},visible"
                 for n, (x, y, w, h) in enumerate(truth(FRAMES))]  # fmt: skip
         (folder / f"{name}.truth.csv").write_text("\n".join(["frame,target,part,x,y,w,h,status", *rows]) + "\n")
-    (folder / "points.init.yaml").write_text(starts("", POINTS))
+    (folder / "points.init.yaml").write_text(starts("", "{nose: [120, 90]}"))
     rows = [f"{n},head,nose,120,90,visible" for n in range(FRAMES)]
     (folder / "points.truth.csv").write_text("\n".join(["frame,target,part,x,y,status", *rows]) + "\n")
     return folder

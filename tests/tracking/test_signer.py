@@ -19,7 +19,6 @@ from facetrack_cli.trackers.hands import evidence, joint
 from facetrack_cli.trackers.hands import target as hand_target
 from facetrack_cli.trackers.hands.evidence import shift_between
 from facetrack_cli.trackers.hands.hand_kernels import weigh
-from facetrack_cli.trackers.hands.settings import HandsSettings
 from facetrack_cli.trackers.smoothed import renamed_hands
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 
@@ -118,10 +117,7 @@ def meeting(index, side):
     """Left and right hand: together in frames 10 to 12, and from frame 22 on each on the other (1) or own side (-1)."""
     to = side if index > 11 else -1
     away = 40 * min(max(abs(index - 11) - 1, 0) / 9, 1)
-    found = []
-    for sign in (1, -1):
-        found.append((MEETING[0] + sign * to * away, MEETING[1], -sign * 60))
-    return found
+    return [(MEETING[0] + sign * to * away, MEETING[1], -sign * 60) for sign in (1, -1)]
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -242,26 +238,15 @@ def test_a_hand_leaps_to_more_skin_but_not_along_its_arm():
 
 
 def test_an_arm_that_leaves_the_picture_is_no_hand_in_it():
-    face = BODY
-
-    def believed(seen, at, skin):
-        spread, form = np.zeros((2, 2, 2)), np.zeros((2, 3))
-        return joint.Belief(np.full(2, seen), at, spread, np.ones(2), 1.0, np.full(2, skin), form)
-
-    def present(y, skin, seen=1.0):
-        at = np.array([[3.0, y], [5.0, y]])
-        belief = joint.Belief(
-            np.full(2, seen), at, np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, skin), np.zeros((2, 3))
-        )
+    def present(y, skin, seen=1.0, face=BODY):
+        at, spread, form = np.array([[3.0, y], [5.0, y]]), np.zeros((2, 2, 2)), np.zeros((2, 3))
+        belief = joint.Belief(np.full(2, seen), at, spread, np.ones(2), 1.0, np.full(2, skin), form)
         return hand_target.in_picture(hand_target.cues(belief, face, 4.6))[0]
 
     assert present(2.5, 0.6) > 0.95 and present(2.5, 0.6, seen=0.0) < 0.1
     assert present(4.5, 0.3) < 0.4 < 0.8 < present(2.5, 0.3)
     raised = joint.Face(np.array([4.0, 0.1]), 1.0)
-    belief = joint.Belief(
-        np.ones(2), np.array([[3.0, 4.5]] * 2), np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, 0.5), np.zeros((2, 3))
-    )
-    assert hand_target.in_picture(hand_target.cues(belief, raised, 4.6))[0] > 0.95  # where hands hang
+    assert present(4.5, 0.5, face=raised) > 0.95  # where hands hang
 
 
 def test_one_step_has_the_posterior_of_a_grid():
@@ -378,18 +363,7 @@ def test_presence_and_place_are_two_numbers(risen):
     assert (told.get("named")[28:] > 0.9).all() and (told.get("named") >= 0.5).all()
 
 
-def test_settings_of_hands_are_refused_beside_targets_of_their_names():
-    with pytest.raises(Exception, match="left_hand is one of hands"):
-        load_recipe("head_hands", ["hands={}"])
-    with pytest.raises(Exception, match="the shares add up to"):
-        load_recipe("signer", ["hands.shares=[0.5, 0.3, 0.1]"])
-    assert HandsSettings.model_fields.keys() == SETTINGS.model_dump().keys()
-
-
 # --- by how much a camera has moved the image
-
-
-SIZES = [(240, 135), (45, 80), (81, 75), (25, 27), (160, 120), (64, 120)]
 
 
 def parts(size, x, y, seed=0):
@@ -400,7 +374,7 @@ def parts(size, x, y, seed=0):
     return whole[10 : 10 + height, 10 : 10 + width].copy(), whole[10 - y : 10 - y + height, 10 - x : 10 - x + width]
 
 
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", [(240, 135), (45, 80), (81, 75), (25, 27), (160, 120), (64, 120)])
 def test_equal_images_are_not_shifted_and_moved_ones_by_their_motion(size):
     same, _ = parts(size, 0, 0)
     shift, sure = shift_between(same, same.copy())

@@ -169,9 +169,6 @@ def test_any_box_of_any_picture_gives_a_model_or_says_that_it_is_not_in_the_pict
     assert model.table.max() > 200 and 0 <= model.share <= 1
 
 
-# --- which pixels are meant
-
-
 # --- where hands begin: regions of skin apart from the face
 
 HANDS_FACE = (130.0, 40.0, 50.0, 60.0)

@@ -7,8 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from facetrack_cli.core import files
-from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.trackers.appearance.gallery import load_gallery
 from facetrack_cli.trackers.face import eyes
 from facetrack_cli.trackers.face.cascaded_regression import DEFAULT, load_regression
@@ -139,18 +138,3 @@ def test_damaged_bytes_are_refused(kind, tmp_path):
     for content in (b"", b"text\n", whole[: len(whole) // 2], whole[:100], other.getvalue(), bare.getvalue()):
         path.write_bytes(content)
         refused(kind, path)
-
-
-@KINDS
-def test_what_cannot_be_written_leaves_what_was_there(kind, tmp_path, monkeypatch):
-    one, _ = stored(kind)
-    path = tmp_path / "x.npz"
-    path.write_text("kept")
-
-    def full(path):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(files, "publish", full)
-    with pytest.raises(OutputError, match="No space left"):
-        one.save(path)
-    assert path.read_text() == "kept" and [p.name for p in tmp_path.iterdir()] == ["x.npz"]

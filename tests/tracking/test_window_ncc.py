@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.trackers.face import landmark_kernels as kernels
 from facetrack_cli.trackers.face.landmark_kernels import NEW_BELOW, YOUNG, judge
 from facetrack_cli.trackers.face.settings import Length, ShiftPerPart, WindowNccSettings
 from facetrack_cli.trackers.face.window_ncc import WindowNcc, WindowState
@@ -36,13 +35,10 @@ def around(x0, spread=0.3, n=50, seed=0):
     return Particles(x, np.full(n, -np.log(n)))
 
 
-def told(learned, value):
-    return learned._replace(sensor_odds=np.broadcast_to(np.asarray(value, float), learned.good.shape))
-
-
 def step(model, learned, image, x, says=2.0):
     """After one more frame with the parts at x (K, 2), of which a sensor `says` so much."""
-    learned = told(model.look(learned, frame(image), x), says)
+    learned = model.look(learned, frame(image), x)
+    learned = learned._replace(sensor_odds=np.full(learned.good.shape, says))
     return model.learn(learned, frame(image), x, around(x))
 
 
@@ -174,18 +170,6 @@ def test_what_was_learned_of_a_part_that_hides_soon_after_is_forgotten(stays):
     assert learned.templates.number[0] == (1 if stays < YOUNG else 2)
 
 
-@pytest.mark.parametrize(("says", "spread"), [(-1.0, 0.3), (3.0, 2.0)])
-def test_nothing_is_learned_where_a_sensor_says_less_than_usually_or_particles_are_not_sure(says, spread):
-    closed, opened = texture(0), with_patch(texture(0), texture(1))
-    model, learned, x = one_part(closed)
-    for _ in range(80):
-        learned = step(model, learned, closed, x, says=3.0)
-    assert learned.usual_odds[0] > 2
-    learned = told(model.look(learned, frame(opened), x), says)
-    learned = model.learn(learned, frame(opened), x, around(x, spread))
-    assert learned.visible[0] > 0.5 and learned.templates.number[0] == 1
-
-
 def test_of_too_many_templates_the_one_that_matched_least_goes_and_never_the_first():
     looks = [texture(0), *(with_patch(texture(0), texture(i)) for i in range(1, 5))]
     model, learned, x = one_part(looks[0], templates=3)
@@ -197,23 +181,6 @@ def test_of_too_many_templates_the_one_that_matched_least_goes_and_never_the_fir
     np.testing.assert_array_equal(learned.templates.windows[0, 0], first)
     like = [model.correlation(model.look(learned, frame(look), x), x[None])[0, 0] for look in looks]
     assert min(like[i] for i in (0, 2, 3)) > 0.99 and like[1] < NEW_BELOW
-
-
-def test_v_is_the_chain_of_two_states_with_the_evidence_that_is_written():
-    model, learned, x = one_part(texture(0))
-    now = (0.7 * texture(0) + 0.3 * texture(1)).astype(np.uint8)
-    chain, rng = 1.0, np.random.default_rng(0)
-    for _ in range(12):
-        says = rng.uniform(-3, 3)
-        r = naive.correlation(naive.channels(texture(0), 60, 45, 15, 15), naive.channels(now, 60, 45, 15, 15))
-        q = (learned.good[0] - r) / (learned.good[0] - learned.beside[0])
-        odds = np.clip((kernels.HIDDEN - q) / kernels.SOFT, *kernels.BY_WINDOW) + says
-        before = chain * (1 - kernels.HIDE) + (1 - chain) * kernels.SHOW
-        chain = before / (before + (1 - before) * np.exp(-odds))
-        learned = step(model, learned, now, x, says=says)
-        if learned.templates.number[0] > 1:  # r of the first one alone is compared
-            learned.templates.number[0] = 1
-        assert learned.visible[0] == pytest.approx(chain, abs=1e-4)
 
 
 def test_where_a_track_begins_again_the_frame_is_looked_at_and_not_the_first_one():

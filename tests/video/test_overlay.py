@@ -137,21 +137,6 @@ def test_the_ellipse_shows_the_covariance() -> None:
     assert not ellipse((0.0, 0.0, 0.0))[100, 120:].any()
 
 
-def test_identity_and_names_stand_near_their_targets() -> None:
-    size = (320, 240)
-
-    def draw(identity: str | None, prob: float | None, y: float = 150.0) -> Image:
-        parts = [part("face", 160.0, y, w=61.0, h=61.0, cov=(0, 0, 0))]
-        one = target("face", parts, 0, identity=identity, identity_prob=prob)
-        return Overlay(size).draw(results.result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), [one]))
-
-    nobody, somebody, sure = draw(None, None), draw("Grace", None), draw("Grace", 0.93)
-    assert touched(somebody)[100:118].sum() > touched(nobody)[100:118].sum() + 40
-    assert touched(sure)[100:118].sum() > touched(somebody)[100:118].sum()
-    # at the top there is no room above: below, then
-    assert touched(draw("Grace", None, y=40.0))[73:].sum() > touched(draw(None, None, y=40.0))[73:].sum() + 40
-
-
 @pytest.mark.parametrize(("size", "least"), [((320, 240), 8), ((3840, 2160), 40), ((128, 96), 7)])
 def test_the_status_bar_can_be_read(size: tuple[int, int], least: int) -> None:
     overlay = Overlay(size)
@@ -327,15 +312,13 @@ def test_many_points_have_lines_and_at_most_tiny_dots() -> None:
     assert 1 <= nose.sum() <= 16
 
 
-# --- a tracker that adapts: parallelograms, and names in doubt ---
+def named(who: str | None, sure: float | None, y: float = 150) -> Image:
+    """A box around (200, y) with a name."""
+    one = target("face", [part("box", 200, y, w=60, h=60, cov=None)], 77, None, who, sure)
+    return Overlay((320, 240)).draw(results.result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), [one]))
 
 
-def named(who: str | None, sure: float | None) -> FrameResult:
-    one = target("face", [part("box", 200, 150, w=60, h=60, cov=None)], 77, None, who, sure)
-    return results.result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), [one])
-
-
-# --- windows ---
+# --- windows and names ---
 
 
 def test_a_part_with_corners_is_drawn_as_its_parallelogram() -> None:
@@ -354,18 +337,13 @@ def test_a_part_with_corners_is_drawn_as_its_parallelogram() -> None:
         assert not around(leaning, 100 + there.real, 100 - there.imag, 1).any()
 
 
-# --- names ---
-
-
-def above(shown: FrameResult) -> Image:
-    """What is drawn above the window at (200, 150)."""
-    return Overlay((320, 240)).draw(shown)[90:118, 130:270]
-
-
-def test_a_name_that_is_in_doubt_is_pale_and_has_a_question_mark() -> None:
-    sure, unsure, plain = (above(named("anna", p)) for p in (0.93, 0.43, None))
-    assert (touched(sure).any(axis=0).sum()) < touched(unsure).any(axis=0).sum(), "one sign more"
+def test_a_name_stands_beside_its_target_and_one_in_doubt_is_pale_and_has_a_question_mark() -> None:
+    sure, unsure, plain = (named("anna", p)[90:118, 130:270] for p in (0.93, 0.43, None))
+    assert touched(plain).any(axis=0).sum() < touched(sure).any(axis=0).sum(), "how sure it is"
+    assert touched(sure).any(axis=0).sum() < touched(unsure).any(axis=0).sum(), "one sign more"
     colours = [int(np.ptp(image.astype(int), axis=2).max()) for image in (sure, unsure, plain)]
     assert colours[0] > 100 and colours[2] > 100, "in the target's colour"
     assert colours[1] < 40, "grey"
-    assert not touched(above(named(None, None))).any()
+    assert not touched(named(None, None)[90:118, 130:270]).any()
+    # at the top there is no room above: below, then
+    assert touched(named("anna", None, y=40)).sum() > touched(named(None, None, y=40)).sum() + 40

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import threading
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -267,17 +266,3 @@ def test_several_threads_read_at_once_until_it_is_closed(folder: Path) -> None:
 
 
 # folders and refusals
-
-
-def test_a_folder_of_images(tmp_path: Path) -> None:
-    path = media.write_pictures(tmp_path / "frames", 12)
-    with open_source(path, fps=Fraction(30)) as source:
-        expected = list(source)
-    with Frames(path, fps=Fraction(30)) as frames:
-        assert (frames.count, frames.exact, frames.size, frames.fps) == (12, True, media.SIZE, 30)
-        for index in (7, 0, 11, 7, 10):
-            check(frames.read(index), expected[index])
-        assert frames.decoded == 4
-        for index in (12, -1):
-            with pytest.raises(InputError, match=r"no frame -?\d+, the clip has 12 frames \(0 to 11\); choose"):
-                frames.read(index)

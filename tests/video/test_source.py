@@ -252,15 +252,6 @@ def test_where_the_errors_are_is_said_and_two_clips_at_a_time_are_told_apart(tmp
     assert 20 < len(frames) <= 100 and source.complete is False and len(source.warnings) == 1
 
 
-def test_a_clip_that_is_removed_while_it_is_read(tmp_path: Path) -> None:
-    path = media.write_video(tmp_path / "clip.mpg", frames=60)
-    with open_source(path) as source:
-        frames = iter(source)
-        next(frames)
-        path.unlink()
-        assert 1 + sum(1 for _ in frames) == 60
-
-
 @pytest.mark.parametrize(("suffix", "kept"), [(".mp4", 0), (".mkv", 3000)])
 def test_a_clip_that_is_cut_while_it_is_read(tmp_path: Path, suffix: str, kept: int) -> None:
     path = media.write_video(tmp_path / f"clip{suffix}", frames=100, size=(320, 240))
