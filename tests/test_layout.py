@@ -103,7 +103,7 @@ def test_no_two_modules_import_each_other():
 
 
 def test_kernels_take_arrays_and_know_nothing_else():
-    libraries = {"numba", "numpy", *sys.stdlib_module_names}
+    libraries = {"numba", "llvmlite", "numpy", *sys.stdlib_module_names}
     kernels = [one for one in every_import() if "kernels" in one[0].parts or one[0].stem.endswith("_kernels")]
     ours = ("facetrack_cli.engine.kernels.", "facetrack_cli.core.errors")
     assert kernels

@@ -158,9 +158,6 @@ def test_where_nothing_is_corrected_any_more_the_files_do_not_speak_of_correctio
     assert after == before and runs[0] == runs[1]
 
 
-# --- runs as they are opened -----------------------------------------------------------------------------------------
-
-
 def test_every_recipe_is_read_back_from_the_header_as_it_was(tmp_path):
     def text(recipe):  # with the names of files, wherever these are
         return re.sub(r'"[^"]*/([^"/]+[.](npz|json))"', r'"\1"', json.dumps(to_dict(recipe)))

@@ -90,9 +90,6 @@ def page(out, clips, tmp_path):
         yield make
 
 
-# --- the page --------------------------------------------------------------------------------------------------------
-
-
 def test_two_hands_change_their_names_from_a_frame_on_and_a_box_is_confirmed_whole(page):
     one = page("hands")
     before = one.fixer.rows
@@ -305,9 +302,6 @@ def test_the_overview_tells_where_a_run_is_least_certain():
     assert {one["part"] for one in found["doubtful"]} == {"box"}
     assert [one["frame"] for one in doubtful(rows, {"a": 0.15})] == [11, 13]
     assert len(overview(rows, 999, (), {"a": 0.5})["least"]) == 10
-
-
-# --- the command -----------------------------------------------------------------------------------------------------
 
 
 def test_an_init_file_with_gaps_gives_what_a_run_from_it_gives(facetrack, out):

@@ -96,9 +96,6 @@ def check_answer(facetrack, case):
     assert all(Path(name).read_bytes() == content for name, content in case.files.items())
 
 
-# --- by their names: what no seed is likely to find, or what was found once -------------------------------------------
-
-
 def png(width, height):
     """A black grey image."""
 

@@ -63,9 +63,6 @@ def run(facetrack, *args, config="adaptive_recognition", clip="zoom"):
     return facetrack("run", f"IN/{clip}", "--config", config, "--no-video", "-q", *args)
 
 
-# --- tracking, and who it is: ten seeds gave the thresholds; beside each stands what the worst of them had ----------
-
-
 def followed(facetrack, clip, recipe, *more):
     """The finished run, its one box, the overlap with the truth, and the scale beside the true one, both 1 at first."""
     code, _, err = facetrack("run", FOLDER / f"{clip}.mp4", "--config", recipe, "-q", "-o", "out", *more)

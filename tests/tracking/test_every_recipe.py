@@ -71,9 +71,6 @@ def test_flat_frames_are_survived_and_everything_is_lost(name, level, clip):
         assert {*rows[-1].status[~rows[-1].vanished]} == {"lost"}
 
 
-# --- points, judged by ground truth
-
-
 class Clip(TrackClip):
     """Up to a frame, with ground truth and visibility (T, K) in the recipe's order."""
 

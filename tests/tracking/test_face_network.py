@@ -135,9 +135,6 @@ def test_points_of_a_network_are_lost_while_it_sees_no_face_and_with_the_head(fi
     assert gone[head_gone].all() and (column(results[head_gone], "status", (BOX,)) == "lost").all()
 
 
-# --- corrections ------------------------------------------------------------------------------------------------------
-
-
 def test_a_correction_puts_parts_and_points_of_the_network_right_and_all_may_be_absent(file):
     poses = [POSES[0]] * 5 + [Pose(200, 120)] * 10
     mesh = FakeMesh(poses)
@@ -152,9 +149,6 @@ def test_a_correction_puts_parts_and_points_of_the_network_right_and_all_may_be_
         found = errors(places(results[:11], (*PARTS, *FEATURES)), mesh, poses, (*PARTS, *FEATURES))
         assert found[5].max() < 0.1 and (found[5:] < 0.35).mean() > 0.97
         assert {*results[12].rows.status} == {"absent"} and np.isnan(results[12].rows.x).all()
-
-
-# --- smoothing --------------------------------------------------------------------------------------------------------
 
 
 def jitter(at):

@@ -64,8 +64,6 @@ def visible(particles):
     return float(np.exp(particles.log_w) @ particles.x[:, 0, VISIBLE])
 
 
-# --- one step against a grid -----------------------------------------------------------------------------------------
-
 STILL = visible_walk(SIGMA, HIDDEN, scale=1e-3)
 STD = (1.5, 2.0, OPEN)
 
@@ -147,9 +145,6 @@ def test_a_mode_found_anew_is_a_place_to_return_to():
         return share * np.exp(-0.5 * squared / size**2) / (2 * np.pi * size**2)
 
     assert_sampled(model, particles, exact(model, particles, returns=returns), 1000, 0.7, 30, 0.01)
-
-
-# --- visible or hidden -----------------------------------------------------------------------------------------------
 
 
 def chain(before, log_l, one=WALK.settings):

@@ -137,8 +137,6 @@ def test_a_mistake_is_one_line_with_its_place(tmp_path, text, line, said):
     assert re.match(rf"{re.escape(str(path))}:{line}[: ]", message), message
 
 
-# --- written, and read back ----------------------------------------------------------------------------------------
-
 numbers = st.floats(-1e6, 1e6, allow_nan=False)
 sizes = st.floats(0.01, 1e6)
 boxes = st.tuples(numbers, numbers, sizes, sizes)

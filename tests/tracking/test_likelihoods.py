@@ -210,9 +210,6 @@ def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
     np.testing.assert_allclose(target.likelihood.distances(learned, now, x), sum(looks) / 2)
 
 
-# --- pixels that are not independent
-
-
 def pictures():
     """A texture, and the same moved by a pixel."""
     rng = np.random.default_rng(2)

@@ -27,9 +27,6 @@ def off(a, b):
     return np.hypot(*(a - b).T) / EYES
 
 
-# --- the network ----------------------------------------------------------------------------------------------------
-
-
 def test_each_point_of_the_mesh_has_one_name():
     assert sorted(NAMES.values()) == list(range(COUNT))
     assert {part: NAMES[part] for part in POINTS} == MESH
@@ -89,9 +86,6 @@ def test_another_network_is_refused_before_anything_is_tracked(tmp_path, monkeyp
     monkeypatch.setattr("cv2.dnn.readNetFromTFLite", lambda path, **engine: iris)
     with pytest.raises(InputError, match=r"iris\.tflite: is another network than MediaPipe's face mesh; get it by"):
         Mesh(tmp_path / "iris.tflite")
-
-
-# --- what sensors the points -----------------------------------------------------------------------------------------
 
 
 def sensed(sensors, pose=IN_CLIP):

@@ -70,8 +70,6 @@ def test_scale_stops_at_its_bounds():
     assert np.all(speed[(s == 0.5) | (s == 2.0)] == 0) and np.any(speed != 0)
 
 
-# --- a walk that jumps ----------------------------------------------------------------------------------------------
-
 REST = np.array([[2.0, -1.0], [0.0, 0.0], [1.0, 1.0]])
 JUMPS = JumpingWalk(np.array([0.5, 1.0, 2.0]), np.array([3.0, 4.0, 6.0]), 0.3, REST, 0.9)
 PARENT = np.array([[3.0, -2.0], [1.0, 0.5], [-2.0, 2.0]])

@@ -147,9 +147,6 @@ def test_a_face_that_comes_late_is_found_and_few_frames_are_looked_at():
     assert len(seen) < 2 * len(looks), "closer looks, for faces that lie, are fewer"
 
 
-# --- faces that lie, are small, or cut off ------------------------------------------------------------------------
-
-
 @pytest.mark.filterwarnings("error")
 def test_what_the_network_makes_up_of_a_tiny_image_is_no_face(monkeypatch):
     rows = np.ones((4, 15), np.float32)
@@ -274,8 +271,6 @@ def test_nothing_is_seen_where_nobody_is():
         nobody = Detection((100.0, 60.0, 80.0, 80.0))
         assert righted(detector, empty, nobody) is nobody
 
-
-# --- a picture on the wall ----------------------------------------------------------------------------------------
 
 POSTER, PERSON = Pose(90, 110, 110), Pose(240, 130, 70)
 

@@ -119,8 +119,6 @@ def test_notes_of_the_start_are_said_in_the_first_frame_alone():
     assert [result.notes for result in track(tracker, frames(3), 0)] == [("one", "two"), (), ()]
 
 
-# --- from a recipe to its targets
-
 ALL = ("head", "left_hand", "right_hand")
 BOXES = {"head": (100.0, 40.0, 40.0, 50.0), "left_hand": (30.0, 120.0, 24.0, 28.0), "right_hand": (180, 120, 20, 30)}
 
@@ -143,8 +141,6 @@ def test_targets_are_built_in_the_recipes_order_and_the_first_keep_off_none():
     assert all(settings(target) == ExclusionSettings(strength=0.9, reach=1.0) for target in everyone)
     assert all(target.exclusion is None for target in built("head_hands", "exclusion=null"))
 
-
-# --- exclusion: what one target explains counts for less for another
 
 HEAD = Footprint(np.array([50.0, 40.0]), np.array([10.0, 20.0]))
 POINT = Footprint(np.array([5.0, 5.0]), np.zeros(2))

@@ -363,9 +363,6 @@ def test_presence_and_place_are_two_numbers(risen):
     assert (told.get("named")[28:] > 0.9).all() and (told.get("named") >= 0.5).all()
 
 
-# --- by how much a camera has moved the image
-
-
 def parts(size, x, y, seed=0):
     """Two parts of one texture, the second of which sees it moved by (x, y)."""
     width, height = size

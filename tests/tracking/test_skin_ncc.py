@@ -136,8 +136,6 @@ def test_the_readings_of_equation_11_on_a_darker_noisy_face(cost, mean, second, 
     assert away <= 2.0 if holds else away > 5.0
 
 
-# --- eq. 10 ---------------------------------------------------------------------------------------------------------
-
 unit = st.floats(-12, 40, width=32)
 step = st.one_of(st.just(1.0), st.floats(0.25, 4.0, width=32))
 

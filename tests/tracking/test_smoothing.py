@@ -180,9 +180,6 @@ def test_names_are_smoothed_to_the_sum_over_all_sequences(frames):
     assert smoothed_names(p, change) == pytest.approx(total[:, 0] / total.sum(axis=1), abs=1e-9)
 
 
-# --- rows
-
-
 CLIP = TrackClip("occlusion", 112)  # a hand covers a corner of the mouth and the lower lip in frames 51 to 101
 MOVED = Correction(60, "face", TargetStart(points={"nose": (175.0, 120.0)}))
 

@@ -42,9 +42,6 @@ def step(model, learned, image, x, says=2.0):
     return model.learn(learned, frame(image), x, around(x))
 
 
-# --- r ----------------------------------------------------------------------------------------------------------
-
-
 def test_r_is_what_the_plain_twin_says_for_several_templates_and_beyond_the_reach():
     first, now, reach = texture(0), texture(1), 6
     mixed = (0.6 * first + 0.4 * now).astype(np.uint8)
@@ -122,9 +119,6 @@ def test_a_window_that_matches_nothing_says_as_little_as_one_that_is_hidden():
     assert np.ptp(hidden[r < 0.3]) < 0.02, "nothing, where it is not like the part"
     assert seen.max() - np.median(seen) > 8
     np.testing.assert_allclose(seen[r < 0], np.log1p(-0.98) - 0.5 * 30, atol=0.01)
-
-
-# --- templates and what is visible --------------------------------------------------------------------------------
 
 
 def one_part(image, templates=4):

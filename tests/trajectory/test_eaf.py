@@ -197,8 +197,6 @@ def test_any_track_gives_a_valid_file(lost, steps, seed):
             assert all(gone == expected for gone in inside) or (not expected and not any(inside))
 
 
-# --- a file that people work in ---
-
 # as no program would write it: other quotes, comments, ends of lines, a time that is not known, names that are ours
 SESSION = """<?xml version='1.0' encoding="UTF-8"?>\r
 <!-- TIER, by hand <TIME_SLOT TIME_SLOT_ID="ts9" TIME_VALUE="1"/> -->\r

@@ -237,9 +237,6 @@ def test_pympi_reads_a_textgrid(read):
     assert next(rows for name, rows in found.items() if name.startswith("mouth"))[1] == [4, 5.6, "open"]
 
 
-# --- annotation tools ---
-
-
 def truth():
     place = {"x": 60.5 + np.arange(6), "y": np.full(6, 40.0), "w": np.full(6, 20.0), "h": np.full(6, 30.0)}
     return one_part("head", "box", range(6), **place, status=["visible", "visible", "hidden", *["visible"] * 3])
@@ -284,8 +281,6 @@ def test_label_studio_s_sdk_has_nothing_to_interpolate(annotations):
     (task,) = json.loads(write_labelstudio(table(), SIZE, 25.0, "c.mp4"))
     assert annotations["label_studio"] == task["annotations"][0]["result"]
 
-
-# --- poses ---
 
 POINTS = ("nose", "chin")
 

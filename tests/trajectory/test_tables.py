@@ -144,9 +144,6 @@ def test_pose_and_measures_have_a_row_a_frame_too():
         write_pose(one_part("hand", "box", [0], x=[1.0], y=[1.0]))
 
 
-# --- as a notebook shows it ---
-
-
 def seen(name, n, seen):
     x, confidence = np.full(n, 5.0), np.linspace(0, 1, n)
     status = np.where(np.arange(n) < seen, "tracked", "lost")
@@ -164,8 +161,6 @@ def test_a_row_for_each_target_with_what_is_seen_and_its_confidence():
     assert "<td>p0</td><td>1</td><td>0</td><td></td>" in joined([seen("p0", 2, 2)]).take(slice(0, 0))._repr_html_()
     assert "<td>1</td><td>100%" in one_part("face", "box", [3], x=[1.0], y=[2.0])._repr_html_()
 
-
-# --- events ---
 
 T = np.arange(250)
 WRITTEN = datetime(2024, 1, 1, tzinfo=UTC)

@@ -223,8 +223,6 @@ def test_no_result_makes_it_raise(size: tuple[int, int], fps: float) -> None:
             assert image.shape == picture.shape and (picture == 77).all()
 
 
-# --- corrections ---
-
 NOWHERE = {"x": float("nan"), "y": float("nan"), "w": float("nan"), "h": float("nan"), "cov": None, "confidence": None}
 
 
@@ -316,9 +314,6 @@ def named(who: str | None, sure: float | None, y: float = 150) -> Image:
     """A box around (200, y) with a name."""
     one = target("face", [part("box", 200, y, w=60, h=60, cov=None)], 77, None, who, sure)
     return Overlay((320, 240)).draw(results.result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), [one]))
-
-
-# --- windows and names ---
 
 
 def test_a_part_with_corners_is_drawn_as_its_parallelogram() -> None:
