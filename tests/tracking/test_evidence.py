@@ -26,6 +26,7 @@ from facetrack_cli.trackers.face.evidence import (
     kept,
     likeness,
     look_of,
+    own_views,
     prior,
     probabilities,
 )
@@ -174,6 +175,15 @@ def test_looks_are_bounded(monkeypatch):
     assert len(by_looks(known, [])) == 0
 
 
+def test_views_of_who_walked_by_unnoticed_do_not_count(monkeypatch):
+    own, other, small = (Picture(np.zeros(0), np.zeros(0), side) for side in (200.0, 201.0, 40.0))
+    monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model"))
+    monkeypatch.setattr(evidence, "by_looks", lambda views, faces, senses: [4.0 if faces[0] is own else -4.0])
+    looks, pictures = own_views([np.full(1, n) for n in range(4)], [own, other, own, small])
+    assert [int(look[0]) for look in looks] == [0, 2, 3] and [view.side for view in pictures] == [200, 200, 40]
+    assert own_views([], []) == ([], [])
+
+
 def test_views_are_laid_out_by_the_detector_and_not_by_the_box_of_the_start():
     head, face = Similarity(np.array([80.0, 60.0]), 0.7, 0.3), seen(BOX, 0.2)
     x = np.random.default_rng(0).uniform(0, 160, (5, 2))
@@ -197,8 +207,9 @@ def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch, ini
     monkeypatch.setattr(descriptor, "embedded", lambda chip: 0.6 * np.eye(128)[int(whose[chip.tobytes()])])
     by_walk = {}
     for model in (None, Path("a model")):
-        monkeypatch.setattr(target, "embedding_model", lambda model=model: model)
-        monkeypatch.setattr(target, "SEEN_PX", 50)
+        for module in (target, evidence):
+            monkeypatch.setattr(module, "embedding_model", lambda model=model: model)
+            monkeypatch.setattr(module, "SEEN_PX", 50)
         box = track_video(PASSERBY, "face", init=init, stop=112).find("face", "box")
         rows = [box.row(frame) for frame in range(83, 95)]  # in which somebody else stands before the face
         by_walk[model is None] = np.isin(box.status[rows], UNSEEN).mean()

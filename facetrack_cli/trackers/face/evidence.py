@@ -18,7 +18,7 @@ that the target is back, and the prior grows from 0 by 1 a second up to SHOT, si
 takes the extra `people`.
 
 Views are laid out as a detector has the face in them, so that those of a box that somebody has drawn are alike, too. A
-view that by its embedding is of somebody else is not kept.
+view that by its embedding is of somebody else does not count as one of the target.
 
 No term has a veto: skin changes with the light, hair with a hat.
 People change places over cuts, so the looks decide there, and hardly elsewhere. What looks like a cut and was a flash,
@@ -41,7 +41,7 @@ from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
-from facetrack_cli.trackers.people.descriptor import SENSES, Picture, same_person, together
+from facetrack_cli.trackers.people.descriptor import SENSES, Picture, embedding_model, same_person, together
 
 SHOT, CUT = 5.0, 2.3  # log odds that the one face of a frame is the target, in one shot and after a cut
 BOUND: Final = 4.0  # of the log odds by looks
@@ -153,6 +153,23 @@ def by_looks(views: Sequence[Picture], faces: Sequence[Picture], senses: Collect
     return np.clip(same_person(looks, senses)[0, 1:], -BOUND, BOUND)
 
 
+def by_who(views: Sequence[Picture], face: Picture) -> float:
+    """Log odds by the embedding that a face is the person of the `views`; less of a small face, 0 where none says."""
+    if embedding_model() is None or (weight := min(face.side / SEEN_PX, 1.0)) * BOUND <= AGAIN:
+        return 0.0
+    return weight * float(by_looks(views, [face], WHO)[0]) if views else 0.0
+
+
+def own_views(looks: Sequence[Array], pictures: Sequence[Picture]) -> tuple[list[Array], list[Picture]]:
+    """Looks and pictures without those of somebody else than the ones before, who walked by while nobody noticed."""
+    own = list[Array](), list[Picture]()
+    for look, picture in zip(looks, pictures, strict=True):
+        if by_who(own[1], picture) + AGAIN > 0:
+            own[0].append(look)
+            own[1].append(picture)
+    return own
+
+
 def look_of(still: Frame) -> Array:
     """The look (SIDE^2,) of an upright face, from a stabilized image."""
     left, top, width, height = (round(value) for value in BOX)
@@ -162,9 +179,9 @@ def look_of(still: Frame) -> Array:
     return np.asarray(small / max(float(np.linalg.norm(small)), 1e-9))
 
 
-def likeness(looks: tuple[Array, ...], look: Array) -> float:
-    """The highest correlation of a look with the known looks."""
-    return max(float(view @ look) for view in looks)
+def likeness(looks: Sequence[Array], look: Array) -> float:
+    """The highest correlation of a look with the known looks; -1 without any."""
+    return max((float(view @ look) for view in looks), default=-1.0)
 
 
 def kept(looks: tuple[_T, ...], look: _T) -> tuple[_T, ...]:

@@ -46,13 +46,14 @@ from facetrack_cli.trackers.face.evidence import (
     SEEN_PX,
     STAYS,
     SURE,
-    WHO,
     Sighting,
     by_looks,
     by_place,
+    by_who,
     kept,
     likeness,
     look_of,
+    own_views,
     prior,
     probabilities,
 )
@@ -123,9 +124,10 @@ class FaceTarget(FaceParts):
         if self.sensors.detector is not None and not self.sensors.searched and detection is None:
             facing = facing.undetected()
         face, info, shots = laid_out(similarity, detection), self.features.begun, Passing((small(frame),))
+        views: tuple[tuple[Array, ...], tuple[Picture, ...], Similarity] = (), (), face
         # where the detector does not see the face, its first view is laid out otherwise than later ones
-        pictures = () if detection is None and self.sensors.detector is not None else (self._picture(frame, face),)
-        views = (look_of(image),), pictures, face
+        if detection is not None or self.sensors.detector is None:
+            views = (look_of(image),), (self._picture(frame, face),), face
         state = FaceState(head, features, info, biases, facing, self.pose, np.zeros(4), others, eyes, *views, shots)
         return state, self.result(state, self.head.begun, frame, result.notes)
 
@@ -255,7 +257,8 @@ class FaceTarget(FaceParts):
             return False
         similarity = self.map_to_frame(state.head.estimated.state, state.pose)
         face = laid_out(similarity, self.sensors.detected(similarity.read(frame)))
-        looks = by_looks(state.pictures, [self._picture(frame, face)])
+        _, pictures = own_views(state.looks, state.pictures)
+        looks = by_looks(pictures, [self._picture(frame, face)])
         return bool(looks[0] + self._prior(state, frame) > 0)
 
     def _prior(self, state: FaceState, frame: Frame) -> float:
@@ -264,18 +267,15 @@ class FaceTarget(FaceParts):
 
     def _looked_again(self, state: FaceState, view: FaceView, frame: Frame) -> tuple[float, ...] | None:
         """`again` of the state with a look at the face that is seen in the target's place; None if it is recognised."""
-        if (weight := self._weight(state, view)) * BOUND <= AGAIN:
+        if not state.pictures or embedding_model() is None or view.laid_out.scale * FACE / SEEN_PX * BOUND <= AGAIN:
             return None
         in_place = by_place(state.last_seen, [view.laid_out], covered=False)[0] > 0
-        if not in_place or likeness(state.looks, look_of(view.image)) >= ALIKE:
+        looks, pictures = own_views(state.looks, state.pictures)
+        if not in_place or likeness(looks, look_of(view.image)) >= ALIKE:
             return None
-        [odds] = by_looks(state.pictures, [self._picture(frame, view.laid_out)], WHO).tolist()
-        again = (*(state.again or ()), weight * odds)
+        odds = by_who(pictures, self._picture(frame, view.laid_out))
+        again = (*(state.again or ()), odds)
         return None if odds > KNOWN or (len(again) == LOOKS_AGAIN and mean(again) + AGAIN > 0) else again
-
-    def _weight(self, state: FaceState, view: FaceView) -> float:
-        """How much of the log odds by the embedding of the face in a view counts; 0 where there is none."""
-        return min(view.laid_out.scale * FACE / SEEN_PX, 1.0) if state.pictures and embedding_model() else 0.0
 
     def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> FaceView:
         """The frame seen from a head at `head` (1, D); the detector looks as well if that is `due`."""
@@ -341,11 +341,9 @@ class FaceTarget(FaceParts):
         )  # fmt: skip
         if recognised and not (state.again and self.alone):
             state = state._replace(last_seen=view.laid_out)
-            if likeness(state.looks, look := look_of(view.image)) < NEW or not state.pictures:
+            if likeness(state.looks, look := look_of(view.image)) < NEW:
                 picture = self._picture(frame, view.laid_out)
-                weight = self._weight(state, view)
-                if not weight or weight * by_looks(state.pictures, [picture], WHO)[0] + AGAIN > 0:
-                    state = state._replace(looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
+                state = state._replace(looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
         state = self._restabilized(self._posed(state, view), view.similarity)
         return state, self.result(state, head_info, frame, notes)
 
@@ -457,7 +455,8 @@ class FaceTarget(FaceParts):
         if faces:
             sightings = [Sighting.of(face, frame) for face in faces]
             maps = [face.similarity for face in sightings]
-            looks = by_looks(state.pictures, [self._picture(frame, face) for face in maps]).tolist()
+            _, pictures = own_views(state.looks, state.pictures)
+            looks = by_looks(pictures, [self._picture(frame, face) for face in maps]).tolist()
             sightings = [
                 face._replace(by_looks=odds, latest=odds).after(state.sighting)
                 for face, odds in zip(sightings, looks, strict=True)

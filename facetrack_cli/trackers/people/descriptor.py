@@ -68,16 +68,20 @@ class FaceDescriptor(NamedTuple):
 
 @dataclass(frozen=True)
 class Picture:
-    """A face in one frame: upright (CHIP_PX, CHIP_PX, 3), and with what is around it (WIDE_PX, WIDE_PX, 3)."""
+    """A face in one frame: upright (CHIP_PX, CHIP_PX, 3), and with what is around it (WIDE_PX, WIDE_PX, 3).
+
+    `side` are the pixels of its box in the frame.
+    """
 
     chip: Image
     wide: Image
+    side: float
 
     @classmethod
     def of(cls, frame: Frame, face: Similarity) -> Picture:
         """The scale of `face` is the side of its box in pixels."""
         around = _upright(frame, face._replace(angle=0.0), WIDE_SIDES, WIDE_PX)
-        return cls(_upright(frame, face, CHIP_SIDES, CHIP_PX), around)
+        return cls(_upright(frame, face, CHIP_SIDES, CHIP_PX), around, face.scale)
 
     @property
     def plain(self) -> FaceDescriptor:
