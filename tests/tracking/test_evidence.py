@@ -31,7 +31,6 @@ from facetrack_cli.trackers.face.evidence import (
     probabilities,
 )
 from facetrack_cli.trackers.face.stabilized import Similarity
-from facetrack_cli.trackers.face.state import laid_out
 from facetrack_cli.trackers.people import descriptor
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.trajectory import UNSEEN
@@ -184,12 +183,10 @@ def test_views_of_who_walked_by_unnoticed_do_not_count(monkeypatch):
     assert own_views([], []) == ([], [])
 
 
-def test_views_are_laid_out_by_the_detector_and_not_by_the_box_of_the_start():
-    head, face = Similarity(np.array([80.0, 60.0]), 0.7, 0.3), seen(BOX, 0.2)
+def test_a_face_of_the_stabilized_image_is_laid_out_in_the_frame():
+    head, face = Similarity(np.array([80.0, 60.0]), 0.7, 0.3), seen(BOX, 0.2).similarity
     x = np.random.default_rng(0).uniform(0, 160, (5, 2))
-    there = head.to_frame(face.similarity.to_frame(x))  # the face was seen in the stabilized image
-    np.testing.assert_allclose(laid_out(head, face).to_frame(x), there)
-    assert laid_out(head, None) is head
+    np.testing.assert_allclose(face.within(head).to_frame(x), head.to_frame(face.to_frame(x)))
 
 
 @pytest.mark.skipif(yunet_model() is None, reason="needs the extra detect")

@@ -17,7 +17,7 @@ counts less where the face is small. If it speaks for somebody else, place says 
 that the target is back, and the prior grows from 0 by 1 a second up to SHOT, since who walks by does not stay. This
 takes the extra `people`.
 
-Views are laid out as a detector has the face in them, so that those of a box that somebody has drawn are alike, too. A
+Where somebody has drawn the box, views are laid out as a detector has the face in them, so that they are alike, too. A
 view that by its embedding is of somebody else does not count as one of the target.
 
 No term has a veto: skin changes with the light, hair with a hat.

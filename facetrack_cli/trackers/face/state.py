@@ -113,16 +113,6 @@ class FaceView(NamedTuple):
     shift: Array
     log_odds: float
 
-    @property
-    def laid_out(self) -> Similarity:
-        """The map of the face as the detector lays it out, so that views of any start look alike; else the head's."""
-        return laid_out(self.similarity, self.detection)
-
-
-def laid_out(similarity: Similarity, detection: Detection | None) -> Similarity:
-    """As `FaceView.laid_out`."""
-    return similarity if detection is None else detection.similarity.within(similarity)
-
 
 def updated(pose: Array, var: Array, offset: Array, std: Array) -> tuple[Array, Array]:
     """A pose (4,) and its variances after a measurement that is `offset` from it, with standard deviations `std`."""

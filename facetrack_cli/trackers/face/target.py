@@ -35,6 +35,7 @@ from facetrack_cli.engine.protocols import Motion, Names
 from facetrack_cli.engine.spaces import Estimate
 from facetrack_cli.engine.target import ParticleState
 from facetrack_cli.trackers.face import stabilized, window_ncc
+from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import (
     AGAIN,
     ALIKE,
@@ -74,7 +75,6 @@ from facetrack_cli.trackers.face.state import (
     FaceState,
     FaceView,
     head_confidence,
-    laid_out,
     mapped,
     moved,
     updated,
@@ -123,10 +123,10 @@ class FaceTarget(FaceParts):
         biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, self.features.x0)
         if self.sensors.detector is not None and not self.sensors.searched and detection is None:
             facing = facing.undetected()
-        face, info, shots = laid_out(similarity, detection), self.features.begun, Passing((small(frame),))
+        face, info, shots = self._laid_out(similarity, detection), self.features.begun, Passing((small(frame),))
         views: tuple[tuple[Array, ...], tuple[Picture, ...], Similarity] = (), (), face
         # where the detector does not see the face, its first view is laid out otherwise than later ones
-        if detection is not None or self.sensors.detector is None:
+        if self.sensors.searched or detection is not None or self.sensors.detector is None:
             views = (look_of(image),), (self._picture(frame, face),), face
         state = FaceState(head, features, info, biases, facing, self.pose, np.zeros(4), others, eyes, *views, shots)
         return state, self.result(state, self.head.begun, frame, result.notes)
@@ -160,7 +160,7 @@ class FaceTarget(FaceParts):
         features, _ = self.features.restart(rng, image, first.features, TargetStart(points=points), absent, relearned)
         detection, at = self.sensors.detected(image), features.estimated.state
         biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, at)
-        views, shots = (first.looks, first.pictures, laid_out(similarity, detection)), Passing((small(frame),))
+        views, shots = (first.looks, first.pictures, self._laid_out(similarity, detection)), Passing((small(frame),))
         info = self.features.begun
         state = FaceState(head, features, info, biases, Facing(), pose, np.zeros(4), others, eyes, *views, shots)
         return state, self.result(state, self.head.begun, frame)
@@ -256,7 +256,7 @@ class FaceTarget(FaceParts):
         if head_confidence(state.head) < self.settings.lost_below or state.log_odds <= 0:
             return False
         similarity = self.map_to_frame(state.head.estimated.state, state.pose)
-        face = laid_out(similarity, self.sensors.detected(similarity.read(frame)))
+        face = self._laid_out(similarity, self.sensors.detected(similarity.read(frame)))
         _, pictures = own_views(state.looks, state.pictures)
         looks = by_looks(pictures, [self._picture(frame, face)])
         return bool(looks[0] + self._prior(state, frame) > 0)
@@ -267,13 +267,14 @@ class FaceTarget(FaceParts):
 
     def _looked_again(self, state: FaceState, view: FaceView, frame: Frame) -> tuple[float, ...] | None:
         """`again` of the state with a look at the face that is seen in the target's place; None if it is recognised."""
-        if not state.pictures or embedding_model() is None or view.laid_out.scale * FACE / SEEN_PX * BOUND <= AGAIN:
+        face = self._laid_out(view.similarity, view.detection)
+        if not state.pictures or embedding_model() is None or face.scale * FACE / SEEN_PX * BOUND <= AGAIN:
             return None
-        in_place = by_place(state.last_seen, [view.laid_out], covered=False)[0] > 0
+        in_place = by_place(state.last_seen, [face], covered=False)[0] > 0
         looks, pictures = own_views(state.looks, state.pictures)
         if not in_place or likeness(looks, look_of(view.image)) >= ALIKE:
             return None
-        odds = by_who(pictures, self._picture(frame, view.laid_out))
+        odds = by_who(pictures, self._picture(frame, face))
         again = (*(state.again or ()), odds)
         return None if odds > KNOWN or (len(again) == LOOKS_AGAIN and mean(again) + AGAIN > 0) else again
 
@@ -340,9 +341,9 @@ class FaceTarget(FaceParts):
             eyes=eyes, log_odds=view.log_odds, again=() if view.log_odds <= 0 else state.again,
         )  # fmt: skip
         if recognised and not (state.again and self.alone):
-            state = state._replace(last_seen=view.laid_out)
+            state = state._replace(last_seen=self._laid_out(view.similarity, view.detection))
             if likeness(state.looks, look := look_of(view.image)) < NEW:
-                picture = self._picture(frame, view.laid_out)
+                picture = self._picture(frame, state.last_seen)
                 state = state._replace(looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
         state = self._restabilized(self._posed(state, view), view.similarity)
         return state, self.result(state, head_info, frame, notes)
@@ -426,6 +427,15 @@ class FaceTarget(FaceParts):
         biases = state.bias_filters._replace(bias=mapped(state.bias_filters.bias, turned, 0))
         others, eyes = (landmarks and landmarks.mapped(to) for landmarks in (state.others, state.eyes))
         return state._replace(features=moved(state.features, to), bias_filters=biases, others=others, eyes=eyes)
+
+    def _laid_out(self, similarity: Similarity, detection: Detection | None) -> Similarity:
+        """The map of a face as the detector lays it out, so that views of any start look alike.
+
+        Where a search began the track, the pose follows the detector already.
+        """
+        if detection is None or self.sensors.searched:
+            return similarity
+        return detection.similarity.within(similarity)
 
     def _picture(self, frame: Frame, face: Similarity) -> Picture:
         return Picture.of(frame, face._replace(scale=face.scale * FACE))
