@@ -84,7 +84,7 @@ from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
 
 COMPANY: Final = 2  # searches that saw several faces, from which the clip has shown somebody else
-LOOK: Final = (3, 30)  # frames between two looks of the head's filter while it is new, and later, where points are seen
+LOOK: Final = (3, 15)  # frames between two looks of the head's filter while it is new, and later, where points are seen
 NEW_FILTER: Final = 20  # looks after which the head's filter knows its peaks; sooner it may return on what is no face
 SETTLED: Final = 0.95  # probability by the head's filter, below which it looks in every frame
 EASY: Final = 8.0  # log odds that the points are seen where they are
