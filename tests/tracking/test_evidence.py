@@ -8,7 +8,7 @@ import pytest
 
 from facetrack_cli.core.types import Frame
 from facetrack_cli.runs.api import track_video
-from facetrack_cli.trackers.face import evidence, target
+from facetrack_cli.trackers.face import evidence
 from facetrack_cli.trackers.face.detectors import Detection, yunet_model
 from facetrack_cli.trackers.face.evidence import (
     AWAY,
@@ -204,9 +204,8 @@ def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch, ini
     monkeypatch.setattr(descriptor, "embedded", lambda chip: 0.6 * np.eye(128)[int(whose[chip.tobytes()])])
     by_walk = {}
     for model in (None, Path("a model")):
-        for module in (target, evidence):
-            monkeypatch.setattr(module, "embedding_model", lambda model=model: model)
-            monkeypatch.setattr(module, "SEEN_PX", 50)
+        monkeypatch.setattr(evidence, "embedding_model", lambda model=model: model)
+        monkeypatch.setattr(evidence, "SEEN_PX", 50)
         box = track_video(PASSERBY, "face", init=init, stop=112).find("face", "box")
         rows = [box.row(frame) for frame in range(83, 95)]  # in which somebody else stands before the face
         by_walk[model is None] = np.isin(box.status[rows], UNSEEN).mean()

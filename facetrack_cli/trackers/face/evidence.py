@@ -153,11 +153,16 @@ def by_looks(views: Sequence[Picture], faces: Sequence[Picture], senses: Collect
     return np.clip(same_person(looks, senses)[0, 1:], -BOUND, BOUND)
 
 
+def weight_of(side: float) -> float:
+    """How much the embedding of a face counts whose box has a `side` in pixels; 0 where it cannot outweigh AGAIN."""
+    weight = min(side / SEEN_PX, 1.0)
+    return weight if embedding_model() is not None and weight * BOUND > AGAIN else 0.0
+
+
 def by_who(views: Sequence[Picture], face: Picture) -> float:
     """Log odds by the embedding that a face is the person of the `views`; less of a small face, 0 where none says."""
-    if embedding_model() is None or (weight := min(face.side / SEEN_PX, 1.0)) * BOUND <= AGAIN:
-        return 0.0
-    return weight * float(by_looks(views, [face], WHO)[0]) if views else 0.0
+    weight = weight_of(face.side)
+    return weight * float(by_looks(views, [face], WHO)[0]) if weight and views else 0.0
 
 
 def own_views(looks: Sequence[Array], pictures: Sequence[Picture]) -> tuple[list[Array], list[Picture]]:

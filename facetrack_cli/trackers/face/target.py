@@ -39,12 +39,10 @@ from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import (
     AGAIN,
     ALIKE,
-    BOUND,
     KNOWN,
     LOOKS_AGAIN,
     MAYBE,
     NEW,
-    SEEN_PX,
     STAYS,
     SURE,
     Sighting,
@@ -57,6 +55,7 @@ from facetrack_cli.trackers.face.evidence import (
     own_views,
     prior,
     probabilities,
+    weight_of,
 )
 from facetrack_cli.trackers.face.landmark_filters import (
     NO_FACE,
@@ -79,7 +78,7 @@ from facetrack_cli.trackers.face.state import (
     moved,
     updated,
 )
-from facetrack_cli.trackers.people.descriptor import Picture, embedding_model
+from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
 
@@ -256,7 +255,8 @@ class FaceTarget(FaceParts):
         if head_confidence(state.head) < self.settings.lost_below or state.log_odds <= 0:
             return False
         similarity = self.map_to_frame(state.head.estimated.state, state.pose)
-        face = self._laid_out(similarity, self.sensors.detected(similarity.read(frame)))
+        detection = None if self.sensors.searched else self.sensors.detected(similarity.read(frame))
+        face = self._laid_out(similarity, detection)
         _, pictures = own_views(state.looks, state.pictures)
         looks = by_looks(pictures, [self._picture(frame, face)])
         return bool(looks[0] + self._prior(state, frame) > 0)
@@ -268,7 +268,7 @@ class FaceTarget(FaceParts):
     def _looked_again(self, state: FaceState, view: FaceView, frame: Frame) -> tuple[float, ...] | None:
         """`again` of the state with a look at the face that is seen in the target's place; None if it is recognised."""
         face = self._laid_out(view.similarity, view.detection)
-        if not state.pictures or embedding_model() is None or face.scale * FACE / SEEN_PX * BOUND <= AGAIN:
+        if not state.pictures or not weight_of(face.scale * FACE):
             return None
         in_place = by_place(state.last_seen, [face], covered=False)[0] > 0
         looks, pictures = own_views(state.looks, state.pictures)
