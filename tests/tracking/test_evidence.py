@@ -205,6 +205,7 @@ def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch, ini
     by_walk = {}
     for model in (None, Path("a model")):
         monkeypatch.setattr(evidence, "embedding_model", lambda model=model: model)
+        monkeypatch.setattr(evidence, "SEEN_PX", 50)
         box = track_video(PASSERBY, "face", init=init, stop=112).find("face", "box")
         rows = [box.row(frame) for frame in range(83, 95)]  # in which somebody else stands before the face
         by_walk[model is None] = np.isin(box.status[rows], UNSEEN).mean()

@@ -46,7 +46,7 @@ from facetrack_cli.trackers.people.descriptor import SENSES, Picture, embedding_
 SHOT, CUT = 5.0, 2.3  # log odds that the one face of a frame is the target, in one shot and after a cut
 BOUND: Final = 4.0  # of the log odds by looks
 AGAIN: Final = 2.0  # log odds that the face that is seen in a target's place after it was not seen is the target
-SEEN_PX: Final = 110  # pixels of a face's box below which an embedding of one view tells less of who it is
+SEEN_PX: Final = 120  # pixels of a face's box below which an embedding of one view tells less of who it is
 WHO: Final = ("embedding",)  # senses that tell somebody who walks by from the target
 NEAR: Final = 3.0  # log odds of a face where the target was
 AWAY: Final = 2.0  # ... less, of a face elsewhere while the target is covered
