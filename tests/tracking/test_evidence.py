@@ -21,6 +21,7 @@ from facetrack_cli.trackers.face.evidence import (
     SIDE,
     STAYS,
     Sighting,
+    View,
     by_looks,
     by_place,
     kept,
@@ -71,7 +72,8 @@ def seen(box, turn=0.0):
     return Detection(box, eyes=((x - along[0], y - along[1]), (x + along[0], y + along[1])))
 
 
-OWN = (look(BOX, 1),)
+PICTURE = Picture(np.zeros(0), np.zeros(0), 0.0)
+OWN = (View(look(BOX, 1), PICTURE, True),)
 
 
 def test_a_look_has_no_mean_and_unit_norm_and_does_not_know_the_light():
@@ -88,11 +90,11 @@ def test_a_person_is_alike_at_another_place_and_size_and_roll_and_another_is_not
 
 
 def test_the_last_looks_are_kept_and_that_of_the_start_stays():
-    looks = OWN
+    views = OWN
     for seed in range(2, 12):
-        looks = kept(looks, look(BOX, seed))
-    assert len(looks) == MAX_LOOKS and looks[0] is OWN[0]
-    assert looks[-1] @ look(BOX, 11) == pytest.approx(1)
+        views = kept(views, View(look(BOX, seed), PICTURE, True))
+    assert len(views) == MAX_LOOKS and views[0].look is OWN[0].look
+    assert views[-1].look @ look(BOX, 11) == pytest.approx(1)
 
 
 def place(box, turn=0.0):
@@ -175,12 +177,24 @@ def test_looks_are_bounded(monkeypatch):
 
 
 def test_views_of_who_walked_by_unnoticed_do_not_count(monkeypatch):
-    own, other, small = (Picture(np.zeros(0), np.zeros(0), side) for side in (200.0, 201.0, 40.0))
+    own, other, small, dark, dusk = (Picture(PICTURE.chip, PICTURE.wide, side) for side in (200, 201, 40, 202, 203))
+    alike = {(200, 200), (202, 202), (200, 203), (203, 202)}
     monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model"))
-    monkeypatch.setattr(evidence, "by_looks", lambda views, faces, senses: [4.0 if faces[0] is own else -4.0])
-    looks, pictures = own_views([np.full(1, n) for n in range(4)], [own, other, own, small])
-    assert [int(look[0]) for look in looks] == [0, 2, 3] and [view.side for view in pictures] == [200, 200, 40]
-    assert own_views([], []) == ([], [])
+    monkeypatch.setattr(
+        evidence,
+        "by_looks",
+        lambda views, faces, senses: [max(4.0 if (view.side, faces[0].side) in alike else -4.0 for view in views)],
+    )
+
+    def owned(*views):
+        return [(view.picture.side, view.sure) for view in own_views([View(PICTURE.chip, *view) for view in views])]
+
+    assert owned((own, True), (other, False), (own, False), (small, False)) == [(200, True), (200, True), (40, False)]
+    assert owned((own, True), (dusk, False), (dark, False)) == [(200, True), (203, True), (202, True)], (
+        "it grows dark by and by"
+    )
+    assert owned((own, True), (dark, False), (dusk, False)) == [(200, True), (203, True)]
+    assert owned() == []
 
 
 def test_a_face_of_the_stabilized_image_is_laid_out_in_the_frame():
@@ -205,7 +219,6 @@ def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch, ini
     by_walk = {}
     for model in (None, Path("a model")):
         monkeypatch.setattr(evidence, "embedding_model", lambda model=model: model)
-        monkeypatch.setattr(evidence, "SEEN_PX", 50)
         box = track_video(PASSERBY, "face", init=init, stop=112).find("face", "box")
         rows = [box.row(frame) for frame in range(83, 95)]  # in which somebody else stands before the face
         by_walk[model is None] = np.isin(box.status[rows], UNSEEN).mean()

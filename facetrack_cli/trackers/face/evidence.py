@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -46,7 +46,7 @@ from facetrack_cli.trackers.people.descriptor import SENSES, Picture, embedding_
 SHOT, CUT = 5.0, 2.3  # log odds that the one face of a frame is the target, in one shot and after a cut
 BOUND: Final = 4.0  # of the log odds by looks
 AGAIN: Final = 2.0  # log odds that the face that is seen in a target's place after it was not seen is the target
-SEEN_PX: Final = 120  # pixels of a face's box below which an embedding of one view tells less of who it is
+SEEN_PX: Final = 100  # pixels of a face's box below which an embedding of one view tells less of who it is
 WHO: Final = ("embedding",)  # senses that tell somebody who walks by from the target
 NEAR: Final = 3.0  # log odds of a face where the target was
 AWAY: Final = 2.0  # ... less, of a face elsewhere while the target is covered
@@ -57,10 +57,10 @@ MAYBE: Final = 0.05  # probability below which a face is no sighting
 SAME: Final = 0.6  # sizes of a face within which it is the same one at the next look
 NEW: Final = 0.6  # correlation with all looks below which another one is kept
 ALIKE: Final = 0.9  # correlation with a look from which a face in its place is the same without further looks
+APART: Final = 0.2  # seconds between looks at a face in its place
 LOOKS_AGAIN: Final = 3  # looks after which a face in its place is the same, if they do not say otherwise
 MAX_LOOKS: Final = 6  # looks that are kept
 SIDE: Final = 16  # pixels of a look
-_T = TypeVar("_T")
 
 
 class Sighting(NamedTuple):
@@ -165,14 +165,23 @@ def by_who(views: Sequence[Picture], face: Picture) -> float:
     return weight * float(by_looks(views, [face], WHO)[0]) if weight and views else 0.0
 
 
-def own_views(looks: Sequence[Array], pictures: Sequence[Picture]) -> tuple[list[Array], list[Picture]]:
-    """Looks and pictures without those of somebody else than the ones before, who walked by while nobody noticed."""
-    own = list[Array](), list[Picture]()
-    for look, picture in zip(looks, pictures, strict=True):
-        if by_who(own[1], picture) + AGAIN > 0:
-            own[0].append(look)
-            own[1].append(picture)
-    return own
+class View(NamedTuple):
+    """A view of the target: its look (SIDE^2,), its picture, and whether it is of nobody else by `own_views`."""
+
+    look: Array
+    picture: Picture
+    sure: bool = False
+
+
+def own_views(views: Sequence[View]) -> tuple[View, ...]:
+    """The views without those of somebody who walked by while nobody noticed: not the person of the sure views."""
+    sure, own = [view.picture for view in views if view.sure], list[View]()
+    for view in views:
+        odds = BOUND if view.sure else by_who(sure, view.picture)
+        if odds + AGAIN > 0:
+            own.append(view._replace(sure=odds > KNOWN))
+            sure += [view.picture] * (odds > KNOWN and not view.sure)
+    return tuple(own)
 
 
 def look_of(still: Frame) -> Array:
@@ -184,11 +193,16 @@ def look_of(still: Frame) -> Array:
     return np.asarray(small / max(float(np.linalg.norm(small)), 1e-9))
 
 
-def likeness(looks: Sequence[Array], look: Array) -> float:
-    """The highest correlation of a look with the known looks; -1 without any."""
-    return max((float(view @ look) for view in looks), default=-1.0)
+def likeness(views: Sequence[View], look: Array) -> float:
+    """The highest correlation of a look with the looks of the views; -1 without any."""
+    return max((float(view.look @ look) for view in views), default=-1.0)
 
 
-def kept(looks: tuple[_T, ...], look: _T) -> tuple[_T, ...]:
-    """The last looks with a further one; that of the start stays."""
-    return (*looks, look) if len(looks) < MAX_LOOKS else (looks[0], *looks[2:], look)
+def kept(views: tuple[View, ...], view: View) -> tuple[View, ...]:
+    """The last views with a further one; that of the start stays.
+
+    Views are compared with those before them, as a face grows light by and by, before one of these goes.
+    """
+    if len(views) == MAX_LOOKS:
+        views = own_views(views)
+    return (*views, view) if len(views) < MAX_LOOKS else (views[0], *views[2:], view)

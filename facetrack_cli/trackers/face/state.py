@@ -19,14 +19,13 @@ from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face import landmark_kernels as kernels
 from facetrack_cli.trackers.face.detectors import Detection
-from facetrack_cli.trackers.face.evidence import Sighting
+from facetrack_cli.trackers.face.evidence import Sighting, View
 from facetrack_cli.trackers.face.landmark_filters import BiasFilter, Facing, LandmarkFilter
 from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.landmark_sensors import LandmarkReadings, LandmarkSensors
 from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, Similarity
-from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import SPREAD, TargetResult, of_frame
 from facetrack_cli.video.shots import Passing
@@ -52,7 +51,7 @@ class FaceState(NamedTuple):
     pose_var : (4,), the variances of `pose`
     others : the network's further points; None before it has seen the face
     eyes : the points of the eyes; None where they have no rows
-    looks, pictures : views of the face so far, by which it is recognised
+    views : of the face so far, by which it is recognised
     last_seen : where a detector last saw the face for sure
     shots : the tests for cuts
     frames : frames since the start
@@ -61,6 +60,7 @@ class FaceState(NamedTuple):
     cut_time : time in s of a (possible) cut after which the face was not seen yet
     crowded : in how many searches several faces were seen
     again : log odds by its looks since the face is seen again; None while it was seen in all frames, or is recognised
+    again_time : time in s of the latest of these looks
     stranger_time : time in s since which somebody else is seen in its place
     """
 
@@ -73,8 +73,7 @@ class FaceState(NamedTuple):
     pose_var: Array
     others: LandmarkFilter | None
     eyes: LandmarkFilter | None
-    looks: tuple[Array, ...]
-    pictures: tuple[Picture, ...]
+    views: tuple[View, ...]
     last_seen: Similarity
     shots: Passing
     frames: int = 0
@@ -83,6 +82,7 @@ class FaceState(NamedTuple):
     cut_time: float | None = None
     crowded: int = 0
     again: tuple[float, ...] | None = None
+    again_time: float = 0.0
     stranger_time: float | None = None
 
 

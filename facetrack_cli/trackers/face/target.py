@@ -39,6 +39,7 @@ from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import (
     AGAIN,
     ALIKE,
+    APART,
     KNOWN,
     LOOKS_AGAIN,
     MAYBE,
@@ -46,6 +47,7 @@ from facetrack_cli.trackers.face.evidence import (
     STAYS,
     SURE,
     Sighting,
+    View,
     by_looks,
     by_place,
     by_who,
@@ -123,11 +125,12 @@ class FaceTarget(FaceParts):
         if self.sensors.detector is not None and not self.sensors.searched and detection is None:
             facing = facing.undetected()
         face, info, shots = self._laid_out(similarity, detection), self.features.begun, Passing((small(frame),))
-        views: tuple[tuple[Array, ...], tuple[Picture, ...], Similarity] = (), (), face
+        views: tuple[View, ...] = ()
         # where the detector does not see the face, its first view is laid out otherwise than later ones
         if self.sensors.searched or detection is not None or self.sensors.detector is None:
-            views = (look_of(image),), (self._picture(frame, face),), face
-        state = FaceState(head, features, info, biases, facing, self.pose, np.zeros(4), others, eyes, *views, shots)
+            views = (View(look_of(image), self._picture(frame, face), sure=True),)
+        seen = views, face, shots
+        state = FaceState(head, features, info, biases, facing, self.pose, np.zeros(4), others, eyes, *seen)
         return state, self.result(state, self.head.begun, frame, result.notes)
 
     def restart(
@@ -159,9 +162,8 @@ class FaceTarget(FaceParts):
         features, _ = self.features.restart(rng, image, first.features, TargetStart(points=points), absent, relearned)
         detection, at = self.sensors.detected(image), features.estimated.state
         biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, at)
-        views, shots = (first.looks, first.pictures, self._laid_out(similarity, detection)), Passing((small(frame),))
-        info = self.features.begun
-        state = FaceState(head, features, info, biases, Facing(), pose, np.zeros(4), others, eyes, *views, shots)
+        info, seen = self.features.begun, (first.views, self._laid_out(similarity, detection), Passing((small(frame),)))
+        state = FaceState(head, features, info, biases, Facing(), pose, np.zeros(4), others, eyes, *seen)
         return state, self.result(state, self.head.begun, frame)
 
     # --- a frame -------------------------------------------------------------------------------------------------
@@ -257,26 +259,28 @@ class FaceTarget(FaceParts):
         similarity = self.map_to_frame(state.head.estimated.state, state.pose)
         detection = None if self.sensors.searched else self.sensors.detected(similarity.read(frame))
         face = self._laid_out(similarity, detection)
-        _, pictures = own_views(state.looks, state.pictures)
-        looks = by_looks(pictures, [self._picture(frame, face)])
+        looks = by_looks([view.picture for view in own_views(state.views)], [self._picture(frame, face)])
         return bool(looks[0] + self._prior(state, frame) > 0)
 
     def _prior(self, state: FaceState, frame: Frame) -> float:
         stranger_s = None if state.stranger_time is None else frame.time_s - state.stranger_time
         return prior(cut=state.cut_time is not None, company=state.crowded >= COMPANY, stranger_s=stranger_s)
 
-    def _looked_again(self, state: FaceState, view: FaceView, frame: Frame) -> tuple[float, ...] | None:
-        """`again` of the state with a look at the face that is seen in the target's place; None if it is recognised."""
+    def _looked_again(self, state: FaceState, view: FaceView, frame: Frame) -> FaceState:
+        """With a look at the face that is seen in the target's place, which is recognised, or looked at again."""
+        if state.again and frame.time_s - state.again_time < APART:
+            return state
         face = self._laid_out(view.similarity, view.detection)
-        if not state.pictures or not weight_of(face.scale * FACE):
-            return None
-        in_place = by_place(state.last_seen, [face], covered=False)[0] > 0
-        looks, pictures = own_views(state.looks, state.pictures)
-        if not in_place or likeness(looks, look_of(view.image)) >= ALIKE:
-            return None
-        odds = by_who(pictures, self._picture(frame, face))
+        if not state.views or not weight_of(face.scale * FACE):
+            return state._replace(again=None)
+        in_place, views = by_place(state.last_seen, [face], covered=False)[0] > 0, own_views(state.views)
+        if not in_place or likeness(views, look_of(view.image)) >= ALIKE:
+            return state._replace(again=None)
+        odds = by_who([view.picture for view in views], self._picture(frame, face))
         again = (*(state.again or ()), odds)
-        return None if odds > KNOWN or (len(again) == LOOKS_AGAIN and mean(again) + AGAIN > 0) else again
+        if odds > KNOWN or (len(again) == LOOKS_AGAIN and mean(again[-2:]) + AGAIN > 0):
+            return state._replace(again=None)
+        return state._replace(again=again, again_time=frame.time_s)
 
     def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> FaceView:
         """The frame seen from a head at `head` (1, D); the detector looks as well if that is `due`."""
@@ -311,8 +315,8 @@ class FaceTarget(FaceParts):
         """
         recognised = view.detection is not None and view.log_odds >= EASY and state.cut_time is None
         if recognised and state.again is not None and self.alone:
-            state = state._replace(again=self._looked_again(state, view, frame))
-            if state.again is not None and mean(state.again) + AGAIN < 0:
+            state = self._looked_again(state, view, frame)
+            if state.again is not None and mean(state.again[-2:]) + AGAIN < 0:
                 head, head_info = self.head.unseen(rng, state.head, frame, anywhere=False)
                 return self._unseen(state._replace(head=head, stranger_time=frame.time_s), head_info, frame)
         features, info = self._tracked(rng, state.features, view)
@@ -342,9 +346,9 @@ class FaceTarget(FaceParts):
         )  # fmt: skip
         if recognised and not (state.again and self.alone):
             state = state._replace(last_seen=self._laid_out(view.similarity, view.detection))
-            if likeness(state.looks, look := look_of(view.image)) < NEW:
-                picture = self._picture(frame, state.last_seen)
-                state = state._replace(looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
+            if likeness(state.views, look := look_of(view.image)) < NEW:
+                seen = View(look, self._picture(frame, state.last_seen), sure=not state.views)
+                state = state._replace(views=kept(state.views, seen))
         state = self._restabilized(self._posed(state, view), view.similarity)
         return state, self.result(state, head_info, frame, notes)
 
@@ -465,8 +469,9 @@ class FaceTarget(FaceParts):
         if faces:
             sightings = [Sighting.of(face, frame) for face in faces]
             maps = [face.similarity for face in sightings]
-            _, pictures = own_views(state.looks, state.pictures)
-            looks = by_looks(pictures, [self._picture(frame, face) for face in maps]).tolist()
+            looks = by_looks(
+                [view.picture for view in own_views(state.views)], [self._picture(frame, face) for face in maps]
+            ).tolist()
             sightings = [
                 face._replace(by_looks=odds, latest=odds).after(state.sighting)
                 for face, odds in zip(sightings, looks, strict=True)
