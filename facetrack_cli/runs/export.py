@@ -133,11 +133,11 @@ def content(
         written: str | bytes = load("write", form)(*(values[name] for name in takes))
         return written
     video = values["video"].name
-    data, tiers, linked = add_tiers(into, table, video)
+    text, tiers, linked = add_tiers(into, table, video)
     if not linked:
         say(f"facetrack: warning: {into} does not link to {video}; its times are taken for those of that clip")
     say(f"{into}: {', '.join(tiers) or 'no tier'} added")
-    return data.decode()
+    return text
 
 
 def _playable(table: Trajectory, media: Path | None, say: Callable[[str], None]) -> Path:

@@ -34,7 +34,7 @@ from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import BOX, Array, Whole
 from facetrack_cli.trajectory.formats.boxes import read_text
-from facetrack_cli.trajectory.formats.eaf import clean
+from facetrack_cli.trajectory.formats.eaf import clean, read_xml
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, build, joined
 from facetrack_cli.trajectory.views import check_sized, every_frame, has_windows
@@ -164,13 +164,7 @@ def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
     ------
     InputError : with the track and the frame, for what cannot be read.
     """
-    text = read_text(path)
-    if "<!DOCTYPE" in text:
-        raise InputError(f"{path}: declares a document type, which CVAT's files do not; it is not read")
-    try:
-        root = ET.fromstring(text)
-    except ET.ParseError as e:
-        raise InputError(f"{path}:{e.position[0]}: is no XML ({e}); export the file from CVAT again") from None
+    root = read_xml(path, "CVAT")
     if root.tag != "annotations" or (root.find("track") is None and root.find("image") is not None):
         raise InputError(f'{path}: is XML, but not of CVAT\'s tracks; export it as "CVAT for video 1.1"')
     marks: _Marks = {}

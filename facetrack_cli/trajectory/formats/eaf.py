@@ -4,8 +4,8 @@ docs/export.md has the tiers. Their values are controlled vocabularies, describe
 frames, in milliseconds; a span ends when the frame after it begins. The media URL is the path as it is, not
 percent-encoded: ELAN writes it so, and takes what follows `file:` for the name of the file.
 
-What is added to a file that people work in is put between its bytes, which stay: slots of time in their order, then
-tiers, types and vocabularies below those that are there. Only the number of the last annotation is another.
+To a file that people work in slots of time are added in their order, then tiers, types and vocabularies below those
+that are there. All that it has stays; only the number of the last annotation is another.
 """
 
 import contextlib
@@ -17,24 +17,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from itertools import accumulate, chain, count
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
-from xml.parsers import expat
 
 import numpy as np
 
 from facetrack_cli.core import numbers
-from facetrack_cli.core.errors import InputError, reading
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import HANDS
-from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.face_events import KINDS, events_of
+from facetrack_cli.trajectory.formats.boxes import read_text
 from facetrack_cli.trajectory.head import LABELS, head_motion
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 from facetrack_cli.trajectory.views import frame_milliseconds
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
+ET.register_namespace("xsi", XSI)
 SCHEMA = "http://www.mpi.nl/tools/elan/EAFv3.0.xsd"
 MIME = {".mp4": "mp4", ".m4v": "mp4", ".mpeg": "mpeg", ".mpg": "mpeg", ".webm": "webm"}
 MIME |= {".mov": "quicktime", ".avi": "x-msvideo", ".mkv": "x-matroska"}
@@ -72,8 +72,7 @@ def write_eaf(table: Trajectory, video: Path, folder: Path, written: datetime) -
     ET.SubElement(header, "PROPERTY", NAME="lastUsedAnnotationId").text = str(last)
     ET.SubElement(root, "TIME_ORDER").extend(slots)
     root.extend(others)
-    ET.indent(root, "    ")
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    return _text(root)
 
 
 def _elements(table: Trajectory, root: ET.Element, offset: int = 0) -> tuple[list[ET.Element], list[ET.Element], int]:
@@ -196,7 +195,7 @@ class Tier(NamedTuple):
 
 def read_tiers(path: Path, clip: str) -> list[Tier]:
     """The tiers of a file, with annotations that have times. InputError for a file that is not ELAN's."""
-    root = _read(path)[1]
+    root = _read(path)
     offset = _offset_of(root, clip) or 0
     slots = {slot.get("TIME_SLOT_ID"): slot.get("TIME_VALUE", "") for slot in root.iter("TIME_SLOT")}
     tiers = []
@@ -224,76 +223,49 @@ def _offset_of(root: ET.Element, clip: str) -> int | None:
     return None
 
 
-def add_tiers(path: Path, table: Trajectory, clip: str) -> tuple[bytes, list[str], bool]:
-    """The file with the tiers of a table; the names that they have there; whether it has the clip.
+def add_tiers(path: Path, table: Trajectory, clip: str) -> tuple[str, list[str], bool]:
+    """The text of the file with the tiers of a table; the names that they have there; whether it has the clip.
 
     Tiers whose name is there get another. InputError for a file that cannot take them.
     """
-    data, root, places = _read(path)
+    root = _read(path)
     offset = _offset_of(root, clip)
     slots, others, last = _elements(table, root, offset or 0)
-    edits: list[tuple[int, int, str]] = []  # from where to where, and what stands there then
-
-    def insert(after: int, element: ET.Element, depth: int) -> None:
-        ET.indent(element, "    ", level=depth)
-        edits.append((after, after, "\n" + "    " * depth + ET.tostring(element, encoding="unicode")))
-
     order = root.find("TIME_ORDER")
     assert order is not None
     known = (slot.get("TIME_VALUE", "") for slot in order)
     latest = [*accumulate((int(time) if _is_whole(time) else -1 for time in known), max)]  # 64 bits may not hold them
-    content = data.index(b">", places[order][0]) + 1
-    ends = [content, *(places[slot][1] for slot in order)]
-    closed = slots and content == places[order][1]  # <TIME_ORDER/>
-    if closed:
-        edits.append((content - 2, content, ">"))
-    for slot in slots:
-        insert(ends[bisect_right(latest, int(slot.get("TIME_VALUE", 0)))], slot, 2)
-    if closed:
-        edits.append((content, content, "\n    </TIME_ORDER>"))
+    for n, slot in enumerate(slots):
+        order.insert(bisect_right(latest, int(slot.get("TIME_VALUE", 0))) + n, slot)
     for element in others:
         above = ORDER[: ORDER.index(element.tag) + 1]
-        insert(max(places[child][1] for child in root if child.tag in above), element, 1)
-    for number in root.iterfind(".//PROPERTY[@NAME='lastUsedAnnotationId']") if slots else ():
-        if number.text:
-            begin = data.index(b">", places[number][0]) + 1
-            edits.append((begin, data.index(b"<", begin), str(last)))
-    pieces, done = [], 0
-    for begin, end, text in sorted(edits, key=lambda edit: edit[0]):
-        pieces += [data[done:begin], text.encode()]
-        done = end
-    tiers = [element.get("TIER_ID", "") for element in others if element.tag == "TIER"]
-    return b"".join([*pieces, data[done:]]), tiers, offset is not None
+        root.insert(max(i for i, child in enumerate(root, 1) if child.tag in above), element)
+    for number in root.iterfind(".//PROPERTY[@NAME='lastUsedAnnotationId']"):
+        number.text = str(last)
+    return _text(root), [element.get("TIER_ID", "") for element in others if element.tag == "TIER"], offset is not None
 
 
-def _read(path: Path) -> tuple[bytes, ET.Element, dict[ET.Element, tuple[int, int]]]:
-    """The bytes of a file, its tree, and where each element begins and ends in the bytes."""
-    with reading(path, "name an .eaf"):
-        data = read_bounded(path)
-    if b"<!DOCTYPE" in data[:4096] or b"<!ENTITY" in data:
-        raise InputError(f"{path}: declares a document type, which ELAN's files do not; it is not read")
-    places: dict[ET.Element, tuple[int, int]] = {}
-    begun: list[tuple[ET.Element, int]] = []
-    parser, builder = expat.ParserCreate("UTF-8"), ET.TreeBuilder()
-
-    def start(tag: str, about: dict[Any, Any]) -> None:
-        begun.append((builder.start(tag, about), parser.CurrentByteIndex))
-
-    def stop(tag: str) -> None:
-        (element, begin), end = begun.pop(), parser.CurrentByteIndex
-        closes = data.startswith(f"</{tag}".encode(), end)  # else that of <tag/>, after which it is
-        places[element] = begin, data.index(b">", end) + 1 if closes else end
-        builder.end(tag)
-
-    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, stop, builder.data
+def read_xml(path: Path, tool: str) -> ET.Element:
+    """The root of a file of a `tool`. InputError for a file that is no XML, or declares what could be dangerous."""
+    text = read_text(path)
+    if "<!DOCTYPE" in text:
+        raise InputError(f"{path}: declares a document type, which {tool}'s files do not; it is not read")
     try:
-        parser.Parse(data, True)
-    except (expat.ExpatError, ValueError, LookupError) as e:
-        raise InputError(f"{path}: is no XML in UTF-8 ({e}); save it by ELAN again") from None
-    root = builder.close()
+        return ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+    except ET.ParseError as e:
+        raise InputError(f"{path}:{e.position[0]}: is no XML ({e}); save it by {tool} again") from None
+
+
+def _read(path: Path) -> ET.Element:
+    root = read_xml(path, "ELAN")
     if root.tag != "ANNOTATION_DOCUMENT" or root.find("TIME_ORDER") is None:
         raise InputError(f"{path}: is XML, but not ELAN's: it begins with {root.tag}; name an .eaf")
     version = root.get("FORMAT") or root.get("VERSION") or ""
     if not version.replace(".", "", 1).isdigit() or float(version) < LEAST_FORMAT:
         raise InputError(f"{path}: is of EAF {version or 'without a version'}; save it by ELAN 4.9 or later")
-    return data, root, places
+    return root
+
+
+def _text(root: ET.Element) -> str:
+    ET.indent(root, "    ")
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
