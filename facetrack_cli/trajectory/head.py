@@ -17,19 +17,12 @@ of the mean landmarks of 751 faces in each of the five cameras of the MUCT datab
 made symmetric, with 63 mm between the eyes. `SPREAD` are standard deviations of its people about it, neutral or
 smiling, measured on half of them; mouths that speak open wider.
 
-Motion is told as far as tracked points or a box show it: in the image plane.
-
-A turn of the head and a step aside look alike here: both move the face to the left or right of the image.
-
-Three signals are read off a target's parts that are not lost: its place (the median of its points), its angle and the
-logarithm of its size (medians over the pairs of points); of a box its centre, its angle if known, and the root of its
-area. A part that gets lost or is found again makes no step in them. Lengths are in units of the target's size.
-
-A span of moving, tilting or growing (`RATES`) begins where a rate is exceeded, lasts while a lower one is, and has a
-least change. Still is none of these for 1 s. All last at least 0.2 s. Signals are smoothed by a Gaussian. Where a track
-is so noisy that noise alone would pass a threshold, the threshold is raised to 4 standard deviations of the noise,
-which is measured on second differences. Nothing is said of frames in which the target is lost. The size of points that
-belong to a mouth also changes when it opens wide. Nods and shakes are told by the pose (face_events.py).
+Motion is told in the image plane (docs/export.md, ELAN), by three signals of a target's parts that are not lost: its
+place (the median of its points), its angle and the logarithm of its size (medians over the pairs of points); of a box
+its centre, its angle if known, and the root of its area. A part that gets lost or is found again makes no step in them.
+A span begins where a rate (`RATES`) is exceeded and lasts while a lower one is. Where a track is so noisy that noise
+alone would pass a threshold, the threshold is raised to 4 standard deviations of the noise, which is measured on second
+differences. Nods and shakes are told by the pose (face_events.py).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -87,8 +80,7 @@ class HeadPose(NamedTuple):
 def head_pose(parts: Sequence[Trajectory]) -> HeadPose | None:
     """The pose of one target from its parts that are called as in SHAPE; None if those are too few in any case.
 
-    The spread holds both the tracker's uncertainty and that of the person's own proportions. The latter is the same in
-    all frames of a person: differences between frames are more exact than it says.
+    The spread holds also that of the person's own proportions, which is the same in all frames.
     """
     points = [part for part in with_eyes([part.squared for part in parts]) if part.part in SHAPE]
     if not _deep(_of(SHAPE, points), np.ones((1, len(points)), bool))[0]:
@@ -376,7 +368,10 @@ def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> It
     smooth = gauss(signal, rate.smooth_s / dt)
     speed = np.gradient(smooth, dt)
     slope = np.gradient(_kernel(rate.smooth_s / dt), dt)
-    begin_above = max(rate.begin, NOISE * noise_of(signal) * _left_by(slope))
+    # the deviation that noise of unit deviation, of which KEPT stays from frame to frame, has after this filter
+    lags = np.abs(np.arange(1 - len(slope), len(slope)))
+    left = float(np.sqrt(np.sum(np.correlate(slope, slope, "full") * KEPT**lags)))
+    begin_above = max(rate.begin, NOISE * noise_of(signal) * left)
     for sign, label in zip((-1, 1), labels, strict=True):
         for begin, end in spans(sign * speed > rate.last):
             fast = np.max(sign * speed[begin:end]) > begin_above
@@ -406,9 +401,3 @@ def noise_of(signal: Array, kept: float = KEPT) -> float:
     """
     second = np.abs(np.diff(signal, n=2))
     return float(np.median(second) / NORMAL / np.sqrt(6 - 8 * kept + 2 * kept**2)) if second.size else 0.0
-
-
-def _left_by(kernel: Array) -> float:
-    """The deviation that noise of unit deviation, of which KEPT stays from frame to frame, has after a filter."""
-    lags = np.abs(np.arange(1 - len(kernel), len(kernel)))
-    return float(np.sqrt(np.sum(np.correlate(kernel, kernel, "full") * KEPT**lags)))

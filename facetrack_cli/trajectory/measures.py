@@ -1,32 +1,22 @@
-"""What a face does, as numbers: how far its mouth opens, its smile, its brows, its lids, how its head stands.
+"""What a face does, and hands beside it, as numbers with a spread and a noise: docs/measures.md says what each is.
 
-Lengths are in distances between the eyes. `share` is how long the head's own horizontal is in the image, by its pose: 1
-from the front, or where the pose is not known, and at least .5. Where both eyes are seen, the unit is the distance of
-their centres over `share`, so that it does not shrink when the head turns; else it is .363 of the width of the face's
-box. Widths of mouth and eyes are over `share`, too. Heights are across the line of the eyes, or without eyes across the
-head's horizontal. Nothing corrects heights for pitch.
+`share` is how long the head's own horizontal is in the image, by its pose: 1 from the front, or where the pose is not
+known, and at least .5. Distances along it are over `share`, so that they do not shrink when the head turns.
 
 The spread is of first order: derivatives, by central differences, times the covariance of each point in its row. It
 takes points as independent and the pose as known. The spread of an angle is that of the points alone: what a person's
 proportions add (head.py) is the same in all frames.
 
-The spread holds an offset that all frames of a clip share as long as the head stands alike. The noise is what is left
-without it: two frames differ with the spread hypot(noise, noise). It has three parts. One is the jitter from frame to
-frame, by the median of second differences. One is a share of how far the measure varies in the clip, since a tracker
-follows a face's motion in part. One is a share of the spread, and all of it where the head is turned or nearer than
-usual.
+The noise is the spread without an offset that all frames of a clip share as long as the head stands alike. It has three
+parts: the jitter from frame to frame, by the median of second differences; a share of how far the measure varies in the
+clip, since a tracker follows a face's motion in part; a share of the spread, all of it where the head is turned or
+nearer than usual.
 
-What hands do beside a head: their speed, and probabilities in each frame (ours). Lengths are in sizes of the face: the
-median over the clip of the square root of its box's area. A hand that is lost for `BRIDGE_S` at most, as one that
-motion blurs, is on the straight line between.
-
-- `speed` is that of the straight line through a hand's places within `REACH_S`. Its noise is that of the places, by the
-  lower quartile of their second differences, since a hand that moves has large ones. From the speed's square is taken
-  what noise alone makes of it.
-- `held` is the probability that the speed is below `HOLD`, which is itself known to `BORDER`.
-- `touches_hand` and `touches_face`: that two boxes, each as the ellipse within it, meet. Their gap is that of two
-  ellipses along the line of their centres, and its noise that of the centres in the rows and `OUTLINE` of the outlines.
-  It is the picture that is asked, not how far from the camera each is."""
+Of hands (ours) the speed is that of the straight line through a hand's places within `REACH_S`. Its noise is that of
+the places, by the lower quartile of their second differences, since a hand that moves has large ones; what noise alone
+makes of the speed's square is taken from it. The gap of two boxes is that of the ellipses within them along the line of
+their centres, and its noise that of the centres in the rows and `OUTLINE` of the outlines.
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -10,12 +10,10 @@ estimate; `outside` is a part that has no place, or no row. Numbers have two dec
 are read too: their points are the parts.
 
 Label Studio (labelstud.io/tags/videorectangle): a task with its annotation, a region for each part. `enabled` is false
-where a row is lost, or there is none: Label Studio draws such a rectangle in its own frame, and ends the span of the
-region there. Lengths are percent of the image. A point is the rectangle of the window around it. The labelling
-configuration needs a Video `video` and a VideoRectangle `box`. Its frames are no pictures: a frame, from 1, is the
-player's time x the `framerate` of the configuration. At a variable rate, or where pictures begin late, a picture has
-the frame in which it comes up; see `_frames_of`. `time` is frame / framerate. `auto` marks places that Label Studio
-interpolated: nobody has put them there.
+where a row is lost, or there is none: the region's span ends there. Lengths are percent of the image. A point is the
+rectangle of the window around it. Its frames are no pictures: a frame, from 1, is the player's time x the `framerate`
+of the configuration (docs/export.md). At a variable rate, or where pictures begin late, a picture has the frame in
+which it comes up. `auto` marks places that Label Studio interpolated: nobody has put them there.
 """
 
 import json

@@ -90,10 +90,11 @@ def _elements(table: Trajectory, root: ET.Element, offset: int = 0) -> tuple[lis
         taken.add(name)
         return name
 
+    there = [own.attrib for own in root.iter("LINGUISTIC_TYPE")]
     tiers, ends, names = list[ET.Element](), list[tuple[int, ET.Element, str]](), dict[str, str]()
     for kind, target, spans in _tiers(table, offset):
         if kind not in names:
-            names[kind] = kind if _is_ours(root, kind) else free(kind)
+            names[kind] = kind if _type(kind, kind) in there else free(kind)
         # readers find a tier by a path with its name in straight quotes
         name = free(clean(f"{kind}@{target}").translate(QUOTES))
         about = {"LINGUISTIC_TYPE_REF": names[kind], "TIER_ID": name, "ANNOTATOR": "facetrack"}
@@ -111,11 +112,9 @@ def _elements(table: Trajectory, root: ET.Element, offset: int = 0) -> tuple[lis
         note.set(ref, f"ts{number}")
     types, vocabularies = list[ET.Element](), list[ET.Element]()
     for kind, name in names.items():
-        if not _is_ours(root, kind):
-            vocabulary = {"CONTROLLED_VOCABULARY_REF": name} if kind in VOCABULARIES else {}
-            about = {"GRAPHIC_REFERENCES": "false", "LINGUISTIC_TYPE_ID": name, "TIME_ALIGNABLE": "true"}
-            types.append(ET.Element("LINGUISTIC_TYPE", {**vocabulary, **about}))
-            if vocabulary:
+        if _type(kind, name) not in there:
+            types.append(ET.Element("LINGUISTIC_TYPE", _type(kind, name)))
+            if kind in VOCABULARIES:
                 vocabularies.append(ET.Element("CONTROLLED_VOCABULARY", CV_ID=name))
                 about_it = ET.SubElement(vocabularies[-1], "DESCRIPTION", LANG_REF="eng")
                 about_it.text = "motion of the target in the image plane"
@@ -127,15 +126,10 @@ def _elements(table: Trajectory, root: ET.Element, offset: int = 0) -> tuple[lis
     return slots, [*tiers, *types, *languages, *vocabularies], last
 
 
-def _is_ours(root: ET.Element, kind: str) -> bool:
-    """Whether a document has the type of a tier, with all of its vocabulary."""
-    own = root.find(f"LINGUISTIC_TYPE[@LINGUISTIC_TYPE_ID='{kind}']")
-    if own is None or own.get("CONSTRAINTS") is not None:
-        return False
-    labels = VOCABULARIES.get(kind, ())
-    entries = {entry.get("CVE_ID") for entry in root.iterfind(f"CONTROLLED_VOCABULARY[@CV_ID='{kind}']/*")}
-    same = own.get("CONTROLLED_VOCABULARY_REF") == (kind if labels else None)
-    return same and {f"cveid_{kind}_{label}" for label in labels} <= entries
+def _type(kind: str, name: str) -> dict[str, str]:
+    """What the file says of the type of a kind of tier, under this name."""
+    vocabulary = {"CONTROLLED_VOCABULARY_REF": name} if kind in VOCABULARIES else {}
+    return {**vocabulary, "GRAPHIC_REFERENCES": "false", "LINGUISTIC_TYPE_ID": name, "TIME_ALIGNABLE": "true"}
 
 
 def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[int, int, str]]:

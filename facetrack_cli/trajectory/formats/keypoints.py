@@ -14,18 +14,13 @@ COCO (cocodataset.org/#format-data): a target of one part called `box` is a plai
 In DeepLabCut's CSV and HDF5 whole numbers are pixel centres too; a part `box` is the centre of a box, whose size has no
 room. Rows are those of `every_frame`.
 
-OpenFace 2's FeatureExtraction (Baltrusaitis et al., FG 2018; its wiki page "Output Format"):
+OpenFace 2's FeatureExtraction (Baltrusaitis et al., FG 2018; its wiki page "Output Format"), as docs/export.md says:
 
-- `frame` counts from 1, `face_id` from 0 in the order of the targets; `timestamp` in seconds. `success` is 1 where all
-  landmarks of the face are seen. All places are written, as OpenFace does; `confidence` is the mean over the parts.
-- `x_i`, `y_i` are the 68 landmarks of iBUG, from 0, in pixels: readers choose them by this number. A part that is one
-  of them (`LANDMARKS`) fills its own; all others are empty, as is what is not known. Nothing is interpolated: iBUG has
-  two points on each lid, and a face of 28 points has another, between these two.
+- `timestamp` in seconds; `success` is 1 where all landmarks of the face are seen. All places are written, as OpenFace
+  does; `confidence` is the mean over the parts. Nothing is interpolated.
 - `pose_R` in radians: pitch, yaw, roll of R = R_x R_y R_z in the camera's axes. `pose_T` in millimetres: the middle
   between the eyes of a generic head (63 mm apart), which OpenFace has near the middle of the face, by OpenFace's own
   guess of a camera: a focal length of the mean of 500 width / 640 and 500 height / 480, through the image's centre.
-  Without the size of the image there is no `pose_T`, and `pose_R` is relative to the line of sight.
-- Gaze, eye landmarks, 3-D landmarks, shape parameters and action units are not there.
 """
 
 import math
