@@ -19,7 +19,7 @@ from facetrack_cli.runs.plan import silent
 from facetrack_cli.runs.signals import never
 from facetrack_cli.runs.smooth import repaint
 from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_MEDIA, load
-from facetrack_cli.trajectory.formats.eaf import add_tiers
+from facetrack_cli.trajectory.formats.annotation import add_tiers
 from facetrack_cli.trajectory.formats.tables import Clip
 from facetrack_cli.trajectory.reader import clip_of, frame_size_of, is_there
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value, hide_outside

@@ -22,7 +22,7 @@ place (the median of its points), its angle and the logarithm of its size (media
 its centre, its angle if known, and the root of its area. A part that gets lost or is found again makes no step in them.
 A span begins where a rate (`RATES`) is exceeded and lasts while a lower one is. Where a track is so noisy that noise
 alone would pass a threshold, the threshold is raised to 4 standard deviations of the noise, which is measured on second
-differences. Nods and shakes are told by the pose (face_events.py).
+differences. Nods and shakes are told by the pose (measures.py).
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
-    from facetrack_cli.trajectory.face_events import FaceEvent
-    from facetrack_cli.trajectory.measures import Measured
+    from facetrack_cli.trajectory.measures import FaceEvent, Measured
     from facetrack_cli.trajectory.people import People
 
 Status: TypeAlias = Literal["init", "tracked", "hidden", "lost", "absent"]
@@ -242,7 +241,7 @@ class Trajectory:
     @cached_property
     def events(self) -> tuple[FaceEvent, ...]:
         """When mouths open and close, eyes blink, heads nod, hands move, hold still and touch, in the order of time."""
-        from facetrack_cli.trajectory.face_events import events_of
+        from facetrack_cli.trajectory.measures import events_of
 
         kinds = (kind for name, measures in self.measures.items() for kind in events_of(name, measures).values())
         return tuple(sorted(event for kind in kinds for event in kind))

@@ -13,8 +13,16 @@ from hypothesis import strategies as st
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.trajectory import face_events
-from facetrack_cli.trajectory.formats.eaf import IDS, ORDER, VOCABULARIES, add_tiers, read_tiers, spans_of, write_eaf
+from facetrack_cli.trajectory import measures
+from facetrack_cli.trajectory.formats.annotation import (
+    IDS,
+    ORDER,
+    VOCABULARIES,
+    add_tiers,
+    read_tiers,
+    spans_of,
+    write_eaf,
+)
 from facetrack_cli.trajectory.head import KINDS
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
@@ -108,7 +116,7 @@ def test_spans_of_lost_parts_name_the_parts(statuses, more, lost):
 
 
 def test_every_kind_of_motion_has_a_vocabulary_with_its_labels():
-    assert tuple(VOCABULARIES) == ("seen", *KINDS, *face_events.KINDS)
+    assert tuple(VOCABULARIES) == ("seen", *KINDS, *measures.KINDS)
     assert VOCABULARIES["blinks"] == ["blink", "shut"] and VOCABULARIES["phases"] == ["hold", "movement"]
 
 
