@@ -264,24 +264,8 @@ RATES |= {"tilt": Rate(12.0, 5.0, 5.0, 0.2), "size": Rate(0.15, 0.07, 0.15, 0.3)
 def head_motion(parts: Sequence[Trajectory]) -> dict[str, list[tuple[int, int, str]]]:
     """Of each kind that these parts of a target can tell its spans in the order of time: first frame, last, label.
 
-    A single point has neither angle nor size. `time_s` must be known and increase.
-    """
-    frame, time_s, apart, signals = _signals(parts)
-    motions: dict[str, list[tuple[int, int, str]]] = {kind: [] for kind in KINDS if kind in signals or kind == "still"}
-    there = np.isfinite(signals["horizontal"] + signals["vertical"] + time_s)
-    for a, b in spans(there, (np.diff(time_s) > GAP_S) | apart):  # rows without a break, and not lost
-        if b - a > 2 and time_s[b - 1] - time_s[a] >= MIN_SPAN_S:
-            own = {kind: signal[a:b] for kind, signal in signals.items()}
-            for kind, first, last, label in _spans(time_s[a:b], own):
-                motions[kind].append((int(frame[a + first]), int(frame[a + last]), label))
-    return {kind: sorted(found) for kind, found in motions.items()}
-
-
-def _signals(parts: Sequence[Trajectory]) -> tuple[Whole, Array, Mask, dict[str, Array]]:
-    """(T,) frames, times, (T - 1,) where rows begin again, and signals of RATES that can be told, nan where lost.
-
-    Only differences of a signal's values mean something, and none across rows that begin again. Parts may have rows in
-    different frames.
+    A single point has neither angle nor size. `time_s` must be known and increase. Only differences of a signal's
+    values mean something, and none across rows that begin again.
     """
     frame, columns = aligned([part.squared for part in parts], "x", "y", "w", "h", "angle", "status")
     seen = ~np.isin(columns.pop("status"), UNSEEN)
@@ -301,7 +285,15 @@ def _signals(parts: Sequence[Trajectory]) -> tuple[Whole, Array, Mask, dict[str,
     if (sizes := size[np.isfinite(size)]).size and np.ptp(sizes):
         signals["size"] = _follow(size)
     apart = ~(placed[1:] & placed[:-1]).any(axis=1)
-    return frame, joined(parts).times, np.asarray(apart), signals
+    time_s = joined(parts).times
+    motions: dict[str, list[tuple[int, int, str]]] = {kind: [] for kind in KINDS if kind in signals or kind == "still"}
+    there = np.isfinite(signals["horizontal"] + signals["vertical"] + time_s)
+    for a, b in spans(there, (np.diff(time_s) > GAP_S) | apart):  # rows without a break, and not lost
+        if b - a > 2 and time_s[b - 1] - time_s[a] >= MIN_SPAN_S:
+            own = {kind: signal[a:b] for kind, signal in signals.items()}
+            for kind, first, last, label in _spans(time_s[a:b], own):
+                motions[kind].append((int(frame[a + first]), int(frame[a + last]), label))
+    return {kind: sorted(found) for kind, found in motions.items()}
 
 
 def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
@@ -351,33 +343,26 @@ def _spans(time_s: Array, signals: Mapping[str, Array]) -> Iterator[tuple[str, i
     grid = np.arange(time_s[0], time_s[-1] + dt / 2, dt)
     busy, moved = np.zeros(len(grid), dtype=bool), list[tuple[str, int, int, str]]()
     for kind, signal in signals.items():
-        finite = np.isfinite(signal)  # of angle and size, pairs may be missing where points are not
+        finite, rate = np.isfinite(signal), RATES[kind]  # of angle and size, pairs may be missing where points are not
         even = np.interp(grid, time_s[finite], signal[finite]) if finite.any() else np.zeros(len(grid))
-        for begin, end, label in _moving(even, dt, RATES[kind], LABELS[kind]):
-            busy[begin:end] = True
-            moved.append((kind, begin, end, label))
+        smooth, slope = gauss(even, rate.smooth_s / dt), np.gradient(_kernel(rate.smooth_s / dt), dt)
+        speed = np.gradient(smooth, dt)
+        # the deviation that noise of unit deviation, of which KEPT stays from frame to frame, has after this filter
+        lags = np.abs(np.arange(1 - len(slope), len(slope)))
+        left = float(np.sqrt(np.sum(np.correlate(slope, slope, "full") * KEPT**lags)))
+        least = max(rate.begin, NOISE * noise_of(even) * left)
+        for sign, label in zip((-1, 1), LABELS[kind], strict=True):
+            for begin, end in spans(sign * speed > rate.last):
+                fast = np.max(sign * speed[begin:end]) > least and (end - begin) * dt >= MIN_SPAN_S
+                if fast and abs(smooth[end - 1] - smooth[begin]) >= rate.change:
+                    busy[begin:end] = True
+                    moved.append((kind, begin, end, label))
     still = (("still", begin, end, "still") for begin, end in spans(~busy) if (end - begin) * dt >= STILL_S)
     for kind, begin, end, label in (*moved, *still):
         # grid times are rounding errors away from the rows'; where rows are far apart, a span may hold none
         first, after = np.searchsorted(time_s, grid[begin] + np.array([-0.25, end - begin - 0.25]) * dt).tolist()
         if after > first:
             yield kind, first, after - 1, label
-
-
-def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> Iterator[tuple[int, int, str]]:
-    smooth = gauss(signal, rate.smooth_s / dt)
-    speed = np.gradient(smooth, dt)
-    slope = np.gradient(_kernel(rate.smooth_s / dt), dt)
-    # the deviation that noise of unit deviation, of which KEPT stays from frame to frame, has after this filter
-    lags = np.abs(np.arange(1 - len(slope), len(slope)))
-    left = float(np.sqrt(np.sum(np.correlate(slope, slope, "full") * KEPT**lags)))
-    begin_above = max(rate.begin, NOISE * noise_of(signal) * left)
-    for sign, label in zip((-1, 1), labels, strict=True):
-        for begin, end in spans(sign * speed > rate.last):
-            fast = np.max(sign * speed[begin:end]) > begin_above
-            change = abs(smooth[end - 1] - smooth[begin])
-            if fast and (end - begin) * dt >= MIN_SPAN_S and change >= rate.change:
-                yield begin, end, label
 
 
 def _kernel(sigma: float) -> Array:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -28,12 +28,6 @@ def choose(table: Trajectory, select: str | None) -> Trajectory:
         raise UsageError(f"{table.path}: has no {select!r}; choose among {', '.join(names)}")
     diagnostics = {name: part for name, part in table.diagnostics.items() if name == parts[0].target}
     return joined(parts, header=table.header, diagnostics=diagnostics, path=table.path)
-
-
-def blank_lost(table: Trajectory) -> Trajectory:
-    """The table with the place and size of lost rows not known."""
-    columns: Any = {name: np.where(table.status == "lost", np.nan, getattr(table, name)) for name in "xywh"}
-    return replace(table, **columns)
 
 
 def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajectory:

@@ -29,7 +29,7 @@ import os
 import re
 import uuid
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from itertools import accumulate, chain, count
@@ -134,14 +134,15 @@ def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> st
     InputError for boxes without a size.
     """
     tracks, last = list(_tracks(table)), int(table.frames[-1])
-    kinds = [(_xml(label), "rectangle" if track.part == BOX else "points") for label, track in tracks]
-    labels = "".join(f"<label><name>{name}</name><type>{kind}</type><attributes/></label>" for name, kind in kinds)
+    kinds = [(escape(clean(label)), "rectangle" if track.part == BOX else "points") for label, track in tracks]
+    labels = "".join(f"<label><name>{text}</name><type>{kind}</type><attributes/></label>" for text, kind in kinds)
+    source = escape(clean(name))
     sides = "<original_size><width>{}</width><height>{}</height></original_size>".format(*size) if size else ""
     root = ET.fromstring(
-        f"<annotations><version>1.1</version><meta><task><name>{_xml(name or 'facetrack')}</name>"
+        f"<annotations><version>1.1</version><meta><task><name>{source or 'facetrack'}</name>"
         f"<size>{last + 1}</size><mode>interpolation</mode><overlap>0</overlap>"
         f"<start_frame>0</start_frame><stop_frame>{last}</stop_frame><labels>{labels}</labels>{sides}"
-        f"<source>{_xml(name)}</source></task></meta></annotations>"
+        f"<source>{source}</source></task></meta></annotations>"
     )
     for ident, (label, track) in enumerate(tracks):
         element = ET.SubElement(root, "track", id=str(ident), label=clean(label), source="file")
@@ -163,10 +164,6 @@ def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> st
             ET.SubElement(element, "box" if is_box else "points", shape, z_order="0")
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
-
-
-def _xml(text: str) -> str:
-    return escape(clean(text))
 
 
 def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
@@ -264,21 +261,6 @@ def _frames_of(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:
     return numbers, frames[first]
 
 
-def _rectangle(where: str, record: Mapping[str, Any], size: tuple[int, int]) -> tuple[int, float | None, _Mark]:
-    """The frame, from 1, the time and the mark of a place. KeyError, TypeError or ValueError for what is none."""
-    if type(frame := record["frame"]) is not int or not 1 <= frame <= MAX_FRAME:
-        raise ValueError(f"{frame!r} is no frame")
-    x, w = (float(record[name]) * size[0] / 100 for name in ("x", "width"))
-    y, h = (float(record[name]) * size[1] / 100 for name in ("y", "height"))
-    turn, time = math.radians(float(record.get("rotation", 0))), record.get("time")
-    # a rectangle is turned about its left top corner: the upright one of its size has the same centre
-    left = x + (w * math.cos(turn) - h * math.sin(turn) - w) / 2
-    top = y + (w * math.sin(turn) + h * math.cos(turn) - h) / 2
-    about = {"status": "visible" if record.get("enabled", True) else "absent", "by_hand": not record.get("auto")}
-    mark = _box(f"{where}, frame {frame}", left, top, w, h, **about)
-    return frame, None if time is None else float(time), mark
-
-
 def read_labelstudio(
     path: Path, size: tuple[int, int], clock: tuple[Whole, Array] | None = None, *, fps: float = 0.0
 ) -> Trajectory:
@@ -311,38 +293,42 @@ def read_labelstudio(
             if len(labels) != 1:
                 raise InputError(f"{where} has {len(labels)} labels; give it one")
             for record in region["value"]["sequence"]:
-                frame, time, mark = _rectangle(f"{where} ({labels[0]})", record, size)
+                if type(frame := record["frame"]) is not int or not 1 <= frame <= MAX_FRAME:
+                    raise ValueError(f"{frame!r} is no frame")
+                there = f"{where} ({labels[0]}), frame {frame}"
+                x, w = (float(record[name]) * size[0] / 100 for name in ("x", "width"))
+                y, h = (float(record[name]) * size[1] / 100 for name in ("y", "height"))
+                # a rectangle is turned about its left top corner: the upright one of its size has the same centre
+                turn, time = math.radians(float(record.get("rotation", 0))), record.get("time")
+                left = x + (w * math.cos(turn) - h * math.sin(turn) - w) / 2
+                top = y + (w * math.sin(turn) + h * math.cos(turn) - h) / 2
+                status = "visible" if record.get("enabled", True) else "absent"
+                mark = _box(there, left, top, w, h, status=status, by_hand=not record.get("auto"))
                 if (labels[0], frame) in places:
-                    why = "is there twice, here or in another region of the same label; remove one"
-                    raise InputError(f"{where} ({labels[0]}), frame {frame}: {why}")
-                places[labels[0], frame] = time, mark
+                    raise InputError(f"{there}: is there twice, here or in another region of its label; remove one")
+                places[labels[0], frame] = None if time is None else float(time), mark
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as e:
         why = f"it has no {e}" if isinstance(e, KeyError) else f"{e!s:.60}"
         raise InputError(f"{path}: is not Label Studio's JSON of a video ({why}); export it again, as JSON") from None
-    timed = sorted((n, time) for (_, n), (time, mark) in places.items() if mark.by_hand and time is not None)
-    picture = _pictures(timed, clock, fps)
+    order = sorted(places, key=lambda place: place[1])
+    frames = np.array([n for _, n in order], np.int64)
+    shown = frames - 1
+    if clock is not None:
+        timed = sorted((n, time) for (_, n), (time, mark) in places.items() if mark.by_hand and time is not None)
+        if timed and timed[0][1] < timed[-1][1]:
+            (first, first_s), (last, last_s) = timed[0], timed[-1]
+            rate = (last - first) / (last_s - first_s)
+            # that of the run may differ by what is rounded in the file
+            if 1 <= rate <= 1000 and min(abs(last - fps * last_s), abs(last - 1 - fps * last_s)) > 0.02:
+                fps = rate
+        numbers, pictures = _frames_of(*clock, fps)
+        shown = pictures[np.maximum(np.searchsorted(numbers, frames, side="right") - 1, 0)]
     marks: _Marks = {_named(label): {} for label, _ in places}
-    for (label, n), (_, mark) in sorted(places.items(), key=lambda place: place[0][1]):
-        own = marks[_named(label)]
-        if mark.by_hand or picture(n) not in own:
-            own[picture(n)] = mark
+    for place, picture in zip(order, shown.tolist(), strict=True):
+        own, (_, mark) = marks[_named(place[0])], places[place]
+        if mark.by_hand or picture not in own:
+            own[picture] = mark
     return _trajectory(path, marks, "Label Studio: frames from 1, percent of the image")
-
-
-def _pictures(
-    timed: Sequence[tuple[int, float]], clock: tuple[Whole, Array] | None, fps: float
-) -> Callable[[int], int]:
-    """The picture that is shown in a frame of Label Studio, by the framerate that `timed` frames with times tell."""
-    if clock is None:
-        return lambda frame: frame - 1
-    if timed and timed[0][1] < timed[-1][1]:
-        (first, first_s), (last, last_s) = timed[0], timed[-1]
-        rate = (last - first) / (last_s - first_s)
-        # that of the run may differ by what is rounded in the file
-        if 1 <= rate <= 1000 and min(abs(last - fps * last_s), abs(last - 1 - fps * last_s)) > 0.02:
-            fps = rate
-    numbers, pictures = _frames_of(*clock, fps)
-    return lambda frame: int(pictures[max(int(np.searchsorted(numbers, frame, side="right")) - 1, 0)])
 
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"

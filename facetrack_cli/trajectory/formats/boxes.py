@@ -38,7 +38,7 @@ from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.files import MAX_TABLE_BYTES, read_bounded
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.trajectory.formats import READERS, load
-from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, REQUIRED, read_trajectory
+from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, REQUIRED, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import MAX_ROWS, SEEN, Trajectory, build
 from facetrack_cli.trajectory.views import check_sized
 
@@ -107,7 +107,7 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
 def recognise(path: Path) -> tuple[Path, str]:
     """The file to read, inside of `path` if that is a folder, and which of TRUTH_FORMATS it has."""
     if path.is_dir():
-        if any((path / f"trajectory.{suffix}").is_file() for suffix in ("json", "csv", "jsonl")):
+        if table_in(path) != path:
             return path, "facetrack"
         if any(path.glob("*.pts")) or any(path.glob("annot/*.pts")):
             return path, "pts"
@@ -170,8 +170,8 @@ class Lines:
     """T lines of the file `path`, without blanks at their ends, and their `places` in it, counted from 1."""
 
     path: Path
-    texts: list[str]
-    places: list[int]
+    texts: Any
+    places: Whole
 
     @classmethod
     def of(cls, path: Path, *, by_frame: bool = False) -> Lines:
@@ -183,15 +183,14 @@ class Lines:
         if by_frame and (blank := {*range(1, max(known) + 1)} - known.keys()):
             why = "is blank, and each line is a frame; for none write nan,nan,nan,nan"
             raise InputError(f"{path}:{min(blank)}: {why}")
-        return cls(path, [*known.values()], [*known])
+        return cls(path, np.array([*known.values()], object), np.array([*known]))
 
     def __len__(self) -> int:
         return len(self.texts)
 
     def take(self, rows: Any) -> Lines:
         """These rows: indices, a mask or a slice."""
-        at = np.arange(len(self))[rows].tolist()
-        return Lines(self.path, [self.texts[i] for i in at], [self.places[i] for i in at])
+        return Lines(self.path, self.texts[rows], self.places[rows])
 
     def error(self, row: int, why: str) -> InputError:
         """What is wrong with a line."""
@@ -396,11 +395,9 @@ def _points(path: Path) -> Array:
 
 
 def write_otb(part: Trajectory, unknown: str = "nan,nan,nan,nan") -> str:
-    """A box a line, pixels from 1, at most 4 decimals: `read_otb` with the first frame as `shift` gives it back.
+    """A box a line from the first frame on, as in OTB's own files of clips that begin late (David at frame 300).
 
-    The format has no frame numbers: line 1 is the series' first frame, as in OTB's own files of clips that begin late
-    (David at frame 300). A place that is not known is the line `unknown`. Raises InputError for a gap between frames,
-    or a row with a place and no size.
+    `unknown` is the line of a place that is not known. InputError for a gap between frames, and a place without a size.
     """
     if (gaps := np.flatnonzero(np.diff(part.frame) != 1)).size:
         between = f"no row between frames {part.frame[gaps[0]]} and {part.frame[gaps[0] + 1]}"
@@ -415,11 +412,10 @@ def write_got10k(part: Trajectory) -> str:
 
 
 def write_vot(part: Trajectory) -> str:
-    """A result of vot-toolkit from frame 0 on: 1 in the first frame of the series, then a region a line, 4 decimals.
+    """A result from frame 0 on: 1 in the first frame of the series, then a region a line, a polygon where there is one.
 
-    Frames before the first and in gaps are 0, a place that is not known is 2. Rows with corners are polygons.
-    `read_vot` gives all rows back but for the place in the first frame. Raises InputError for a row with a place and no
-    size, and for a frame below 0.
+    Frames before the first and in gaps are 0, a place that is not known is 2. InputError for a place without a size,
+    and for a frame below 0.
     """
     first, last = int(part.frame[0]), int(part.frame[-1])
     if first < 0 or last >= MAX_ROWS:
@@ -434,13 +430,11 @@ def write_vot(part: Trajectory) -> str:
 
 
 def write_mot(parts: Sequence[Trajectory]) -> str:
-    """Results or ground truth of MOTChallenge, sorted by frame, at most 4 decimals.
+    """Results or ground truth of MOTChallenge, sorted by frame, without rows that have no place.
 
     Ground truth, as its statuses say, has nine values: flag and class 1, and visibility, 0 of hidden rows. Results have
-    ten: a conf, -1 where not known, then class and visibility as well, which readers look for there, and -1.
-    A series is an id: its target's name if all are numbers and differ, else 1, 2, ... in their order. Rows without a
-    place are left out, which is how the format says that nothing was found. `read_mot(..., results=True)` gives the
-    rest back. Raises InputError for a row with a place and no size.
+    ten: a conf, -1 where not known, then class and visibility as well, which readers look for there, and -1. A series
+    is an id: its target's name if all are numbers and differ, else 1, 2, ... InputError for a place without a size.
     """
     idents = [int(part.target) if part.target.isascii() and part.target.isdigit() else 0 for part in parts]
     if 0 in idents or len(set(idents)) < len(idents):

@@ -357,19 +357,16 @@ def html_table(table: Trajectory) -> str:
         seen = np.concatenate([np.isin(part.status, SEEN) for part in parts])
         said = ", ".join(f"{n} {value}" for (of, value), n in sorted(events.items()) if of == target)
         share = f"{seen.mean():.0%}" if seen.size else ""
-        cells = target or "-", len(parts), len(parts[0]), share, said, _confidence_line(parts[0].confidence)
-        lines.append("<tr>" + "".join(f"<td>{td if i == 5 else escape(str(td))}</td>" for i, td in enumerate(cells)))
+        confidence = np.array_split(np.nan_to_num(parts[0].confidence), _MEANS)
+        means = [float(values.mean()) for values in confidence if len(values)]
+        x = np.linspace(0, _WIDTH, len(means)).tolist()
+        points = " ".join(f"{a:.1f},{_HEIGHT - 1 - v * (_HEIGHT - 2):.1f}" for a, v in zip(x, means, strict=True))
+        line = f'<polyline points="{points}" fill="none" stroke="currentColor"/>'
+        line = f'<svg width="{_WIDTH}" height="{_HEIGHT}" role="img" aria-label="confidence over time">{line}</svg>'
+        cells = target or "-", len(parts), len(parts[0]), share, said
+        lines.append("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in cells) + f"<td>{line}</td>")
     heads = "".join(f"<th>{head}" for head in ("target", "parts", "frames", "seen", "events", "confidence"))
     return f"<table><tr>{heads}{''.join(lines)}</table>"
-
-
-def _confidence_line(values: Array) -> str:
-    """Values from 0 to 1 over time as a picture."""
-    means = [float(share.mean()) for share in np.array_split(np.nan_to_num(values), _MEANS) if len(share)]
-    x = np.linspace(0, _WIDTH, len(means)).tolist()
-    points = " ".join(f"{a:.1f},{_HEIGHT - 1 - v * (_HEIGHT - 2):.1f}" for a, v in zip(x, means, strict=True))
-    line = f'<polyline points="{points}" fill="none" stroke="currentColor"/>'
-    return f'<svg width="{_WIDTH}" height="{_HEIGHT}" role="img" aria-label="confidence over time">{line}</svg>'
 
 
 EDGES = (("nose", "lip_upper"), *(edge for line in LINES for edge in pairwise(line)))
