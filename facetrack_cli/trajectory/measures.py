@@ -275,19 +275,14 @@ def _turning_points(signal: Array, least: float) -> list[int]:
     low = high = 0
     up: bool | None = None
     for i, value in enumerate(signal.tolist()):
-        if value > signal[high]:
-            high = i
-        if value < signal[low]:
-            low = i
+        high, low = i if value > signal[high] else high, i if value < signal[low] else low
         if up is not False and signal[high] - value >= least:
             turns.append(high)
             up, low, high = False, i, i
         elif up is not True and value - signal[low] >= least:
             turns.append(low)
             up, low, high = True, i, i
-    if up is not None:  # the last swing ends where it got farthest
-        turns.append(high if up else low)
-    return turns
+    return turns if up is None else [*turns, high if up else low]  # the last swing ends where it got farthest
 
 
 def _moved(pose: Array, time_s: Array, by: float) -> Array:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
 
 from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.files import read_bounded
@@ -31,8 +31,8 @@ _Seconds: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
 _Still: TypeAlias = Annotated[str, Field(pattern=rf"^({STILLS}/[^/\\\x00.][^/\\\x00]*)?$")]  # a file of that folder
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+class _Record(BaseModel, frozen=True, extra="forbid", defer_build=True):
+    """What people.json has."""
 
 
 class ShotRecord(_Record):
@@ -200,7 +200,7 @@ def split(tracks: Tracks, name: str, frame: int) -> Tracks:
         spans = ", ".join(f"{track.first} to {track.stop - 1}" for track in theirs[:4])
         remedy = f"{name} is seen in frames {spans}; give a frame between the first and the last"
         raise UsageError(f"--split {name}@{frame}f: {remedy}")
-    new, changed = _newcomer(tracks), list[TrackRecord]()
+    new, changed = new_name({track.person for track in tracks}), list[TrackRecord]()
     for track in tracks:
         later = track.person == name and track.stop > frame
         if track.first < frame or not later:
@@ -221,7 +221,8 @@ def give(tracks: Tracks, name: str, frame: int, to: str | None) -> Tracks:
     others = [] if to in (None, name) else _of([track for track in tracks if track is not own], str(to))
     if at := _shared([own], others):
         raise UsageError(f"--give {name}@{frame}f={to}: {to} is seen in frame {at[0]}, too; give somebody else")
-    return [_given(track, to or _newcomer(tracks)) if track is own else track for track in tracks]
+    person = to or new_name({track.person for track in tracks})
+    return [_given(track, person) if track is own else track for track in tracks]
 
 
 def photographs(before: People, tracks: Tracks) -> list[str]:
@@ -234,10 +235,6 @@ def photographs(before: People, tracks: Tracks) -> list[str]:
 def new_name(taken: Collection[str]) -> str:
     """A name that nobody has."""
     return next(f"{PERSON}{k}" for k in range(1, len(taken) + 2) if f"{PERSON}{k}" not in taken)
-
-
-def _newcomer(tracks: Tracks) -> str:
-    return new_name({track.person for track in tracks})
 
 
 def _shared(tracks: Tracks, others: Tracks) -> list[int]:

@@ -7,6 +7,7 @@ as files hold it: starts are in init files, in the header of a trajectory, and i
 import csv
 import itertools
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -120,8 +121,8 @@ def _read_csv(path: Path) -> Trajectory:
                 numbers, texts = zip(*block, strict=True)
                 for number, cells in block:
                     if len(cells) != len(header):
-                        why = "leave what is not known empty between its commas; or was the run cut short?"
-                        raise InputError(f"{path}:{number}: {len(cells)} values under {len(header)} columns; {why}")
+                        count = f"{len(cells)} values under {len(header)} columns"
+                        raise InputError(f"{path}:{number}: {count}; complete it, or was the run cut short?")
                 columns = dict(zip(header, zip(*texts, strict=True), strict=True))
                 empty = ("",) * len(block)
                 read: dict[str, Any] = {n: _column(path, n, columns.get(n, empty), numbers) for n in COLUMNS}
@@ -207,8 +208,7 @@ def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
         raise InputError(f"{path}:{number + getattr(e, 'lineno', 1) - 1}: {why}") from None
     frames = header.pop("frames", frames)
     if header.get("schema") != SCHEMA or not isinstance(frames, list):
-        why = f'does not say "schema": "{SCHEMA}", or has no list "frames"'
-        raise InputError(f"{path}: {why}; it is no trajectory of facetrack")
+        raise InputError(f'{path}: is no trajectory of facetrack, with "schema": "{SCHEMA}" and a list "frames"')
     if type(version := header.get("version", VERSION)) is not int or version > VERSION:
         raise InputError(f"{path}: is of version {version!r}, and this facetrack reads {VERSION}; update facetrack")
     return header, frames
@@ -221,15 +221,13 @@ STILLS: Final = "people"  # the folder of the pictures of people, in that of a r
 Pixels: TypeAlias = Annotated[float, Field(strict=True, ge=-MAX_PIXELS, le=MAX_PIXELS, allow_inf_nan=False)]
 Side: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=MAX_PIXELS, allow_inf_nan=False)]
 Name: TypeAlias = Annotated[str, AfterValidator(lambda name: checked_name(name, "target or part"))]
-_Positive: TypeAlias = Annotated[int, Field(gt=0)]
 _Parts: TypeAlias = Annotated[
     Annotated[Literal[True], Tag("all")] | Annotated[tuple[Name, ...], Tag("parts")],
     Discriminator(lambda given: "all" if given is True else "parts"),
 ]
 
 
-class _Target(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+class _Target(BaseModel, frozen=True, extra="forbid", defer_build=True):
     box: tuple[Pixels, Pixels, Side, Side] | None = None  # left, top, width, height
     points: dict[Name, tuple[Pixels, Pixels]] = {}  # x, y
 
@@ -256,10 +254,9 @@ class CorrectionRecord(CorrectedTarget):
     target: Name
 
 
-class StartRecord(BaseModel):
+class StartRecord(BaseModel, frozen=True, extra="forbid", defer_build=True):
     """A start: its frame, its targets by name, and the corrections after it."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
     frame: FrameNumber
     targets: dict[Name, TargetRecord]
     corrections: tuple[CorrectionRecord, ...] = ()
@@ -313,7 +310,7 @@ class ClipHeader(BaseModel, defer_build=True):
     """A clip: `pixel_aspect` is the width of a pixel over its height, `begins_s` the time of its first frame."""
 
     path: str
-    size: tuple[_Positive, _Positive]
+    size: tuple[pydantic.PositiveInt, pydantic.PositiveInt]
     fps: Annotated[float, Field(gt=0, le=1e6)]
     pixel_aspect: Annotated[float, Field(gt=0.01, le=100)] = 1.0
     begins_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
@@ -328,17 +325,15 @@ class InitHeader(StartRecord):
         return self.start_from(self.origin)
 
 
-class SplitHeader(BaseModel):
+class SplitHeader(BaseModel, defer_build=True):
     """How a clip was cut into chunks, as --split takes it."""
 
-    model_config = ConfigDict(frozen=True, defer_build=True)
     length: str
 
 
-class SeamHeader(BaseModel):
+class SeamHeader(BaseModel, defer_build=True):
     """Where two chunks of a clip meet: the first frame of the later one's rows, the share of frames that agree."""
 
-    model_config = ConfigDict(frozen=True, defer_build=True)
     frame: FrameNumber
     agreement: float | None
     agrees: bool
@@ -406,7 +401,4 @@ def frame_size_of(table: Trajectory) -> tuple[int, int] | None:
 
 def is_there(path: Path) -> bool:
     """Whether there is such a file or folder, as far as the system tells."""
-    try:
-        return path.exists()
-    except (OSError, ValueError):  # no permission, or a name that is too long, or none
-        return False
+    return os.path.exists(path)  # noqa: PTH110 -- Path.exists raises where a folder may not be looked into

@@ -7,16 +7,14 @@ number that is not known is nan, a text "".
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, Texts, Whole
@@ -281,27 +279,6 @@ class Trajectory:
 
         return html_table(self)
 
-    def _repr_png_(self) -> bytes | None:
-        """The plot of all of it; None where it cannot be drawn."""
-        import facetrack_cli
-
-        with suppress(FacetrackError):
-            facetrack_cli.plot(self).savefig(file := BytesIO(), format="png")
-            return file.getvalue()
-        return None
-
-    def export(self, form: str, out: str | Path | None = None, **more: Any) -> str | bytes | Path:
-        """As another program reads it, as `eaf`; see `facetrack.export`."""
-        import facetrack_cli
-
-        return facetrack_cli.export(self, form, out, **more)
-
-    def video(self, *, media: str | Path | None = None) -> Any:
-        """The annotated video, which notebooks show; see `facetrack.annotated_video`."""
-        import facetrack_cli
-
-        return facetrack_cli.annotated_video(self, media=media)
-
     def to_xarray(self) -> Dataset:
         """The places as an xarray.Dataset in the layout of `movement`'s poses.
 
@@ -314,16 +291,15 @@ class Trajectory:
 
         return dataset(self)
 
-    def to_pandas(self, what: Literal["rows", "measures", "events"] = "rows", *, measures: bool = False) -> DataFrame:
+    def to_pandas(self, what: Literal["rows", "measures", "events"] = "rows") -> DataFrame:
         """The columns, the measures or the events as a pandas DataFrame.
 
-        Of measures there is a row for each target, measure and frame: value, std and noise. With `measures`, each row
-        of the columns has those of its target and frame, too, a column each. UsageError without pandas, which the
-        extra `pandas` brings.
+        Of measures there is a row for each target, measure and frame: value, std and noise. UsageError without pandas,
+        which the extra `pandas` brings.
         """
         from facetrack_cli.trajectory.formats.tables import data_frame
 
-        return data_frame(self, what, measures=measures)
+        return data_frame(self, what)
 
 
 def header_value(table: Trajectory, group: str, key: str) -> Any:
@@ -353,8 +329,7 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
     twice = np.flatnonzero((frame[1:] == frame[:-1]) & (which[1:] == which[:-1]))
     if twice.size:
         at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
-        why = f"frame {at} has two rows of {name}; keep one row a frame, target and part"
-        raise InputError(f"{about.get('path', Path())}: {why}")
+        raise InputError(f"{about.get('path', Path())}: frame {at} has two rows of {name}; keep one row of them")
     columns = {name: values for name, values in others.items() if values is not None}
     for name, values in columns.items():
         columns[name] = np.asarray(values, dtype=_KINDS.get(name, float))[order]

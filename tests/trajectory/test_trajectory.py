@@ -71,7 +71,7 @@ def test_rows_come_in_any_order_and_what_is_not_given_is_not_known():
         assert np.isnan(getattr(rows, name)).all() and getattr(rows, name).dtype == np.float64, name
     assert not rows.by_hand.any() and not (rows.identity != "").any()
     assert rows.corners is None and rows.header == rows.diagnostics == {} and rows.path == Path()
-    with pytest.raises(InputError, match=r"t\.csv: frame 4 has two rows of face/lip; keep one row a frame, target and"):
+    with pytest.raises(InputError, match=r"t\.csv: frame 4 has two rows of face/lip; keep one row of them"):
         build([NOSE, LIP], [1] * 4, [4, 2, 9, 4], path=Path("t.csv"))
 
 

@@ -59,7 +59,16 @@ OF_MEDIA: Final = tuple(form for form, export in EXPORTS.items() if _SIZED & {*e
 
 
 def load(verb: Literal["read", "write"], form: str) -> Callable[..., Any]:
-    """The function that reads or writes a format."""
+    """The function that reads or writes a format.
+
+    Parameters
+    ----------
+    verb : what it does. It reads a Path, and adds `shift` to every frame number, which is from 0 on. It returns a
+        Trajectory in pixels from 0, whose `header["read_as"]` says how the file was read, and raises InputError, with
+        the line where there is one, for what it cannot read. It writes what `Export.takes` names, as text or bytes, and
+        raises InputError for what the format has no room for.
+    form : one of READERS, or of EXPORTS.
+    """
     module = import_module(f"{__name__}.{READERS[form] if verb == 'read' else EXPORTS[form].module}")
     function: Callable[..., Any] = getattr(module, f"{verb}_{form.replace('-', '_')}")
     return function

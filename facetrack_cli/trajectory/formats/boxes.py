@@ -85,9 +85,20 @@ def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0, beside: 
 
 
 def read_results(path: Path, form: str = "auto") -> Trajectory:
-    """A trajectory of ours, or what another tracker wrote, read as `form`, one of TRUTH_FORMATS, or by its shape.
+    """A trajectory of ours, or what another tracker wrote.
 
-    Status is init, tracked or lost where the file says so, else "". `header["read_as"]` is there for those of others.
+    Parameters
+    ----------
+    form : one of TRUTH_FORMATS; `auto` goes by the shape of the file.
+
+    Returns
+    -------
+    Trajectory : `status` is init, tracked or lost where the file says so, else ""; of others there is
+        `header["read_as"]`.
+
+    Raises
+    ------
+    InputError : for a file that is broken or of no known shape.
     """
     with reading(path, "make it readable, or name another"):
         shape = form
@@ -114,8 +125,7 @@ def recognise(path: Path) -> tuple[Path, str]:
         named = ("gt/gt.txt", "groundtruth_rect.txt", "groundtruth.txt", "groundtruth.csv")
         if (file := next((path / name for name in named if (path / name).is_file()), None)) is not None:
             return recognise(file)
-        files = f"trajectory.csv, {', '.join(named)} or .pts files"
-        raise InputError(f"{path}: is a folder without {files}; name the ground truth file")
+        raise InputError(f"{path}: is a folder without trajectory, {', '.join(named)} or .pts files; name a file")
     lines = Lines.of(path)
     first = lines.texts[0]
     names = {name.strip().strip('"').lower() for name in first.split(",")}
@@ -134,10 +144,9 @@ def recognise(path: Path) -> tuple[Path, str]:
         return path, next((form for name, form in beside.items() if path.with_name(name).is_file()), "otb")
     if count in MOT_COLUMNS and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
         return path, "mot"
-    heads = f"a header reads {','.join(REQUIRED)} for points or {','.join(BOX_COLUMNS)} for boxes"
-    why = f"begins no ground truth file that is known here; {heads}, without a header a line is {LTWH}"
-    remedy = f"commas stand between columns, and decimals have a point; or give --truth-format: {', '.join(READERS)}"
-    raise lines.error(0, f"{why}; {remedy}")
+    form = f"a header reads {','.join(REQUIRED)} or {','.join(BOX_COLUMNS)}; commas stand between columns"
+    why = f"begins no ground truth file that is known here: {form}; or give --truth-format: {', '.join(READERS)}"
+    raise lines.error(0, why)
 
 
 _BEGINS: Final = {"{": "facetrack", "<": "cvat", "version:": "pts"}
@@ -155,8 +164,7 @@ def read_text(path: Path) -> str:
         line = raw.count(b"\n", 0, e.start) + 1
         raise InputError(f"{path}:{line}: is not UTF-8 text; save it as UTF-8, or name another file") from e
     if not text.strip() or "\0" in text:
-        what = "binary, which of VOT's toolkit VOT_RESULTS_BINARY=false avoids" if text.strip() else "empty"
-        raise InputError(f"{path}: is {what}; name another file")
+        raise InputError(f"{path}: is {'binary' if text.strip() else 'empty'}; name another file")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -181,8 +189,7 @@ class Lines:
         """
         known = {place: line.strip() for place, line in enumerate(read_text(path).split("\n"), 1) if line.strip()}
         if by_frame and (blank := {*range(1, max(known) + 1)} - known.keys()):
-            why = "is blank, and each line is a frame; for none write nan,nan,nan,nan"
-            raise InputError(f"{path}:{min(blank)}: {why}")
+            raise InputError(f"{path}:{min(blank)}: is blank, and a line is a frame; for none write nan,nan,nan,nan")
         return cls(path, np.array([*known.values()], object), np.array([*known]))
 
     def __len__(self) -> int:
@@ -254,9 +261,9 @@ def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
         raise lines.error(0, "has target and part, with which x, y are centres; read it as facetrack's own table")
     if missing := ", ".join(name for name in BOX_COLUMNS if name not in names):
         raise lines.error(0, f"is a header without {missing}; it should read frame,x,y,w,h")
-    if len(lines) == 1:
-        raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
     lines = lines.take(slice(1, None))
+    if not len(lines):
+        raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
     values = lines.numbers(",".join(names), len(names), use=[names.index(name) for name in BOX_COLUMNS])
     frame = lines.whole(values[:, 0], "frame", 0)
     return lines.boxes(frame + shift, values[:, 1:], header={"read_as": "boxes: frame,x,y,w,h, all from 0"})
@@ -280,8 +287,7 @@ def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
         if file.is_file():
             labels = Lines.of(file, by_frame=True).numbers("one number", 1)[:, 0]
             if len(labels) != len(lines):
-                why = "they belong to different clips: move one away"
-                raise InputError(f"{file}: has {len(labels)} lines, {path.name} beside it {len(lines)}; {why}")
+                raise InputError(f"{file}: has {len(labels)} lines, {path.name} beside it {len(lines)}; move one away")
             status[((labels == 0) == (name == "cover")) & ~gone] = means
     header = {"read_as": f"GOT-10k text: {LTWH} a line, pixels from 1, and .label files that lie beside it"}
     return lines.boxes(np.arange(len(lines)) + shift, ltwh, status=status, header=header)
@@ -315,17 +321,8 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
 
     Parameters
     ----------
-    path : the file, whose frames, ids and pixels are counted from 1.
-    shift : is added to every frame number, once it is counted from 0.
+    path, shift : as of all readers (`formats.load`).
     results : whether column 7 is a confidence, and not a flag; None looks at its values.
-
-    Returns
-    -------
-    Trajectory : a target for each id, with the part `box`, in pixels from 0.
-
-    Raises
-    ------
-    InputError : with the line, for what cannot be read; where no row counts, or the classes do not say which.
     """
     lines = Lines.of(path)
     count = len(lines.texts[0].split(delimiter(lines.texts)))
@@ -400,9 +397,10 @@ def write_otb(part: Trajectory, unknown: str = "nan,nan,nan,nan") -> str:
     `unknown` is the line of a place that is not known. InputError for a gap between frames, and a place without a size.
     """
     if (gaps := np.flatnonzero(np.diff(part.frame) != 1)).size:
-        between = f"no row between frames {part.frame[gaps[0]]} and {part.frame[gaps[0] + 1]}"
-        why = "a format without frame numbers has no room for a gap; export to mot or vot"
-        raise InputError(f"{part.name}: {between}, and {why}")
+        first, then = part.frame[gaps[0] : gaps[0] + 2]
+        raise InputError(
+            f"{part.name}: no row between frames {first} and {then}: no gap has room; export to mot or vot"
+        )
     return "".join(f"{region or unknown}\n" for region in _regions(part, FROM_ONE))
 
 

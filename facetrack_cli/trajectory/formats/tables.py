@@ -138,8 +138,7 @@ def write_measures(clips: Sequence[Clip], many: bool = False) -> str:
     names_known = {name for targets in measures for measured in targets.values() for name in measured}
     names = [measure.name for measure in (*MEASURES, *HAND_MEASURES) if measure.name in names_known]
     if not names:
-        face = f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or its eyes"
-        raise InputError(f"{face}, or hands beside the box of a head")
+        raise InputError(f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or eyes, or hands")
     lines: list[list[Any]] = []
     for clip, targets in zip(clips, measures, strict=True):
         frames, times = timed(clip.table)
@@ -280,7 +279,7 @@ def write_boris(clips: Sequence[Clip], written: datetime) -> str:
 _WIDTH, _HEIGHT, _MEANS = 160, 24, 80  # of a line of confidence: pixels, and means that it shows
 
 
-def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"], *, measures: bool) -> DataFrame:
+def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"]) -> DataFrame:
     """As `Trajectory.to_pandas` says."""
     if what not in ("rows", "measures", "events"):
         raise UsageError(f"{what!r} is no table; give rows, measures or events")
@@ -289,22 +288,15 @@ def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"], *
 
     if what == "events":
         return pandas.DataFrame(table.events, columns=FaceEvent._fields)
-    measured = table.measures if measures or what == "measures" else {}
-    each = [(target, name, line) for target, by_name in measured.items() for name, line in by_name.items()]
     if what == "rows":
-        rows = pandas.DataFrame(table.columns())
-        for target, name, line in each:
-            here = rows.target == target
-            rows.loc[here, name] = rows.frame[here].map(dict(zip(line.frame, line.value, strict=True)))
-        return rows
+        return pandas.DataFrame(table.columns())
     names = ("frame", "time_s", "value", "std", "noise")
     frames = [
         pandas.DataFrame({"target": target, "measure": name, "unit": line.unit, **{k: getattr(line, k) for k in names}})
-        for target, name, line in each
+        for target, measures in table.measures.items()
+        for name, line in measures.items()
     ]
-    if not frames:
-        return pandas.DataFrame(columns=["target", "measure", *names])
-    return pandas.concat(frames, ignore_index=True)
+    return pandas.concat(frames or [pandas.DataFrame(columns=["target", "measure", *names])], ignore_index=True)
 
 
 def dataset(table: Trajectory) -> Dataset:
