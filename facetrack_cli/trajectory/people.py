@@ -31,7 +31,7 @@ _Seconds: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
 _Still: TypeAlias = Annotated[str, Field(pattern=rf"^({STILLS}/[^/\\\x00.][^/\\\x00]*)?$")]  # a file of that folder
 
 
-class _Record(BaseModel, frozen=True, extra="forbid", defer_build=True):
+class _Record(BaseModel, extra="forbid", defer_build=True):
     """What people.json has."""
 
 

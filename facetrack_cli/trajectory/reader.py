@@ -227,7 +227,7 @@ _Parts: TypeAlias = Annotated[
 ]
 
 
-class _Target(BaseModel, frozen=True, extra="forbid", defer_build=True):
+class _Target(BaseModel, extra="forbid", defer_build=True):
     box: tuple[Pixels, Pixels, Side, Side] | None = None  # left, top, width, height
     points: dict[Name, tuple[Pixels, Pixels]] = {}  # x, y
 
@@ -254,7 +254,7 @@ class CorrectionRecord(CorrectedTarget):
     target: Name
 
 
-class StartRecord(BaseModel, frozen=True, extra="forbid", defer_build=True):
+class StartRecord(BaseModel, extra="forbid", defer_build=True):
     """A start: its frame, its targets by name, and the corrections after it."""
 
     frame: FrameNumber

@@ -28,6 +28,7 @@ import contextlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -129,7 +130,7 @@ def recognise(path: Path) -> tuple[Path, str]:
     lines = Lines.of(path)
     first = lines.texts[0]
     names = {name.strip().strip('"').lower() for name in first.split(",")}
-    cells = [cell.strip() for cell in first.split(delimiter([first]))]
+    cells = lines.take([0]).cells[0]
     count = len(cells) if all(cells) and all(map(_NUMBER.fullmatch, cells)) else 0
     shape = next((form for begin, form in _BEGINS.items() if first.lower().startswith(begin)), "")
     if shape or {"target", "part"} <= names:
@@ -168,11 +169,6 @@ def read_text(path: Path) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def delimiter(texts: Sequence[str]) -> str | None:
-    """What stands between the numbers: a comma where there is one, else tabs or blanks (None, as for str.split)."""
-    return "," if any("," in text for text in texts) else None
-
-
 @dataclass(frozen=True)
 class Lines:
     """T lines of the file `path`, without blanks at their ends, and their `places` in it, counted from 1."""
@@ -183,10 +179,7 @@ class Lines:
 
     @classmethod
     def of(cls, path: Path, *, by_frame: bool = False) -> Lines:
-        """The lines of a file that are not blank.
-
-        With `by_frame` line i is frame i: a blank line is an error, but not at the end.
-        """
+        """Those that are not blank. With `by_frame` line i is frame i: a blank one is an error, but not at the end."""
         known = {place: line.strip() for place, line in enumerate(read_text(path).split("\n"), 1) if line.strip()}
         if by_frame and (blank := {*range(1, max(known) + 1)} - known.keys()):
             raise InputError(f"{path}:{min(blank)}: is blank, and a line is a frame; for none write nan,nan,nan,nan")
@@ -194,6 +187,12 @@ class Lines:
 
     def __len__(self) -> int:
         return len(self.texts)
+
+    @cached_property
+    def cells(self) -> list[list[str]]:
+        """What stands between commas where there are some, else between tabs or blanks."""
+        between = "," if any("," in text for text in self.texts) else None
+        return [[cell.strip() for cell in text.split(between)] for text in self.texts]
 
     def take(self, rows: Any) -> Lines:
         """These rows: indices, a mask or a slice."""
@@ -213,10 +212,8 @@ class Lines:
 
         InputError with the line of what is not `wanted`.
         """
-        between, width = delimiter(self.texts), counts[-1]
-        rows = [[cell.strip() for cell in text.split(between)] for text in self.texts]
-        which = range(width) if use is None else use
-        rows = [[row[k] for k in which if k < len(row)] if len(row) in counts else ["?"] for row in rows]
+        which = use or range(counts[-1])
+        rows = [[row[k] for k in which if k < len(row)] if len(row) in counts else ["?"] for row in self.cells]
         why = f"is no line of {wanted}; write numbers with a point, and one kind of comma, tab or blank between them"
         self.refuse([not all(map(_NUMBER.fullmatch, row)) for row in rows], why)
         cells = [float(cell or "nan") for row in rows for cell in row + ["nan"] * (len(which) - len(row))]
@@ -237,8 +234,10 @@ class Lines:
         state = np.broadcast_to(status, len(frame)).astype("<U8")
         absent = (state == "absent") | np.isnan(ltwh).all(axis=1) | (ltwh[:, 2:] == 0).all(axis=1)
         fine = (np.abs(ltwh) <= MAX_PIXELS).all(axis=1) & (ltwh[:, 2:] > 0).all(axis=1)
-        why = "is no box: left, top, a width and a height above 0, none farther out than any image; four times nan or 0"
-        self.refuse(~fine & ~absent, f"{why} say that there is none")
+        why = (
+            "is no box: left, top, a width and a height above 0, no farther out than any image; or four times nan or 0"
+        )
+        self.refuse(~fine & ~absent, why)
         left, top, w, h = np.where(absent[:, None], np.nan, ltwh).T
         place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h}
         targets, which = np.unique(np.broadcast_to(ids, len(frame)), return_inverse=True)
@@ -297,7 +296,7 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
     """VOT ground truth or results; line i, from 0, is frame i + `shift`. Polygons are the rows' `corners`."""
     lines = Lines.of(path, by_frame=True)
     values = lines.numbers(f"{REGION} (masks and other polygons are not read)", 1, 4, 8)
-    count = np.array([len(text.split(delimiter(lines.texts))) for text in lines.texts])[:, None]
+    count = np.array([*map(len, lines.cells)])[:, None]
     codes = np.where(count == 1, np.nan_to_num(values), np.nan)[:, 0]
     polygons, boxes = (np.where(count == n, values[:, :n], np.nan) for n in (8, 4))
     known = np.isnan(polygons).all(axis=1) | (np.abs(polygons) <= MAX_PIXELS).all(axis=1)
@@ -325,7 +324,7 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     results : whether column 7 is a confidence, and not a flag; None looks at its values.
     """
     lines = Lines.of(path)
-    count = len(lines.texts[0].split(delimiter(lines.texts)))
+    count = len(lines.cells[0])
     if count not in MOT_COLUMNS:
         raise lines.error(0, f"has {count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}")
     values = np.full((len(lines), 10), np.nan)

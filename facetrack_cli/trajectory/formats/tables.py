@@ -33,40 +33,31 @@ OpenFace 2's FeatureExtraction (Baltrusaitis et al., FG 2018; its wiki page "Out
 
 from __future__ import annotations
 
-import html
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from functools import partial
 from html import escape
+from itertools import pairwise, product
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError, needed
-from facetrack_cli.core.face_points import POINTS
+from facetrack_cli.core.face_points import LINES, MESH, POINTS
 from facetrack_cli.core.numbers import csv_text, dumps
 from facetrack_cli.core.types import BOX, Array, Whole
-from facetrack_cli.trajectory.head import SHAPE, head_pose
+from facetrack_cli.trajectory.head import SHAPE, HeadPose, euler, head_pose, rotation_of
 from facetrack_cli.trajectory.measures import HAND_MEASURES, MEASURES, FaceEvent, Measured, events_of
 from facetrack_cli.trajectory.reader import clip_of
-from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned, header_value
-from facetrack_cli.trajectory.views import every_frame, frame_milliseconds
+from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned, header_value, joined
+from facetrack_cli.trajectory.views import Around, enclose, every_frame, frame_milliseconds, mean
 
 if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
-
-import math
-from collections.abc import Callable
-from itertools import pairwise, product
-from typing import Final
-
-from facetrack_cli.core.face_points import LINES, MESH
-from facetrack_cli.trajectory.head import HeadPose, euler, rotation_of
-from facetrack_cli.trajectory.trajectory import joined
-from facetrack_cli.trajectory.views import Around, enclose, mean
 
 WIDE = ("x", "y", "w", "h", "confidence", "status")
 STD = ("", "_std", "_noise")
@@ -193,7 +184,7 @@ def write_subtitles(table: Trajectory, form: str) -> str:
     for n, (begin, end, e) in enumerate((span for span in spans if span[1] > span[0]), 1):
         who = f"{e.target}: " if several and e.target else ""
         text = f"{who}{e.tier.replace('_', ' ')}: {e.value}"
-        text = html.escape(text, quote=False) if form == "vtt" else text
+        text = escape(text, quote=False) if form == "vtt" else text
         texts.append(f"{n}\n{_clock(begin, form)} --> {_clock(end, form)}\n{text}")
     return "\n\n".join(texts) + "\n"
 
