@@ -366,8 +366,7 @@ class Header(BaseModel, defer_build=True):
     def clip_name(self) -> str:
         """The clip's name without its folder; a folder of images with the one above, since many are called `img`."""
         path = Path(self.source.path)
-        names = [path.name] if path.suffix else [path.parent.name, path.name]
-        return "/".join(filter(None, names)) or self.source.path
+        return path.name if path.suffix else "/".join(path.parts[-2:])
 
     @property
     def recipe_name(self) -> str:

@@ -252,15 +252,8 @@ class Trajectory:
         record = self.header.get("people")
         return read_people(self.path.parent) if record is None else People.model_validate(record)
 
-    def lost_intervals(self) -> dict[str, list[tuple[int, int]]]:
-        """Frames [first, stop) in which each `target/part` is lost, in the order of time."""
-        return self._intervals(("lost",))
-
-    def visible_intervals(self) -> dict[str, list[tuple[int, int]]]:
-        """Frames [first, stop) in which each `target/part` is seen: neither lost, hidden nor absent."""
-        return self._intervals(SEEN)
-
-    def _intervals(self, statuses: Sequence[str]) -> dict[str, list[tuple[int, int]]]:
+    def intervals(self, *statuses: str) -> dict[str, list[tuple[int, int]]]:
+        """Frames [first, stop) in which each `target/part` has one of these statuses, in the order of time."""
         intervals = {}
         for part in self.parts:
             there = spans(np.isin(part.status, statuses), np.diff(part.frame) > 1)

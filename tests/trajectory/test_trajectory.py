@@ -15,6 +15,7 @@ from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import (
     COLUMNS,
     FLOATS,
+    SEEN,
     TEXTS,
     Collector,
     build,
@@ -160,9 +161,9 @@ def test_a_data_frame_has_the_rows_in_the_order_of_the_file(monkeypatch):
 def test_intervals_are_spans_of_frames_without_a_gap():
     status = ["init", "tracked", "lost", "lost", "tracked", "lost"]
     table = build([("face", "nose")], [0] * 6, [3, 4, 5, 6, 9, 12], status=status)
-    assert table.lost_intervals() == {"face/nose": [(5, 7), (12, 13)]}
-    assert table.visible_intervals() == {"face/nose": [(3, 5), (9, 10)]}
-    assert some().visible_intervals() == {"face/nose": [(2, 4)], "face/lip": [(2, 3)], "hand/box": [(3, 5)]}
+    assert table.intervals("lost") == {"face/nose": [(5, 7), (12, 13)]}
+    assert table.intervals(*SEEN) == {"face/nose": [(3, 5), (9, 10)]}
+    assert some().intervals(*SEEN) == {"face/nose": [(2, 4)], "face/lip": [(2, 3)], "hand/box": [(3, 5)]}
 
 
 # --- put together ---

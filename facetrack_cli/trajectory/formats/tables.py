@@ -135,9 +135,9 @@ def write_measures(clips: Sequence[Clip], many: bool = False) -> str:
         frames, times = timed(clip.table)
         cells = [_measured(measured, names, frames).tolist() for measured in targets.values()]
         for frame, time, *rows in zip(frames.tolist(), times.tolist(), *cells, strict=True):
-            begin = [*([clip.name] if many else []), frame, time]
+            begin = [clip.name, frame, time][not many :]
             lines += ([*begin, target, *row] for target, row in zip(targets, rows, strict=True))
-    first = [*(["clip"] if many else []), "frame", "time_s", "target"]
+    first = ["clip", "frame", "time_s", "target"][not many :]
     return csv_text([*first, *(name + end for name in names for end in STD)], lines)
 
 
