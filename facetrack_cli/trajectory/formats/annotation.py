@@ -356,7 +356,6 @@ def write_eaf(table: Trajectory, video: Path, folder: Path, written: datetime) -
     about = {"AUTHOR": "facetrack", "DATE": written.astimezone().isoformat(timespec="seconds")}
     schema = {"FORMAT": "3.0", "VERSION": "3.0", "xmlns:xsi": XSI, "xsi:noNamespaceSchemaLocation": SCHEMA}
     root = ET.Element("ANNOTATION_DOCUMENT", {**about, **schema})
-    slots, others, last = _elements(table, root)
     header = ET.SubElement(root, "HEADER", MEDIA_FILE="", TIME_UNITS="milliseconds")
     whole = Path(os.path.normpath(video.absolute())).as_posix()  # a link keeps the name that the user knows it by
     mime = MIME.get(video.suffix.lower(), "*")
@@ -365,63 +364,74 @@ def write_eaf(table: Trajectory, video: Path, folder: Path, written: datetime) -
         relative = Path(os.path.relpath(whole, folder)).as_posix()
         media["RELATIVE_MEDIA_URL"] = clean(relative if relative.startswith("../") else f"./{relative}")
     ET.SubElement(header, "MEDIA_DESCRIPTOR", media)
-    urn = uuid.uuid5(uuid.NAMESPACE_URL, f"{media['MEDIA_URL']} {last} {about['DATE']}")
+    urn = uuid.uuid5(uuid.NAMESPACE_URL, f"{media['MEDIA_URL']} {about['DATE']}")
     ET.SubElement(header, "PROPERTY", NAME="URN").text = f"urn:nl-mpi-tools-elan-eaf:{urn}"
-    ET.SubElement(header, "PROPERTY", NAME="lastUsedAnnotationId").text = str(last)
-    ET.SubElement(root, "TIME_ORDER").extend(slots)
-    root.extend(others)
-    return _text(root)
+    ET.SubElement(header, "PROPERTY", NAME="lastUsedAnnotationId").text = "0"
+    ET.SubElement(root, "TIME_ORDER")
+    return _with_tiers(root, table)[0]
 
 
-def _elements(table: Trajectory, root: ET.Element, offset: int = 0) -> tuple[list[ET.Element], list[ET.Element], int]:
-    """The slots of time in their order, what stands below them in the schema's, and the number of the last annotation.
+def _with_tiers(root: ET.Element, table: Trajectory, offset: int = 0) -> tuple[str, list[str]]:
+    """The text of a document with the tiers of a table, and the names that these have: one that is there gets a number.
 
-    Their names are free in the document `root`; what it has of our types and vocabularies is not among them.
+    Types and vocabularies of ours that are there serve again.
     """
     taken = {element.get(key, "") for element in root.iter() for key in IDS}
     numbered = [name[1:].removeprefix("s") for name in taken if name[:1] in ("a", "t")]
     numbered.append(root.findtext(".//PROPERTY[@NAME='lastUsedAnnotationId']") or "")
     first = last = max([0, *map(int, filter(_is_whole, numbered))])
+    there, order = [own.attrib for own in root.iter("LINGUISTIC_TYPE")], root.find("TIME_ORDER")
+    assert order is not None
 
     def free(name: str) -> str:
         name = next(text for text in chain([name], (f"{name}-{n}" for n in count(2))) if text not in taken)
         taken.add(name)
         return name
 
-    there = [own.attrib for own in root.iter("LINGUISTIC_TYPE")]
-    tiers, ends, names = list[ET.Element](), list[tuple[int, ET.Element, str]](), dict[str, str]()
+    def put(tag: str, about: dict[str, str]) -> ET.Element:
+        """An element at the end of those of its kind."""
+        element, above = ET.Element(tag, about), ORDER[: ORDER.index(tag) + 1]
+        root.insert(max(i for i, child in enumerate(root, 1) if child.tag in above), element)
+        return element
+
+    if "eng" not in taken:
+        about = {"LANG_DEF": "http://cdb.iso.org/lg/CDB-00138502-001", "LANG_ID": "eng"}
+        put("LANGUAGE", {**about, "LANG_LABEL": "English (eng)"})
+    tiers, ends, names = list[str](), list[tuple[int, ET.Element, str]](), dict[str, str]()
     for kind, target, spans in _tiers(table, offset):
         if kind not in names:
             names[kind] = kind if _type(kind, kind) in there else free(kind)
+            if _type(kind, names[kind]) not in there:
+                put("LINGUISTIC_TYPE", _type(kind, names[kind]))
+                if kind in VOCABULARIES:
+                    vocabulary = put("CONTROLLED_VOCABULARY", {"CV_ID": names[kind]})
+                    what = ET.SubElement(vocabulary, "DESCRIPTION", LANG_REF="eng")
+                    what.text = "motion of the target in the image plane"
+                for label in VOCABULARIES.get(kind, ()):
+                    entry = ET.SubElement(vocabulary, "CV_ENTRY_ML", CVE_ID=f"cveid_{names[kind]}_{label}")
+                    ET.SubElement(entry, "CVE_VALUE", LANG_REF="eng").text = label
         # readers find a tier by a path with its name in straight quotes
-        name = free(clean(f"{kind}@{target}").translate(QUOTES))
-        about = {"LINGUISTIC_TYPE_REF": names[kind], "TIER_ID": name, "ANNOTATOR": "facetrack"}
-        tiers.append(ET.Element("TIER", {**about, "PARTICIPANT": clean(target)}))
+        tiers.append(free(clean(f"{kind}@{target}").translate(QUOTES)))
+        about = {"LINGUISTIC_TYPE_REF": names[kind], "TIER_ID": tiers[-1], "ANNOTATOR": "facetrack"}
+        tier = put("TIER", {**about, "PARTICIPANT": clean(target)})
         for begin, end, text in spans:
             last += 1
-            entry = {"CVE_REF": f"cveid_{names[kind]}_{text}"} if kind in VOCABULARIES else {}
-            holder = ET.SubElement(tiers[-1], "ANNOTATION")
-            note = ET.SubElement(holder, "ALIGNABLE_ANNOTATION", {"ANNOTATION_ID": f"a{last}", **entry})
+            value = {"CVE_REF": f"cveid_{names[kind]}_{text}"} if kind in VOCABULARIES else {}
+            holder = ET.SubElement(tier, "ANNOTATION")
+            note = ET.SubElement(holder, "ALIGNABLE_ANNOTATION", {"ANNOTATION_ID": f"a{last}", **value})
             ET.SubElement(note, "ANNOTATION_VALUE").text = clean(text)
             ends += [(begin, note, "TIME_SLOT_REF1"), (end, note, "TIME_SLOT_REF2")]
-    slots = []  # every annotation has two of its own, as ELAN makes them
-    for number, (time, note, ref) in enumerate(sorted(ends, key=lambda end: end[0]), first + 1):
-        slots.append(ET.Element("TIME_SLOT", TIME_SLOT_ID=f"ts{number}", TIME_VALUE=str(time)))
-        note.set(ref, f"ts{number}")
-    types, vocabularies = list[ET.Element](), list[ET.Element]()
-    for kind, name in names.items():
-        if _type(kind, name) not in there:
-            types.append(ET.Element("LINGUISTIC_TYPE", _type(kind, name)))
-            if kind in VOCABULARIES:
-                vocabularies.append(ET.Element("CONTROLLED_VOCABULARY", CV_ID=name))
-                about_it = ET.SubElement(vocabularies[-1], "DESCRIPTION", LANG_REF="eng")
-                about_it.text = "motion of the target in the image plane"
-            for label in VOCABULARIES.get(kind, ()):
-                entry_of = ET.SubElement(vocabularies[-1], "CV_ENTRY_ML", CVE_ID=f"cveid_{name}_{label}")
-                ET.SubElement(entry_of, "CVE_VALUE", LANG_REF="eng").text = label
-    language = {"LANG_DEF": "http://cdb.iso.org/lg/CDB-00138502-001", "LANG_ID": "eng", "LANG_LABEL": "English (eng)"}
-    languages = [ET.Element("LANGUAGE", language)] if "eng" not in taken else []
-    return slots, [*tiers, *types, *languages, *vocabularies], last
+    known = (slot.get("TIME_VALUE", "") for slot in order)
+    latest = [*accumulate((int(time) if _is_whole(time) else -1 for time in known), max)]  # 64 bits may not hold them
+    # every annotation has two slots of its own, as ELAN makes them
+    for n, (time, note, ref) in enumerate(sorted(ends, key=lambda end: end[0])):
+        note.set(ref, f"ts{first + n + 1}")
+        slot = ET.Element("TIME_SLOT", TIME_SLOT_ID=f"ts{first + n + 1}", TIME_VALUE=str(time))
+        order.insert(bisect_right(latest, time) + n, slot)
+    for number in root.iterfind(".//PROPERTY[@NAME='lastUsedAnnotationId']"):
+        number.text = str(last)
+    ET.indent(root, "    ")
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n", tiers
 
 
 def _type(kind: str, name: str) -> dict[str, str]:
@@ -522,19 +532,7 @@ def add_tiers(path: Path, table: Trajectory, clip: str) -> tuple[str, list[str],
     """
     root = _read(path)
     offset = _offset_of(root, clip)
-    slots, others, last = _elements(table, root, offset or 0)
-    order = root.find("TIME_ORDER")
-    assert order is not None
-    known = (slot.get("TIME_VALUE", "") for slot in order)
-    latest = [*accumulate((int(time) if _is_whole(time) else -1 for time in known), max)]  # 64 bits may not hold them
-    for n, slot in enumerate(slots):
-        order.insert(bisect_right(latest, int(slot.get("TIME_VALUE", 0))) + n, slot)
-    for element in others:
-        above = ORDER[: ORDER.index(element.tag) + 1]
-        root.insert(max(i for i, child in enumerate(root, 1) if child.tag in above), element)
-    for number in root.iterfind(".//PROPERTY[@NAME='lastUsedAnnotationId']"):
-        number.text = str(last)
-    return _text(root), [element.get("TIER_ID", "") for element in others if element.tag == "TIER"], offset is not None
+    return (*_with_tiers(root, table, offset or 0), offset is not None)
 
 
 def read_xml(path: Path, tool: str) -> ET.Element:
@@ -556,8 +554,3 @@ def _read(path: Path) -> ET.Element:
     if not version.replace(".", "", 1).isdigit() or float(version) < LEAST_FORMAT:
         raise InputError(f"{path}: is of EAF {version or 'without a version'}; save it by ELAN 4.9 or later")
     return root
-
-
-def _text(root: ET.Element) -> str:
-    ET.indent(root, "    ")
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
