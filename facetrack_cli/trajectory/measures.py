@@ -220,10 +220,9 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
         std = np.sqrt(np.diagonal(pose.of_points, axis1=1, axis2=2))
         for i, one in enumerate(values.values()):
             one[:, np.searchsorted(frame, pose.frame)] = pose.angles[:, i], std[:, i]
-    for name in {*EYES} & {*names}:
-        spread[name] = np.nan_to_num(spread[name])  # where they are hidden they are not the unit
+    for name in {*EYES, BOX} & {*names}:  # where eyes are hidden they are not the unit; not all say that of a box
+        spread[name] = np.nan_to_num(spread[name])
     if BOX in names:
-        spread[BOX] = np.nan_to_num(spread[BOX])  # of trackers that do not say it
         values["roll"][0] = np.where(np.isfinite(values["roll"][0]), values["roll"][0], angle[names.index(BOX)])
     turned = rotation_of(np.radians(np.nan_to_num([values[name][0] for name in ("pitch", "yaw", "roll")])).T)
     axis = turned[:, 0, 0] + 1j * turned[:, 1, 0]

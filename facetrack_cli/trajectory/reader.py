@@ -238,18 +238,13 @@ class TargetRecord(_Target):
     windows: dict[Name, tuple[Side, Side]] = {}  # width, height
 
 
-class CorrectedTarget(_Target):
+class CorrectionRecord(_Target):
     """What is corrected of one target in one frame; the members are those of `core.types.Correction`."""
 
     kept: dict[Name, tuple[Pixels, Pixels]] = {}
     absent: _Parts = ()
     learn: Annotated[bool, Field(strict=True)] | None = None
     confirmed: _Parts = ()
-
-
-class CorrectionRecord(CorrectedTarget):
-    """The same with its frame and its target: a member of a list of corrections."""
-
     frame: FrameNumber
     target: Name
 
@@ -288,7 +283,7 @@ def corrections_record(corrections: Sequence[Correction]) -> dict[str, Any]:
 
 
 def corrected(correction: Correction) -> dict[str, Any]:
-    """What `CorrectedTarget` reads, for JSON: whole numbers without a fraction, and only members with a value."""
+    """What is corrected, for JSON: whole numbers without a fraction, and only members with a value."""
     start, learn = correction.given, correction.learn
     absent, sure = (names is True or list(names) for names in (correction.absent, correction.confirmed))
     box = start.box and list(map(whole, start.box))

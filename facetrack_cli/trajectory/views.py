@@ -35,9 +35,8 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
 
     A target of one part has that part's own box. Of several, `windows` encloses the windows that the tracker compares,
     `points` their centres alone, each as one pixel. Parts whose place is not known in a row are left out of it, and so
-    are parts without windows where others have some; lost ones count, since their place is the estimate.
-    `confidence` is the mean over the parts, `status` lost when all parts
-    are that are not absent. Raises InputError for windows of parts that have none.
+    are parts without windows where others have some; lost ones count, since their place is the estimate. `confidence`
+    is the mean over the parts, `status` lost when all are that are not absent. InputError for windows without a size.
     """
     target = parts[0].target
     if len(parts) == 1:

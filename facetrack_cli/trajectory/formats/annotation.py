@@ -183,8 +183,9 @@ def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
     for track in root.iter("track"):
         label = str(track.get("label", ""))
         for shape in track:
-            place, frame = f"{path}: track {track.get('id')} ({label}), frame {shape.get('frame')}", shape.get("frame")
-            if frame is None or not (frame.isascii() and frame.isdigit() and int(frame) <= MAX_FRAME):
+            frame = shape.get("frame", "")
+            place = f"{path}: track {track.get('id')} ({label}), frame {frame}"
+            if not _is_whole(frame) or int(frame) > MAX_FRAME:
                 raise InputError(f"{place}: that is no frame number; export the file from CVAT again")
             for name, mark in _shape_marks(place, label, shape):
                 before = marks.setdefault(name, {}).get(int(frame))

@@ -13,9 +13,8 @@ docs/measure.md lists them. Frames and pixels of the table are counted from 0 wh
 - `mot`: ground truth (motchallenge.net/instructions; MOT16 and later) has nine values, results and MOT15 ground truth
   ten, -1 where not known (`MOT_COLUMNS`). Ids become the targets "1", "2", ..., each with the part "box". A row of flag
   0 is left out, as if the frame were not annotated. A visibility of 0 is "hidden". If every conf of ten values is 0 or
-  1 it is taken for the flag, else for a confidence, and then all rows count, as the benchmark has it. As in TrackEval
-  class 1 alone counts; rows of the classes in DISTRACTORS are "hidden" whatever their flag, so that targets on them are
-  neither right nor wrong; rows of others are left out. A file of a single class is of what counts.
+  1 it is taken for the flag, else for a confidence, and then all rows count, as the benchmark has it. Rows of the
+  classes in DISTRACTORS are "hidden" whatever their flag, as in TrackEval. A file of a single class is of what counts.
 - `pts`: landmarks of iBUG (300-W, 300VW), a file a frame, `annot/000001.pts`: "version: 1", "n_points: 68", then in
   braces a line "123.5 200.25" for each point. Files and pixels are counted from 1, as in Matlab: the centre of the top
   left pixel is 1, 1. The target is "face", with the parts point_01, ... in the file's order; of 68 points five have
@@ -234,9 +233,7 @@ class Lines:
         state = np.broadcast_to(status, len(frame)).astype("<U8")
         absent = (state == "absent") | np.isnan(ltwh).all(axis=1) | (ltwh[:, 2:] == 0).all(axis=1)
         fine = (np.abs(ltwh) <= MAX_PIXELS).all(axis=1) & (ltwh[:, 2:] > 0).all(axis=1)
-        why = (
-            "is no box: left, top, a width and a height above 0, no farther out than any image; or four times nan or 0"
-        )
+        why = "is no box: left, top, a width and a height above 0, within any image; four times nan or 0 for none"
         self.refuse(~fine & ~absent, why)
         left, top, w, h = np.where(absent[:, None], np.nan, ltwh).T
         place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h}
