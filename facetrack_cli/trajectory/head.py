@@ -122,7 +122,16 @@ def fit_pose(
     rows = np.flatnonzero(_deep(shape, seen))
     if rows.size:
         points = np.where(seen[rows, :, None], xy[rows], 0.0), cov[rows], seen[rows], shape, spread
-        begins, size = _begin(points[0], seen[rows], shape)
+        # begun at the rotation nearest to the affine map of least squares, and at that with the depth reversed
+        weight = seen[rows, :, None].astype(np.float64)
+        count = weight.sum(axis=1)
+        centred = weight * (shape - (weight * shape).sum(axis=1, keepdims=True) / count[:, None])
+        moved = weight * (points[0] - (weight * points[0]).sum(axis=1, keepdims=True) / count[:, None])
+        affine = moved.swapaxes(1, 2) @ np.linalg.pinv(centred.swapaxes(1, 2))
+        u, scales, v = np.linalg.svd(affine, full_matrices=False)
+        both = [(u @ v) * (1, 1, sign) for sign in (1, -1)]  # the first two rows of a rotation
+        begins = [euler(np.concatenate([two, np.cross(two[:, :1], two[:, 1:])], axis=1)) for two in both]
+        size = np.maximum(scales.mean(axis=1), 1e-3)
         first, other = (_refined(begin, size, *points) for begin in begins)
         better = other.cost < first.cost
         chosen = better.astype(int), np.arange(len(rows))
@@ -201,22 +210,6 @@ def _refined(angles: Array, scale: Array, xy: Array, cov: Array, seen: Mask, sha
     inverse = np.linalg.inv(normal)
     own = inverse @ np.einsum("tkia,tkib->tab", weighed, cov @ weighed) @ inverse
     return _Fit(angles, scale, origin, np.stack([inverse, own], axis=1), cost)
-
-
-def _begin(xy: Array, seen: Mask, shape: Array) -> tuple[list[Array], Array]:
-    """The angles (T, 3) of the rotation nearest to the affine map of least squares, and the scale (T,) of that.
-
-    The angles are also those with the depth of all points reversed. All points are weighed alike.
-    """
-    weight = seen[..., None].astype(np.float64)
-    count = weight.sum(axis=1)
-    centred = weight * (shape - (weight * shape).sum(axis=1, keepdims=True) / count[:, None])
-    moved = weight * (xy - (weight * xy).sum(axis=1, keepdims=True) / count[:, None])
-    affine = moved.swapaxes(1, 2) @ np.linalg.pinv(centred.swapaxes(1, 2))
-    u, scales, v = np.linalg.svd(affine, full_matrices=False)
-    both = [(u @ v) * (1, 1, sign) for sign in (1, -1)]  # the first two rows of a rotation
-    angles = [euler(np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)) for rows in both]
-    return angles, np.maximum(scales.mean(axis=1), 1e-3)
 
 
 def _deep(shape: Array, seen: Mask) -> Mask:

@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.types import BOX, Array, Texts, Whole
+from facetrack_cli.core.types import BOX, Array, Whole
 from facetrack_cli.trajectory.trajectory import MAX_ROWS, UNSEEN, Trajectory, aligned, header_value, joined, one_part
 
 Around: TypeAlias = Literal["windows", "points"]
@@ -53,7 +53,14 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     left, top = np.fmin.reduce(edges[:2], axis=2)
     w, h = np.fmax.reduce(edges[2:], axis=2) - (left, top)
     place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h, "confidence": mean(confidence)}
-    about = {"status": _together(status), "by_hand": by_hand.any(axis=1), "time_s": joined(parts).times}
+    together = []
+    for row in status.tolist():  # what the parts agree on that are not absent, else that their target is there
+        states = set(filter(None, row))
+        of_tracker = bool(states & {"tracked", "init", "lost"})
+        states -= {"absent"} if of_tracker else set()
+        states = {"hidden"} if states == {*UNSEEN} else states
+        together.append(states.pop() if len(states) == 1 else "tracked" if of_tracker else "visible" if states else "")
+    about = {"status": together, "by_hand": by_hand.any(axis=1), "time_s": joined(parts).times}
     return one_part(target, BOX, frame, **place, **about)
 
 
@@ -73,18 +80,6 @@ def mean(values: Array) -> Array:
     finite = np.isfinite(values)
     count = finite.sum(axis=-1)
     return np.where(count > 0, np.where(finite, values, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)
-
-
-def _together(status: Texts) -> list[str]:
-    """What the statuses (T, K) of parts that are not absent agree on, else that their target is there."""
-    together = []
-    for row in status.tolist():
-        states = set(filter(None, row))
-        of_tracker = bool(states & {"tracked", "init", "lost"})
-        states -= {"absent"} if of_tracker else set()
-        states = {"hidden"} if states == {*UNSEEN} else states
-        together.append(states.pop() if len(states) == 1 else "tracked" if of_tracker else "visible" if states else "")
-    return together
 
 
 FRAME_S = 0.04  # how long a single frame lasts where nothing tells

@@ -2,8 +2,7 @@
 
 Tables keep the conventions of trajectory.csv: frames and pixels from 0, x and y the centre, "" what is not known. Where
 a row is a frame there is one for each of `every_frame`, since readers count them. Times of events are seconds in the
-clip; an event ends when the frame after its last one begins. A trajectory is also a data frame of pandas, a dataset of
-xarray, and what notebooks show.
+clip; an event ends when the frame after its last one begins.
 
 BORIS 8: a clip is an observation, a tier a behaviour, an event two rows, its begin and its end, with the value as
 modifier of both; rows stand in the order of time. A subject that is not declared would not be shown.
@@ -34,30 +33,25 @@ OpenFace 2's FeatureExtraction (Baltrusaitis et al., FG 2018; its wiki page "Out
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from functools import partial
 from html import escape
 from itertools import pairwise, product
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, UsageError, needed
+from facetrack_cli.core.errors import InputError, needed
 from facetrack_cli.core.face_points import LINES, MESH, POINTS
 from facetrack_cli.core.numbers import csv_text, dumps
 from facetrack_cli.core.types import BOX, Array, Whole
-from facetrack_cli.trajectory.head import SHAPE, HeadPose, euler, head_pose, rotation_of
-from facetrack_cli.trajectory.measures import HAND_MEASURES, MEASURES, FaceEvent, Measured, events_of
+from facetrack_cli.trajectory.head import SHAPE, euler, head_pose, rotation_of
+from facetrack_cli.trajectory.measures import HAND_MEASURES, MEASURES, Measured, events_of
 from facetrack_cli.trajectory.reader import clip_of
-from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned, header_value, joined
+from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned, header_value, joined, places
 from facetrack_cli.trajectory.views import Around, enclose, every_frame, frame_milliseconds, mean
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-    from xarray import Dataset
 
 WIDE = ("x", "y", "w", "h", "confidence", "status")
 STD = ("", "_std", "_noise")
@@ -267,91 +261,6 @@ def write_boris(clips: Sequence[Clip], written: datetime) -> str:
     })  # fmt: skip
 
 
-_WIDTH, _HEIGHT, _MEANS = 160, 24, 80  # of a line of confidence: pixels, and means that it shows
-
-
-def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"]) -> DataFrame:
-    """As `Trajectory.to_pandas` says."""
-    if what not in ("rows", "measures", "events"):
-        raise UsageError(f"{what!r} is no table; give rows, measures or events")
-    with needed("data frames", "pandas", "pandas"):
-        import pandas
-
-    if what == "events":
-        return pandas.DataFrame(table.events, columns=FaceEvent._fields)
-    if what == "rows":
-        return pandas.DataFrame(table.columns())
-    names = ("frame", "time_s", "value", "std", "noise")
-    frames = [
-        pandas.DataFrame({"target": target, "measure": name, "unit": line.unit, **{k: getattr(line, k) for k in names}})
-        for target, measures in table.measures.items()
-        for name, line in measures.items()
-    ]
-    return pandas.concat(frames or [pandas.DataFrame(columns=["target", "measure", *names])], ignore_index=True)
-
-
-def dataset(table: Trajectory) -> Dataset:
-    """As `Trajectory.to_xarray` says."""
-    with needed("datasets", "xarray", "xarray"):
-        import xarray
-
-    timed = np.isfinite(table.times)
-    if not timed.any():
-        raise InputError("no row has a time_s, and a dataset needs times; fill that column")
-    frames = np.arange(table.frames[0], table.frames[-1] + 1)
-    time_s = np.interp(frames, table.frames[timed], table.times[timed])
-    parts, values = places(table, frames)
-    fps = header_value(table, "source", "fps")
-    about: dict[str, Any] = {"source_software": "facetrack", "ds_type": "poses", "time_unit": "seconds"}
-    if fps is not None or len(frames) > 1:
-        about["fps"] = round(1 / float(np.median(np.diff(time_s))), 6) if fps is None else fps
-    return xarray.Dataset(
-        {
-            "position": (("time", "space", "keypoints", "individuals"), values[..., :2].transpose(0, 3, 2, 1)),
-            "confidence": (("time", "keypoints", "individuals"), values[..., 2].transpose(0, 2, 1)),
-        },
-        {
-            "time": time_s,
-            "space": ["x", "y"],
-            "keypoints": parts,
-            "individuals": [target or "target" for target in table.targets],
-            "frame": ("time", frames),
-        },
-        about,
-    )
-
-
-def places(table: Trajectory, frames: Whole) -> tuple[list[str], Array]:
-    """The names of the parts, and (T, targets, parts, 3) x, y and confidence: each target has all parts, or nan."""
-    targets, parts = table.targets, list(dict.fromkeys(part for _, part in table.names))
-    values = np.full((len(frames), len(targets), len(parts), 3), np.nan)
-    at = np.array([(targets.index(target), parts.index(part)) for target, part in table.names]).T
-    _, columns = aligned(table.parts, "x", "y", "confidence", frame=frames)
-    values[:, at[0], at[1]] = np.stack([*columns.values()], axis=2)
-    return parts, values
-
-
-def html_table(table: Trajectory) -> str:
-    """A small table: of each target its parts, frames, the share of rows that are seen, its events, and confidence."""
-    events = Counter((event.target, event.value) for event in table.events)
-    lines = []
-    for target in table.targets:
-        parts = table.of_target(target)
-        seen = np.concatenate([np.isin(part.status, SEEN) for part in parts])
-        said = ", ".join(f"{n} {value}" for (of, value), n in sorted(events.items()) if of == target)
-        share = f"{seen.mean():.0%}" if seen.size else ""
-        confidence = np.array_split(np.nan_to_num(parts[0].confidence), _MEANS)
-        means = [float(values.mean()) for values in confidence if len(values)]
-        x = np.linspace(0, _WIDTH, len(means)).tolist()
-        points = " ".join(f"{a:.1f},{_HEIGHT - 1 - v * (_HEIGHT - 2):.1f}" for a, v in zip(x, means, strict=True))
-        line = f'<polyline points="{points}" fill="none" stroke="currentColor"/>'
-        line = f'<svg width="{_WIDTH}" height="{_HEIGHT}" role="img" aria-label="confidence over time">{line}</svg>'
-        cells = target or "-", len(parts), len(parts[0]), share, said
-        lines.append("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in cells) + f"<td>{line}</td>")
-    heads = "".join(f"<th>{head}" for head in ("target", "parts", "frames", "seen", "events", "confidence"))
-    return f"<table><tr>{heads}{''.join(lines)}</table>"
-
-
 EDGES = (("nose", "lip_upper"), *(edge for line in LINES for edge in pairwise(line)))
 """How the points of a face hang together; other parts are drawn without lines."""
 IN_MESH: Final = (
@@ -489,7 +398,16 @@ def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
         if (pose := head_pose(table.of_target(parts[0].target))) is not None:
             at = np.searchsorted(frames, pose.frame)
             there = np.isin(pose.frame, frames)
-            cells[at[there], 5:8], cells[at[there], 8:11] = (texts(v[there], n) for v, n in _in_camera(pose, shown))
+            place, rotation = np.full_like(pose.angles, np.nan), np.radians(pose.angles)
+            if shown is not None:
+                focal = (500 * shown[0] / 640 + 500 * shown[1] / 480) / 2
+                off = (pose.origin - (np.array(shown) - 1) / 2) / focal
+                place = np.concatenate([off, np.ones((len(off), 1))], axis=1) * (focal / pose.scale)[:, None]
+                # from the line of sight, along which weak perspective looks, to the camera's axis
+                pitch, yaw = np.arctan2(-off[:, 1], 1), np.arctan2(off[:, 0], np.hypot(1, off[:, 1]))
+                towards = rotation_of(np.stack([pitch, yaw, np.zeros_like(yaw)], axis=1))
+                rotation = euler(towards @ rotation_of(rotation))
+            cells[at[there], 5:8], cells[at[there], 8:11] = texts(place[there], 1), texts(rotation[there], 4)
         for k, part in enumerate(parts):
             for first, name in ((11, "x"), (11 + COUNT, "y")):
                 cells[:, first + LANDMARKS[part.part]] = texts(columns[name][:, k], 3)
@@ -499,18 +417,3 @@ def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
         names = ", ".join(name for name in MESH if name in LANDMARKS)
         raise InputError(f"no part is one of OpenFace's landmarks, which are {names}, and point_01 to point_68")
     return csv_text(OPENFACE, [row for *_, row in sorted(rows, key=lambda row: row[:2])])
-
-
-def _in_camera(pose: HeadPose, size: tuple[float, float] | None) -> list[tuple[Array, int]]:
-    """`pose_T` and `pose_R`, (T, 3) each, and their decimals."""
-    rotation = np.radians(pose.angles)
-    if size is None:
-        return [(np.full_like(pose.angles, np.nan), 1), (rotation, 4)]
-    width, height = size
-    focal = (500 * width / 640 + 500 * height / 480) / 2
-    off = (pose.origin - (np.array([width, height]) - 1) / 2) / focal
-    place = np.concatenate([off, np.ones((len(off), 1))], axis=1) * (focal / pose.scale)[:, None]
-    # from the line of sight, along which weak perspective looks, to the camera's axis
-    pitch, yaw = np.arctan2(-off[:, 1], 1), np.arctan2(off[:, 0], np.hypot(1, off[:, 1]))
-    towards = rotation_of(np.stack([pitch, yaw, np.zeros_like(yaw)], axis=1))
-    return [(place, 1), (euler(towards @ rotation_of(rotation)), 4)]
