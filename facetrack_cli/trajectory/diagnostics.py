@@ -66,9 +66,8 @@ NETWORK: Final = Diagnostic("network", "share of its points that the other sense
 EVIDENCE: Final = Diagnostic("evidence", "log p(y_t | Y_{t-1}) of the frame, up to a constant of the recipe", "nats")
 PRESENT: Final = Diagnostic("present", "probability that the hand is in the picture, blurred or not", least=0, most=1)
 NAMED: Final = Diagnostic("named", "probability that the hand has its own name, and not the other's", least=0, most=1)
-KNOWN: Final[Mapping[str, Diagnostic]] = {
-    one.name: one for one in (POSTERIOR, ENTROPY, SCALE, ROLL, NOISE, ERROR, NETWORK, EVIDENCE, AFFINE, PRESENT, NAMED)
-}
+_KNOWN = (POSTERIOR, ENTROPY, SCALE, ROLL, NOISE, ERROR, NETWORK, EVIDENCE, AFFINE, PRESENT, NAMED)
+KNOWN: Final[Mapping[str, Diagnostic]] = {one.name: one for one in _KNOWN}
 """Those of the shipped trackers, which docs/files.md describes."""
 
 

@@ -109,9 +109,7 @@ def with_eyes(parts: Sequence[Trajectory]) -> list[Trajectory]:
     return list(by_name.values())
 
 
-def fit_pose(
-    xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array
-) -> tuple[Array, Array, Array, Array, Mask, Array]:
+def fit_pose(xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array) -> tuple[Any, ...]:
     """All of HeadPose but the frames, for points xy (T, K, 2) with cov (T, K, 2, 2).
 
     `seen` (T, K) are the points to use; `shape` (K, 3) is the face and `spread` (K, 3) its standard deviations, in mm.

@@ -269,10 +269,8 @@ class StartRecord(BaseModel, extra="forbid", defer_build=True):
 
 def to_record(start: Start) -> dict[str, Any]:
     """What `StartRecord` reads, for JSON; members without a value are left out."""
-    targets = {
-        name: _known(box=each.box, points=dict(each.points), windows=dict(each.windows))
-        for name, each in start.targets.items()
-    }
+    at = start.targets.items()
+    targets = {name: _known(box=each.box, points=dict(each.points), windows=dict(each.windows)) for name, each in at}
     measured = _known(detector=start.detector, placed=start.placed)
     return {"frame": start.frame, "targets": targets, **measured, **corrections_record(start.corrections)}
 

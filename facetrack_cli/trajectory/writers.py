@@ -162,9 +162,7 @@ def as_written(rows: Trajectory) -> Trajectory:
     columns: dict[str, Any] = {name: rounded(getattr(rows, name), decimals) for name, decimals in DECIMALS.items()}
     diagnostics = {}
     for target, told in rows.diagnostics.items():
-        values = {
-            one.name: rounded(told.values[one.name], one.decimals) for one in told.declared if one.name in told.values
-        }
+        values = {d.name: rounded(told.values[d.name], d.decimals) for d in told.declared if d.name in told.values}
         diagnostics[target] = replace(told, values=values)
     return replace(rows, **columns, corners=None, diagnostics=diagnostics)
 

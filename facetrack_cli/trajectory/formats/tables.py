@@ -203,9 +203,8 @@ def write_textgrid(table: Trajectory) -> str:
     ]
     if not kinds:
         raise InputError("has no points or hands that tell an event; a TextGrid needs a tier")
-    end = max(
-        [frame_milliseconds(table)[1][int(table.frames[-1])] / 1000, *(e.end_s for _, events in kinds for e in events)]
-    )
+    last = frame_milliseconds(table)[1][int(table.frames[-1])] / 1000
+    end = max([last, *(e.end_s for _, events in kinds for e in events)])
     lines = ['File type = "ooTextFile"', 'Object class = "TextGrid"', "", "xmin = 0", f"xmax = {end:.6f}"]
     lines += ["tiers? <exists>", f"size = {len(kinds)}", "item []:"]
     for n, (name, events) in enumerate(kinds, 1):
@@ -289,7 +288,7 @@ def write_coco(
     table: Trajectory, size: tuple[int, int], file_name: Callable[[int], str], around: Around = "windows"
 ) -> str:
     """The JSON text for images of `size` (width, height), named `file_name(frame)`. InputError as of `enclose`."""
-    categories, annotations = [], []
+    categories, annotations = [], list[dict[str, Any]]()
     for ident, target in enumerate(table.targets, 1):
         parts = table.of_target(target)
         points = tuple(part for part in parts if part.part != BOX)
@@ -298,7 +297,24 @@ def write_coco(
         skeleton = [[names.index(a) + 1, names.index(b) + 1] for a, b in EDGES if a in names and b in names]
         about = {"keypoints": names, "skeleton": skeleton} if names else {}
         categories.append({"id": ident, "name": target or "target", "supercategory": "", **about})
-        annotations += _annotations(ident, enclose(parts, around), points)
+        box, zeros, rows = enclose(parts, around), [0] * len(points), dict[int, dict[str, Any]]()
+        for frame, ltwh, sure in zip(box.frame.tolist(), box.boxes.tolist(), box.confidence.tolist(), strict=True):
+            if math.isfinite(sum(ltwh)):
+                whose = {"id": 0, "image_id": frame + 1, "category_id": ident, "track_id": ident}
+                place = {"bbox": [round(value, 3) for value in ltwh], "area": round(ltwh[2] * ltwh[3], 3), "iscrowd": 0}
+                rows[frame] = {**whose, **place, "score": sure if math.isfinite(sure) else 1.0}
+                if points:
+                    rows[frame] |= {"num_keypoints": 0, "keypoints": zeros * 3, "keypoint_scores": list(zeros)}
+        for k, part in enumerate(points):
+            flags = np.where(np.isin(part.status, SEEN), 2, 1).tolist()
+            columns = (part.frame.tolist(), part.x.tolist(), part.y.tolist(), flags, part.confidence.tolist())
+            for frame, x, y, flag, sure in zip(*columns, strict=True):
+                if frame in rows and math.isfinite(x) and math.isfinite(y):
+                    row = rows[frame]
+                    row["keypoints"][3 * k : 3 * k + 3] = [round(x, 3), round(y, 3), flag]
+                    row["keypoint_scores"][k] = sure if math.isfinite(sure) else 1.0
+                    row["num_keypoints"] += 1
+        annotations += rows.values()
     annotations.sort(key=lambda annotation: (annotation["image_id"], annotation["category_id"]))
     for ident, one in enumerate(annotations, 1):
         one["id"] = ident
@@ -309,28 +325,6 @@ def write_coco(
     # a line for each image and annotation: large files stay readable, and can be compared
     lists = ",\n".join(f"{dumps(name)}: [\n" + ",\n".join(map(dumps, rows)) + "\n]" for name, rows in groups.items())
     return f'{{\n"info": {dumps(info)},\n"licenses": [],\n{lists}\n}}\n'
-
-
-def _annotations(ident: int, box: Trajectory, points: tuple[Trajectory, ...]) -> list[dict[str, Any]]:
-    rows: dict[int, dict[str, Any]] = {}
-    zeros = [0] * len(points)
-    for frame, ltwh, confidence in zip(box.frame.tolist(), box.boxes.tolist(), box.confidence.tolist(), strict=True):
-        if math.isfinite(sum(ltwh)):
-            about = {"id": 0, "image_id": frame + 1, "category_id": ident, "track_id": ident}
-            place = {"bbox": [round(value, 3) for value in ltwh], "area": round(ltwh[2] * ltwh[3], 3), "iscrowd": 0}
-            rows[frame] = {**about, **place, "score": confidence if math.isfinite(confidence) else 1.0}
-            if points:
-                rows[frame] |= {"num_keypoints": 0, "keypoints": zeros * 3, "keypoint_scores": list(zeros)}
-    for k, part in enumerate(points):
-        flags = np.where(np.isin(part.status, SEEN), 2, 1).tolist()
-        columns = (part.frame.tolist(), part.x.tolist(), part.y.tolist(), flags, part.confidence.tolist())
-        for frame, x, y, flag, confidence in zip(*columns, strict=True):
-            if frame in rows and math.isfinite(x) and math.isfinite(y):
-                row = rows[frame]
-                row["keypoints"][3 * k : 3 * k + 3] = [round(x, 3), round(y, 3), flag]
-                row["keypoint_scores"][k] = confidence if math.isfinite(confidence) else 1.0
-                row["num_keypoints"] += 1
-    return list(rows.values())
 
 
 def write_dlc(table: Trajectory, scorer: str = "facetrack") -> str:
