@@ -13,7 +13,7 @@
     result = tracker.update(image, time_s)                  # None until a face is found
     facetrack.read_trajectory("clip-sir").to_pandas()       # what `facetrack run` wrote
     facetrack.plot(facetrack.read_trajectory("clip-sir"))   # a figure of matplotlib
-    facetrack.read_trajectory("clip-sir").export("eaf", "clip.eaf")     # as other programs read it
+    facetrack.export(facetrack.read_trajectory("clip-sir"), "eaf", "clip.eaf")  # as other programs read it
 
 docs/python.md has the whole of it.
 """

@@ -17,7 +17,7 @@ def names_of(value):
     """The public names of a class, its fields, too, with what they are called with."""
     ours = [one for one in value.__mro__ if one.__module__.startswith("facetrack_cli")]
     for name in sorted({name for one in ours for name in (*inspect.get_annotations(one), *vars(one))}):
-        if not name.startswith("_") or name in ("_repr_html_", "_repr_png_"):
+        if not name.startswith("_") or name == "_repr_html_":
             member = inspect.getattr_static(value, name, None)
             plain = getattr(member, "__func__", member)
             yield f".{name}{shown(plain) if inspect.isfunction(plain) else ''}"

@@ -313,14 +313,12 @@ class CastSession(Page):
 
     @property
     def tracks(self) -> Tracks:
-        """Each track, with the target of the run's rows that it belongs to."""
-        return self._steps[-1][1] if self._steps else changes.tracks_of(self.before)
+        return self._steps[-1][1] if self._steps else self.before.tracks
 
     def get_state(self) -> Json:
         with self.lock:
-            records = [track for _, track in self.tracks]
             still = changes.photographs(self.before, self.tracks)
-            people = changes.people_of(self._clock, self.before.shots, records, {}, still)
+            people = changes.people_of(self._clock, self.before.shots, self.tracks, {}, still)
             return {
                 **super().get_state(),
                 "clip": self.clip.name,
@@ -397,7 +395,7 @@ class CastSession(Page):
 
     def get_still(self, first: int, stop: int, person: str) -> Answer:
         with self.lock:
-            targets = {(track.person, track.first, track.stop): target for target, track in self.tracks}
+            targets = {(track.person, track.first, track.stop): track.target for track in self.tracks}
         if (person, first, stop) not in targets:
             raise UsageError("there is no such track any more")
         return Answer(self._still(targets[person, first, stop], first, stop), kind="image/jpeg")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,11 +19,11 @@ from facetrack_cli.runs.plan import silent
 from facetrack_cli.runs.signals import never
 from facetrack_cli.runs.smooth import repaint
 from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_MEDIA, load
-from facetrack_cli.trajectory.formats.eaf import add_tiers
+from facetrack_cli.trajectory.formats.annotation import add_tiers
 from facetrack_cli.trajectory.formats.tables import Clip
 from facetrack_cli.trajectory.reader import clip_of, frame_size_of, is_there
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value, hide_outside
-from facetrack_cli.trajectory.views import Around, blank_lost, enclose, has_windows
+from facetrack_cli.trajectory.views import Around, enclose, has_windows
 from facetrack_cli.video import images
 from facetrack_cli.video.source import open_source
 
@@ -74,9 +74,10 @@ def export(
 
 
 def named(table: Trajectory, *, drop_lost: bool) -> Clip:
-    """A trajectory under the name of its clip, else of its folder."""
-    clip = clip_of(table)
-    return Clip(clip.name if clip else table.path.parent.name, blank_lost(table) if drop_lost else table)
+    """A trajectory under the name of its clip, else of its folder; with `drop_lost` lost rows have no place or size."""
+    clip, lost = clip_of(table), drop_lost & (table.status == "lost")
+    columns: dict[str, Any] = {name: np.where(lost, np.nan, getattr(table, name)) for name in "xywh"}
+    return Clip(clip.name if clip else table.path.parent.name, replace(table, **columns))
 
 
 def encoded(made: str | bytes) -> bytes:
@@ -133,11 +134,11 @@ def content(
         written: str | bytes = load("write", form)(*(values[name] for name in takes))
         return written
     video = values["video"].name
-    data, tiers, linked = add_tiers(into, table, video)
+    text, tiers, linked = add_tiers(into, table, video)
     if not linked:
         say(f"facetrack: warning: {into} does not link to {video}; its times are taken for those of that clip")
     say(f"{into}: {', '.join(tiers) or 'no tier'} added")
-    return data.decode()
+    return text
 
 
 def _playable(table: Trajectory, media: Path | None, say: Callable[[str], None]) -> Path:

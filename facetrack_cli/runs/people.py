@@ -47,7 +47,6 @@ from facetrack_cli.trajectory.people import (
     photographs,
     read_people,
     read_still,
-    tracks_of,
     under_names,
 )
 from facetrack_cli.trajectory.reader import PEOPLE, STILLS, clip_of
@@ -64,10 +63,10 @@ STILL_CHANGE: Final = 2.5  # grey levels; a face that changes by less is of a ph
 
 
 class NamedFilm(NamedTuple):
-    """The people of a film, their tracks by target, and their pictures by `still`, the bytes of JPEG files."""
+    """The people of a film, their tracks, and their pictures by `still`, the bytes of JPEG files."""
 
     people: People
-    tracks: tuple[tuple[str, TrackRecord], ...]
+    tracks: Tracks
     stills: Mapping[str, bytes]
 
 
@@ -181,28 +180,29 @@ def _named(
             lanes[lane : lane + 1] = [track.stop]
         names.append(persons[person] if person != UNKNOWN else NOBODY if not lane else f"{NOBODY}_{lane + 1}")
     doubts = {doubt.track: doubt for doubt in cast.doubts}
-    records: Tracks = []
+    records = list[TrackRecord]()
     pictures: dict[tuple[str, bool], tuple[float, Image]] = {}  # of a person, or of a track in doubt
     moving = {name for name, track in zip(names, tracks, strict=True) if readers[track.name].change() >= STILL_CHANGE}
     shown = [*((name, False) for name in dict.fromkeys(names)), *((tracks[i].name, True) for i in doubts)]
     paths = {key: f"{STILLS}/{number}.jpg" for number, key in enumerate(shown, 1)}
     for i, (track, name) in enumerate(zip(tracks, names, strict=True)):
-        record = TrackRecord(person=name, first=track.first, stop=track.stop, p=round(float(cast.p[i]), 4))
+        p = round(float(cast.p[i]), 4)
+        record = TrackRecord(person=name, first=track.first, stop=track.stop, p=p, of=track.name)
         keys = [(name, False)]
         if (doubt := doubts.get(i)) is not None:
             keys.append((track.name, True))
             other = None if doubt.other is None else persons[doubt.other]
             unsure = {"doubt": True, "other": other, "p_other": round(doubt.p, 4), "still": paths[keys[1]]}
             record = record.model_copy(update=unsure)
-        records.append((track.name, record))
+        records.append(record)
         best = readers[track.name].best
         assert best is not None
         for key in keys:
             pictures[key] = max(pictures.get(key, best), best, key=lambda still: still[0])
     kept = [ShotRecord(first=shot.first, stop=shot.stop) for shot in _true(shots, tracks, names, clock.fps)]
     stills = {name: paths[name, False] for name in names}
-    people = people_of(clock, kept, [record for _, record in records], stills, {*names} - moving)
-    return NamedFilm(people, tuple(records), {paths[key]: _jpeg(image) for key, (_, image) in pictures.items()})
+    people = people_of(clock, kept, records, stills, {*names} - moving)
+    return NamedFilm(people, records, {paths[key]: _jpeg(image) for key, (_, image) in pictures.items()})
 
 
 def _true(shots: Sequence[Shot], tracks: Sequence[TrackSummary], names: Sequence[str], fps: float) -> list[Shot]:
@@ -289,11 +289,11 @@ def recast(
     check_run(folder)  # which ends what a kill left, before the folder is ours
     with FolderLease(folder) as lock:
         people, rows = people_in(folder), read_run(folder)
-        tracks = tracks_of(people)
+        tracks: Tracks = people.tracks
         for _, change in changes:
             tracks = change(tracks)
         before = {person.name: person.still for person in people.people}
-        old = dict(reversed([(track.person, name) for name, track in tracks]))  # the name of each one's first track
+        old = {track.person: track.target for track in reversed(tracks)}  # the target of each one's first track
         named, (where, how) = under_names(rows, tracks), film_of(people, rows, clip)
         pictures: dict[str, bytes] = {}
 
@@ -314,7 +314,7 @@ def recast(
             stills[name] = numbered(kept or still_of(named, name, 0, int(rows.frame.max()) + 1, read))
         records = [
             track.model_copy(update={"still": numbered(shown) if (shown := read_still(folder, track.still)) else ""})
-            for _, track in tracks
+            for track in tracks
         ]
         words = (*people.corrections, *(word for word, _ in changes))
         after = people_of(Clock(rows, people.fps), people.shots, records, stills, photographs(people, tracks), words)

@@ -37,13 +37,13 @@ from facetrack_cli.core.types import BOX, Point, Start
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
 from facetrack_cli.recipe.load import problems
 from facetrack_cli.recipe.sections import suggest
-from facetrack_cli.trajectory.reader import CorrectedTarget, StartRecord, TargetRecord, corrected, to_record, whole
+from facetrack_cli.trajectory.reader import CorrectionRecord, StartRecord, TargetRecord, corrected, to_record, whole
 
 SUFFIXES: Final = (".yaml", ".yml", ".json")
 TARGET: Final = "face"
 KEYS: Final = tuple(TargetRecord.model_fields)
 OF_FILES: Final = ("frame", "placed_by", "corrections")
-OF_CORRECTIONS: Final = tuple(key for key in CorrectedTarget.model_fields if key not in KEYS)
+OF_CORRECTIONS: Final = tuple(key for key in CorrectionRecord.model_fields if key not in ("frame", "target"))
 MAX_TARGETS: Final = 100
 NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 MAX_BYTES: Final = 10**6  # some thousand corrections, which take seconds to read
@@ -220,11 +220,11 @@ def _of_entry(entry: Node, targets: Sequence[str]) -> Iterator[Node]:
         _refuse(entry, "nothing is corrected here; add points: or box: by hand, or absent: true")
     for name, node in keys.items():
         if name not in (*targets, *HANDS):  # these may appear after the start
-            remedy = suggest(name, (*targets, *CorrectedTarget.model_fields), "there are the start's targets, and keys")
+            remedy = suggest(name, (*targets, *OF_CORRECTIONS), "there are the start's targets, and keys")
             _refuse(node, f'unknown key "{name}"; {remedy}', at_key=True)
         fields = _mapping(node, f"the correction of {name}", "points: or absent: below the name")
-        for key in (key for key in fields if key not in CorrectedTarget.model_fields):
-            remedy = suggest(key, [*CorrectedTarget.model_fields], "the keys there are")
+        for key in (key for key in fields if key not in OF_CORRECTIONS):
+            remedy = suggest(key, OF_CORRECTIONS, "the keys there are")
             _refuse(fields[key], f'unknown key "{key}"; {remedy}', at_key=True)
         of = Node(node.span, name, node.key)
         yield Node(node.span, {"target": of, "frame": frame, **fields}, node.key)

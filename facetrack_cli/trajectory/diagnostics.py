@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -64,9 +66,8 @@ NETWORK: Final = Diagnostic("network", "share of its points that the other sense
 EVIDENCE: Final = Diagnostic("evidence", "log p(y_t | Y_{t-1}) of the frame, up to a constant of the recipe", "nats")
 PRESENT: Final = Diagnostic("present", "probability that the hand is in the picture, blurred or not", least=0, most=1)
 NAMED: Final = Diagnostic("named", "probability that the hand has its own name, and not the other's", least=0, most=1)
-KNOWN: Final[Mapping[str, Diagnostic]] = {
-    one.name: one for one in (POSTERIOR, ENTROPY, SCALE, ROLL, NOISE, ERROR, NETWORK, EVIDENCE, AFFINE, PRESENT, NAMED)
-}
+_KNOWN = (POSTERIOR, ENTROPY, SCALE, ROLL, NOISE, ERROR, NETWORK, EVIDENCE, AFFINE, PRESENT, NAMED)
+KNOWN: Final[Mapping[str, Diagnostic]] = {one.name: one for one in _KNOWN}
 """Those of the shipped trackers, which docs/files.md describes."""
 
 
@@ -158,13 +159,9 @@ def _checked(kind: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> 
     elif kind.shape:
         fits = isinstance(value, Sequence | np.ndarray) and len(value) == kind.shape[0]
         each, what = value, f"a list of {kind.shape[0]} numbers"
-    if not fits or not all(_fits(kind, number) for number in each):
-        raise ValueError(at, f"{kind.name} {value!r:.60} is not {what} from {kind.least:g} to {kind.most:g}")
-    return [float(value.get(name, math.nan)) for name in labels] if kind.shape is None else np.float64(value)
-
-
-def _fits(rule: Diagnostic, value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        return False
-    number = math.inf if isinstance(value, int) and abs(value) > 10**300 else float(value)
-    return math.isnan(number) or (abs(number) <= 1e300 and rule.least <= number <= rule.most)
+    least, most = max(kind.least, -1e300), min(kind.most, 1e300)
+    with suppress(OverflowError):  # an integer of hundreds of digits
+        real = fits and all(isinstance(number, Real) and not isinstance(number, bool) for number in each)
+        if real and all(number != number or least <= number <= most for number in map(float, each)):
+            return np.float64(value) if kind.shape is not None else [float(value.get(key, math.nan)) for key in labels]
+    raise ValueError(at, f"{kind.name} {value!r:.60} is not {what} from {kind.least:g} to {kind.most:g}")

@@ -17,19 +17,12 @@ of the mean landmarks of 751 faces in each of the five cameras of the MUCT datab
 made symmetric, with 63 mm between the eyes. `SPREAD` are standard deviations of its people about it, neutral or
 smiling, measured on half of them; mouths that speak open wider.
 
-Motion is told as far as tracked points or a box show it: in the image plane.
-
-A turn of the head and a step aside look alike here: both move the face to the left or right of the image.
-
-Three signals are read off a target's parts that are not lost: its place (the median of its points), its angle and the
-logarithm of its size (medians over the pairs of points); of a box its centre, its angle if known, and the root of its
-area. A part that gets lost or is found again makes no step in them. Lengths are in units of the target's size.
-
-A span of moving, tilting or growing (`RATES`) begins where a rate is exceeded, lasts while a lower one is, and has a
-least change. Still is none of these for 1 s. All last at least 0.2 s. Signals are smoothed by a Gaussian. Where a track
-is so noisy that noise alone would pass a threshold, the threshold is raised to 4 standard deviations of the noise,
-which is measured on second differences. Nothing is said of frames in which the target is lost. The size of points that
-belong to a mouth also changes when it opens wide. Nods and shakes are told by the pose (face_events.py).
+Motion is told in the image plane (docs/export.md, ELAN), by three signals of a target's parts that are not lost: its
+place (the median of its points), its angle and the logarithm of its size (medians over the pairs of points); of a box
+its centre, its angle if known, and the root of its area. A part that gets lost or is found again makes no step in them.
+A span begins where a rate (`RATES`) is exceeded and lasts while a lower one is. Where a track is so noisy that noise
+alone would pass a threshold, the threshold is raised to 4 standard deviations of the noise, which is measured on second
+differences. Nods and shakes are told by the pose (measures.py).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -87,8 +80,7 @@ class HeadPose(NamedTuple):
 def head_pose(parts: Sequence[Trajectory]) -> HeadPose | None:
     """The pose of one target from its parts that are called as in SHAPE; None if those are too few in any case.
 
-    The spread holds both the tracker's uncertainty and that of the person's own proportions. The latter is the same in
-    all frames of a person: differences between frames are more exact than it says.
+    The spread holds also that of the person's own proportions, which is the same in all frames.
     """
     points = [part for part in with_eyes([part.squared for part in parts]) if part.part in SHAPE]
     if not _deep(_of(SHAPE, points), np.ones((1, len(points)), bool))[0]:
@@ -117,9 +109,7 @@ def with_eyes(parts: Sequence[Trajectory]) -> list[Trajectory]:
     return list(by_name.values())
 
 
-def fit_pose(
-    xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array
-) -> tuple[Array, Array, Array, Array, Mask, Array]:
+def fit_pose(xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array) -> tuple[Any, ...]:
     """All of HeadPose but the frames, for points xy (T, K, 2) with cov (T, K, 2, 2).
 
     `seen` (T, K) are the points to use; `shape` (K, 3) is the face and `spread` (K, 3) its standard deviations, in mm.
@@ -130,7 +120,16 @@ def fit_pose(
     rows = np.flatnonzero(_deep(shape, seen))
     if rows.size:
         points = np.where(seen[rows, :, None], xy[rows], 0.0), cov[rows], seen[rows], shape, spread
-        begins, size = _begin(points[0], seen[rows], shape)
+        # begun at the rotation nearest to the affine map of least squares, and at that with the depth reversed
+        weight = seen[rows, :, None].astype(np.float64)
+        count = weight.sum(axis=1)
+        centred = weight * (shape - (weight * shape).sum(axis=1, keepdims=True) / count[:, None])
+        moved = weight * (points[0] - (weight * points[0]).sum(axis=1, keepdims=True) / count[:, None])
+        affine = moved.swapaxes(1, 2) @ np.linalg.pinv(centred.swapaxes(1, 2))
+        u, scales, v = np.linalg.svd(affine, full_matrices=False)
+        both = [(u @ v) * (1, 1, sign) for sign in (1, -1)]  # the first two rows of a rotation
+        begins = [euler(np.concatenate([two, np.cross(two[:, :1], two[:, 1:])], axis=1)) for two in both]
+        size = np.maximum(scales.mean(axis=1), 1e-3)
         first, other = (_refined(begin, size, *points) for begin in begins)
         better = other.cost < first.cost
         chosen = better.astype(int), np.arange(len(rows))
@@ -211,22 +210,6 @@ def _refined(angles: Array, scale: Array, xy: Array, cov: Array, seen: Mask, sha
     return _Fit(angles, scale, origin, np.stack([inverse, own], axis=1), cost)
 
 
-def _begin(xy: Array, seen: Mask, shape: Array) -> tuple[list[Array], Array]:
-    """The angles (T, 3) of the rotation nearest to the affine map of least squares, and the scale (T,) of that.
-
-    The angles are also those with the depth of all points reversed. All points are weighed alike.
-    """
-    weight = seen[..., None].astype(np.float64)
-    count = weight.sum(axis=1)
-    centred = weight * (shape - (weight * shape).sum(axis=1, keepdims=True) / count[:, None])
-    moved = weight * (xy - (weight * xy).sum(axis=1, keepdims=True) / count[:, None])
-    affine = moved.swapaxes(1, 2) @ np.linalg.pinv(centred.swapaxes(1, 2))
-    u, scales, v = np.linalg.svd(affine, full_matrices=False)
-    both = [(u @ v) * (1, 1, sign) for sign in (1, -1)]  # the first two rows of a rotation
-    angles = [euler(np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)) for rows in both]
-    return angles, np.maximum(scales.mean(axis=1), 1e-3)
-
-
 def _deep(shape: Array, seen: Mask) -> Mask:
     """(T,) whether enough points are seen, and not all of them in a plane."""
     if shape.shape[0] < MIN_POINTS:
@@ -272,24 +255,8 @@ RATES |= {"tilt": Rate(12.0, 5.0, 5.0, 0.2), "size": Rate(0.15, 0.07, 0.15, 0.3)
 def head_motion(parts: Sequence[Trajectory]) -> dict[str, list[tuple[int, int, str]]]:
     """Of each kind that these parts of a target can tell its spans in the order of time: first frame, last, label.
 
-    A single point has neither angle nor size. `time_s` must be known and increase.
-    """
-    frame, time_s, apart, signals = _signals(parts)
-    motions: dict[str, list[tuple[int, int, str]]] = {kind: [] for kind in KINDS if kind in signals or kind == "still"}
-    there = np.isfinite(signals["horizontal"] + signals["vertical"] + time_s)
-    for a, b in spans(there, (np.diff(time_s) > GAP_S) | apart):  # rows without a break, and not lost
-        if b - a > 2 and time_s[b - 1] - time_s[a] >= MIN_SPAN_S:
-            own = {kind: signal[a:b] for kind, signal in signals.items()}
-            for kind, first, last, label in _spans(time_s[a:b], own):
-                motions[kind].append((int(frame[a + first]), int(frame[a + last]), label))
-    return {kind: sorted(found) for kind, found in motions.items()}
-
-
-def _signals(parts: Sequence[Trajectory]) -> tuple[Whole, Array, Mask, dict[str, Array]]:
-    """(T,) frames, times, (T - 1,) where rows begin again, and signals of RATES that can be told, nan where lost.
-
-    Only differences of a signal's values mean something, and none across rows that begin again. Parts may have rows in
-    different frames.
+    A single point has neither angle nor size. `time_s` must be known and increase. Only differences of a signal's
+    values mean something, and none across rows that begin again.
     """
     frame, columns = aligned([part.squared for part in parts], "x", "y", "w", "h", "angle", "status")
     seen = ~np.isin(columns.pop("status"), UNSEEN)
@@ -309,7 +276,15 @@ def _signals(parts: Sequence[Trajectory]) -> tuple[Whole, Array, Mask, dict[str,
     if (sizes := size[np.isfinite(size)]).size and np.ptp(sizes):
         signals["size"] = _follow(size)
     apart = ~(placed[1:] & placed[:-1]).any(axis=1)
-    return frame, joined(parts).times, np.asarray(apart), signals
+    time_s = joined(parts).times
+    motions: dict[str, list[tuple[int, int, str]]] = {kind: [] for kind in KINDS if kind in signals or kind == "still"}
+    there = np.isfinite(signals["horizontal"] + signals["vertical"] + time_s)
+    for a, b in spans(there, (np.diff(time_s) > GAP_S) | apart):  # rows without a break, and not lost
+        if b - a > 2 and time_s[b - 1] - time_s[a] >= MIN_SPAN_S:
+            own = {kind: signal[a:b] for kind, signal in signals.items()}
+            for kind, first, last, label in _spans(time_s[a:b], own):
+                motions[kind].append((int(frame[a + first]), int(frame[a + last]), label))
+    return {kind: sorted(found) for kind, found in motions.items()}
 
 
 def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
@@ -359,30 +334,26 @@ def _spans(time_s: Array, signals: Mapping[str, Array]) -> Iterator[tuple[str, i
     grid = np.arange(time_s[0], time_s[-1] + dt / 2, dt)
     busy, moved = np.zeros(len(grid), dtype=bool), list[tuple[str, int, int, str]]()
     for kind, signal in signals.items():
-        finite = np.isfinite(signal)  # of angle and size, pairs may be missing where points are not
+        finite, rate = np.isfinite(signal), RATES[kind]  # of angle and size, pairs may be missing where points are not
         even = np.interp(grid, time_s[finite], signal[finite]) if finite.any() else np.zeros(len(grid))
-        for begin, end, label in _moving(even, dt, RATES[kind], LABELS[kind]):
-            busy[begin:end] = True
-            moved.append((kind, begin, end, label))
+        smooth, slope = gauss(even, rate.smooth_s / dt), np.gradient(_kernel(rate.smooth_s / dt), dt)
+        speed = np.gradient(smooth, dt)
+        # the deviation that noise of unit deviation, of which KEPT stays from frame to frame, has after this filter
+        lags = np.abs(np.arange(1 - len(slope), len(slope)))
+        left = float(np.sqrt(np.sum(np.correlate(slope, slope, "full") * KEPT**lags)))
+        least = max(rate.begin, NOISE * noise_of(even) * left)
+        for sign, label in zip((-1, 1), LABELS[kind], strict=True):
+            for begin, end in spans(sign * speed > rate.last):
+                fast = np.max(sign * speed[begin:end]) > least and (end - begin) * dt >= MIN_SPAN_S
+                if fast and abs(smooth[end - 1] - smooth[begin]) >= rate.change:
+                    busy[begin:end] = True
+                    moved.append((kind, begin, end, label))
     still = (("still", begin, end, "still") for begin, end in spans(~busy) if (end - begin) * dt >= STILL_S)
     for kind, begin, end, label in (*moved, *still):
         # grid times are rounding errors away from the rows'; where rows are far apart, a span may hold none
         first, after = np.searchsorted(time_s, grid[begin] + np.array([-0.25, end - begin - 0.25]) * dt).tolist()
         if after > first:
             yield kind, first, after - 1, label
-
-
-def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> Iterator[tuple[int, int, str]]:
-    smooth = gauss(signal, rate.smooth_s / dt)
-    speed = np.gradient(smooth, dt)
-    slope = np.gradient(_kernel(rate.smooth_s / dt), dt)
-    begin_above = max(rate.begin, NOISE * noise_of(signal) * _left_by(slope))
-    for sign, label in zip((-1, 1), labels, strict=True):
-        for begin, end in spans(sign * speed > rate.last):
-            fast = np.max(sign * speed[begin:end]) > begin_above
-            change = abs(smooth[end - 1] - smooth[begin])
-            if fast and (end - begin) * dt >= MIN_SPAN_S and change >= rate.change:
-                yield begin, end, label
 
 
 def _kernel(sigma: float) -> Array:
@@ -406,9 +377,3 @@ def noise_of(signal: Array, kept: float = KEPT) -> float:
     """
     second = np.abs(np.diff(signal, n=2))
     return float(np.median(second) / NORMAL / np.sqrt(6 - 8 * kept + 2 * kept**2)) if second.size else 0.0
-
-
-def _left_by(kernel: Array) -> float:
-    """The deviation that noise of unit deviation, of which KEPT stays from frame to frame, has after a filter."""
-    lags = np.abs(np.arange(1 - len(kernel), len(kernel)))
-    return float(np.sqrt(np.sum(np.correlate(kernel, kernel, "full") * KEPT**lags)))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
 
 from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.files import read_bounded
@@ -31,8 +31,8 @@ _Seconds: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
 _Still: TypeAlias = Annotated[str, Field(pattern=rf"^({STILLS}/[^/\\\x00.][^/\\\x00]*)?$")]  # a file of that folder
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+class _Record(BaseModel, extra="forbid", defer_build=True):
+    """What people.json has."""
 
 
 class ShotRecord(_Record):
@@ -46,6 +46,7 @@ class TrackRecord(_Record):
     """One track: whose it is, in which frames [first, stop), and with which probability.
 
     `other` (None: somebody new) has `p_other`, where that is in doubt; `still` is then its picture. `given`: by hand.
+    Rows that are not under the name of the person yet are those of the target `of`; no file says it.
     """
 
     person: _Name
@@ -57,6 +58,15 @@ class TrackRecord(_Record):
     p_other: _P = 0.0
     still: _Still = ""
     given: bool = False
+    of: Annotated[str, Field(exclude=True)] = ""
+
+    @property
+    def target(self) -> str:
+        """Whose rows it has."""
+        return self.of or self.person
+
+
+Tracks: TypeAlias = Sequence[TrackRecord]
 
 
 class PersonRecord(_Record):
@@ -140,7 +150,7 @@ def read_still(run: Path, still: str) -> bytes:
 def people_of(
     clock: Clock,
     shots: Sequence[ShotRecord],
-    tracks: Iterable[TrackRecord],
+    tracks: Tracks,
     stills: Mapping[str, str],
     photographs: Iterable[str] = (),
     corrections: Sequence[str] = (),
@@ -160,52 +170,43 @@ def people_of(
     return People(fps=clock.fps, shots=tuple(shots), people=tuple(people), **own)
 
 
-Tracks: TypeAlias = "list[tuple[str, TrackRecord]]"  # each with the target whose rows it has
-
-
-def tracks_of(people: People) -> Tracks:
-    """The tracks of a run whose rows are under the names of these people."""
-    return [(track.person, track) for track in people.tracks]
-
-
 def merge(tracks: Tracks, name: str, into: str) -> Tracks:
     """With the tracks of the person `name` given to another. UsageError where both are seen in one frame."""
-    both = _shared([track for _, track in _of(tracks, name)], _of(tracks, into))
+    both = _shared(_of(tracks, name), _of(tracks, into))
     if name == into or both:
         why = f"{name} and {into} are both seen in frame {both[0]}" if name != into else "that is one person already"
         raise UsageError(f"--merge {name}={into}: {why}; give two people that are never seen together")
-    return [(of, _given(record, into) if record.person == name else record) for of, record in tracks]
+    return [_given(track, into) if track.person == name else track for track in tracks]
 
 
 def rename(tracks: Tracks, name: str, to: str) -> Tracks:
     """With another name of a person. UsageError for a name that somebody has, that is none, or that no option takes."""
-    _of(tracks, name)
+    own = _of(tracks, name)
     try:
         checked_name(to)
         if {"=", "@"} & {*to}:
             raise ValueError(f"{to!r} has = or @, by which options end a name; leave them out")
     except ValueError as e:
         raise UsageError(f"--rename {name}={to}: {e}") from None
-    if any(track.person == to for _, track in tracks):
+    if any(track.person == to for track in tracks):
         raise UsageError(f"--rename {name}={to}: {to} is there; --merge {name}={to} makes them one person")
-    return [(of, track.model_copy(update={"person": to}) if track.person == name else track) for of, track in tracks]
+    return [track.model_copy(update={"person": to, "of": track.target}) if track in own else track for track in tracks]
 
 
 def split(tracks: Tracks, name: str, frame: int) -> Tracks:
     """With the tracks of a person from a frame on given to somebody new. UsageError where that is all or nothing."""
     theirs = _of(tracks, name)
-    if frame <= min(record.first for _, record in theirs) or frame >= max(record.stop for _, record in theirs):
-        spans = ", ".join(f"{record.first} to {record.stop - 1}" for _, record in theirs[:4])
+    if frame <= min(track.first for track in theirs) or frame >= max(track.stop for track in theirs):
+        spans = ", ".join(f"{track.first} to {track.stop - 1}" for track in theirs[:4])
         remedy = f"{name} is seen in frames {spans}; give a frame between the first and the last"
         raise UsageError(f"--split {name}@{frame}f: {remedy}")
-    new = new_name({track.person for _, track in tracks})
-    changed: Tracks = []
-    for target, track in tracks:
+    new, changed = new_name({track.person for track in tracks}), list[TrackRecord]()
+    for track in tracks:
         later = track.person == name and track.stop > frame
         if track.first < frame or not later:
-            changed.append((target, track.model_copy(update={"stop": frame}) if later else track))
+            changed.append(track.model_copy(update={"stop": frame}) if later else track)
         if later:
-            changed.append((target, _given(track, new).model_copy(update={"first": max(track.first, frame)})))
+            changed.append(_given(track, new).model_copy(update={"first": max(track.first, frame)}))
     return changed
 
 
@@ -214,20 +215,20 @@ def give(tracks: Tracks, name: str, frame: int, to: str | None) -> Tracks:
 
     `to` the person itself settles a doubt. UsageError without such a track, and where the other one is seen as well.
     """
-    own = next((track for _, track in _of(tracks, name) if track.first <= frame < track.stop), None)
+    own = next((track for track in _of(tracks, name) if track.first <= frame < track.stop), None)
     if own is None:
         raise UsageError(f"--give {name}@{frame}f: {name} is not seen in frame {frame}; name one in which {name} is")
-    others = [] if to in (None, name) else _of([pair for pair in tracks if pair[1] is not own], str(to))
+    others = [] if to in (None, name) else _of([track for track in tracks if track is not own], str(to))
     if at := _shared([own], others):
         raise UsageError(f"--give {name}@{frame}f={to}: {to} is seen in frame {at[0]}, too; give somebody else")
-    person = new_name({track.person for _, track in tracks}) if to is None else to
-    return [(target, _given(track, person) if track is own else track) for target, track in tracks]
+    person = to or new_name({track.person for track in tracks})
+    return [_given(track, person) if track is own else track for track in tracks]
 
 
 def photographs(before: People, tracks: Tracks) -> list[str]:
     """Those whose first track is of a photograph."""
     still = {person.name for person in before.people if person.photograph}
-    first = dict(reversed([(track.person, of) for of, track in tracks]))
+    first = {track.person: track.target for track in reversed(tracks)}
     return [name for name, of in first.items() if of in still]
 
 
@@ -236,38 +237,38 @@ def new_name(taken: Collection[str]) -> str:
     return next(f"{PERSON}{k}" for k in range(1, len(taken) + 2) if f"{PERSON}{k}" not in taken)
 
 
-def _shared(tracks: Iterable[TrackRecord], others: Tracks) -> list[int]:
+def _shared(tracks: Tracks, others: Tracks) -> list[int]:
     """The frames in which a track and another one begin to be seen together."""
-    return [max(a.first, b.first) for a in tracks for _, b in others if a.first < b.stop and b.first < a.stop]
+    return [max(a.first, b.first) for a in tracks for b in others if a.first < b.stop and b.first < a.stop]
 
 
 def _given(track: TrackRecord, person: str) -> TrackRecord:
     """The track, which somebody has said to be of a person."""
-    return TrackRecord(person=person, first=track.first, stop=track.stop, p=1.0, given=True)
+    return TrackRecord(person=person, first=track.first, stop=track.stop, p=1.0, given=True, of=track.target)
 
 
 def _of(tracks: Tracks, name: str) -> Tracks:
     """The tracks of a person. UsageError for a name that nobody has."""
-    own = [pair for pair in tracks if pair[1].person == name]
+    own = [track for track in tracks if track.person == name]
     if not own:
-        names = ", ".join(dict.fromkeys(track.person for _, track in tracks))
+        names = ", ".join(dict.fromkeys(track.person for track in tracks))
         raise UsageError(f"there is no {name}; there are {names}")
     return own
 
 
-def under_names(rows: Trajectory, tracks: Sequence[tuple[str, TrackRecord]]) -> Trajectory:
-    """The rows of each track, which are those of a target and of its frames, under the name of its person.
+def under_names(rows: Trajectory, tracks: Tracks) -> Trajectory:
+    """The rows of each track, which are those of its target and frames, under the name of its person.
 
     People come in the order of their first rows. Nothing was given to the tracker but a person's first row.
     """
-    order = {name: k for k, name in enumerate(dict.fromkeys(track.person for _, track in tracks))}
+    order = [*dict.fromkeys(track.person for track in tracks)]
     pieces: list[Trajectory] = []
-    for target, track in sorted(tracks, key=lambda pair: (order[pair[1].person], pair[1].first)):
-        part = choose(rows, target).between(track.first, track.stop)
+    for track in sorted(tracks, key=lambda track: (order.index(track.person), track.first)):
+        part = choose(rows, track.target).between(track.first, track.stop)
         names = tuple((track.person, name) for _, name in part.names)
         if pieces and pieces[-1].target == track.person:
             first = (part.status == "init") & ~part.by_hand
             part = replace(part, status=np.where(first, "tracked", part.status))
-        diagnostics = dict.fromkeys([track.person], part.diagnostics[target]) if target in part.diagnostics else {}
+        diagnostics = dict(zip([track.person], part.diagnostics.values(), strict=False))
         pieces.append(replace(part, names=names, diagnostics=diagnostics))
     return replace(successive(pieces), header=rows.header, path=rows.path)

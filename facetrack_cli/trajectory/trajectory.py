@@ -6,17 +6,17 @@ number that is not known is nan, a text "".
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from io import BytesIO
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.errors import InputError, UsageError, needed
 from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, Texts, Whole
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
-    from facetrack_cli.trajectory.face_events import FaceEvent
-    from facetrack_cli.trajectory.measures import Measured
+    from facetrack_cli.trajectory.measures import FaceEvent, Measured
     from facetrack_cli.trajectory.people import People
 
 Status: TypeAlias = Literal["init", "tracked", "hidden", "lost", "absent"]
@@ -47,6 +46,8 @@ TEXTS: Final = ("status", "identity")
 MAX_ROWS: Final = 10**7  # four days of video
 PLACE: Final = ("x", "y", "w", "h", "angle", "confidence", *SPREAD, "ess")
 """The columns that an absent part has no value in."""
+
+_WIDTH, _HEIGHT, _MEANS = 160, 24, 80  # of a line of confidence: pixels, and means that it shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +243,7 @@ class Trajectory:
     @cached_property
     def events(self) -> tuple[FaceEvent, ...]:
         """When mouths open and close, eyes blink, heads nod, hands move, hold still and touch, in the order of time."""
-        from facetrack_cli.trajectory.face_events import events_of
+        from facetrack_cli.trajectory.measures import events_of
 
         kinds = (kind for name, measures in self.measures.items() for kind in events_of(name, measures).values())
         return tuple(sorted(event for kind in kinds for event in kind))
@@ -255,15 +256,8 @@ class Trajectory:
         record = self.header.get("people")
         return read_people(self.path.parent) if record is None else People.model_validate(record)
 
-    def lost_intervals(self) -> dict[str, list[tuple[int, int]]]:
-        """Frames [first, stop) in which each `target/part` is lost, in the order of time."""
-        return self._intervals(("lost",))
-
-    def visible_intervals(self) -> dict[str, list[tuple[int, int]]]:
-        """Frames [first, stop) in which each `target/part` is seen: neither lost, hidden nor absent."""
-        return self._intervals(SEEN)
-
-    def _intervals(self, statuses: Sequence[str]) -> dict[str, list[tuple[int, int]]]:
+    def intervals(self, *statuses: str) -> dict[str, list[tuple[int, int]]]:
+        """Frames [first, stop) in which each `target/part` has one of these statuses, in the order of time."""
         intervals = {}
         for part in self.parts:
             there = spans(np.isin(part.status, statuses), np.diff(part.frame) > 1)
@@ -278,30 +272,24 @@ class Trajectory:
         return {name: (own[name] if name in own else getattr(self, name))[order] for name in COLUMNS}
 
     def _repr_html_(self) -> str:
-        from facetrack_cli.trajectory.formats.tables import html_table
-
-        return html_table(self)
-
-    def _repr_png_(self) -> bytes | None:
-        """The plot of all of it; None where it cannot be drawn."""
-        import facetrack_cli
-
-        with suppress(FacetrackError):
-            facetrack_cli.plot(self).savefig(file := BytesIO(), format="png")
-            return file.getvalue()
-        return None
-
-    def export(self, form: str, out: str | Path | None = None, **more: Any) -> str | bytes | Path:
-        """As another program reads it, as `eaf`; see `facetrack.export`."""
-        import facetrack_cli
-
-        return facetrack_cli.export(self, form, out, **more)
-
-    def video(self, *, media: str | Path | None = None) -> Any:
-        """The annotated video, which notebooks show; see `facetrack.annotated_video`."""
-        import facetrack_cli
-
-        return facetrack_cli.annotated_video(self, media=media)
+        """A small table: of each target its parts, frames, the share of rows that are seen, events, and confidence."""
+        events = Counter((event.target, event.value) for event in self.events)
+        lines = []
+        for target in self.targets:
+            parts = self.of_target(target)
+            seen = np.concatenate([np.isin(part.status, SEEN) for part in parts])
+            said = ", ".join(f"{n} {value}" for (of, value), n in sorted(events.items()) if of == target)
+            share = f"{seen.mean():.0%}" if seen.size else ""
+            confidence = np.array_split(np.nan_to_num(parts[0].confidence), _MEANS)
+            means = [float(values.mean()) for values in confidence if len(values)]
+            x = np.linspace(0, _WIDTH, len(means)).tolist()
+            points = " ".join(f"{a:.1f},{_HEIGHT - 1 - v * (_HEIGHT - 2):.1f}" for a, v in zip(x, means, strict=True))
+            line = f'<polyline points="{points}" fill="none" stroke="currentColor"/>'
+            line = f'<svg width="{_WIDTH}" height="{_HEIGHT}" role="img" aria-label="confidence over time">{line}</svg>'
+            cells = target or "-", len(parts), len(parts[0]), share, said
+            lines.append("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in cells) + f"<td>{line}</td>")
+        heads = "".join(f"<th>{head}" for head in ("target", "parts", "frames", "seen", "events", "confidence"))
+        return f"<table><tr>{heads}{''.join(lines)}</table>"
 
     def to_xarray(self) -> Dataset:
         """The places as an xarray.Dataset in the layout of `movement`'s poses.
@@ -311,20 +299,57 @@ class Trajectory:
         one, whose number is the coordinate `frame`; what is not known is nan. Lost rows have the tracker's estimate.
         UsageError without xarray, which the extra `xarray` brings.
         """
-        from facetrack_cli.trajectory.formats.tables import dataset
+        with needed("datasets", "xarray", "xarray"):
+            import xarray
 
-        return dataset(self)
+        timed = np.isfinite(self.times)
+        if not timed.any():
+            raise InputError("no row has a time_s, and a dataset needs times; fill that column")
+        frames = np.arange(self.frames[0], self.frames[-1] + 1)
+        time_s = np.interp(frames, self.frames[timed], self.times[timed])
+        parts, values = places(self, frames)
+        fps = header_value(self, "source", "fps")
+        about: dict[str, Any] = {"source_software": "facetrack", "ds_type": "poses", "time_unit": "seconds"}
+        if fps is not None or len(frames) > 1:
+            about["fps"] = round(1 / float(np.median(np.diff(time_s))), 6) if fps is None else fps
+        return xarray.Dataset(
+            {
+                "position": (("time", "space", "keypoints", "individuals"), values[..., :2].transpose(0, 3, 2, 1)),
+                "confidence": (("time", "keypoints", "individuals"), values[..., 2].transpose(0, 2, 1)),
+            },
+            {
+                "time": time_s,
+                "space": ["x", "y"],
+                "keypoints": parts,
+                "individuals": [target or "target" for target in self.targets],
+                "frame": ("time", frames),
+            },
+            about,
+        )
 
-    def to_pandas(self, what: Literal["rows", "measures", "events"] = "rows", *, measures: bool = False) -> DataFrame:
+    def to_pandas(self, what: Literal["rows", "measures", "events"] = "rows") -> DataFrame:
         """The columns, the measures or the events as a pandas DataFrame.
 
-        Of measures there is a row for each target, measure and frame: value, std and noise. With `measures`, each row
-        of the columns has those of its target and frame, too, a column each. UsageError without pandas, which the
-        extra `pandas` brings.
+        Of measures there is a row for each target, measure and frame: value, std and noise. UsageError without pandas,
+        which the extra `pandas` brings.
         """
-        from facetrack_cli.trajectory.formats.tables import data_frame
+        from facetrack_cli.trajectory.measures import FaceEvent
 
-        return data_frame(self, what, measures=measures)
+        if what not in ("rows", "measures", "events"):
+            raise UsageError(f"{what!r} is no table; give rows, measures or events")
+        with needed("data frames", "pandas", "pandas"):
+            import pandas
+
+        if what == "events":
+            return pandas.DataFrame(self.events, columns=FaceEvent._fields)
+        if what == "rows":
+            return pandas.DataFrame(self.columns())
+        names, frames = ("frame", "time_s", "value", "std", "noise"), []
+        for target, measures in self.measures.items():
+            for name, line in measures.items():
+                about = {"target": target, "measure": name, "unit": line.unit}
+                frames.append(pandas.DataFrame({**about, **{column: getattr(line, column) for column in names}}))
+        return pandas.concat(frames or [pandas.DataFrame(columns=["target", "measure", *names])], ignore_index=True)
 
 
 def header_value(table: Trajectory, group: str, key: str) -> Any:
@@ -354,8 +379,7 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
     twice = np.flatnonzero((frame[1:] == frame[:-1]) & (which[1:] == which[:-1]))
     if twice.size:
         at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
-        why = f"frame {at} has two rows of {name}; keep one row a frame, target and part"
-        raise InputError(f"{about.get('path', Path())}: {why}")
+        raise InputError(f"{about.get('path', Path())}: frame {at} has two rows of {name}; keep one row of them")
     columns = {name: values for name, values in others.items() if values is not None}
     for name, values in columns.items():
         columns[name] = np.asarray(values, dtype=_KINDS.get(name, float))[order]
@@ -429,6 +453,16 @@ def aligned(parts: Sequence[Trajectory], *columns: str, frame: Whole | None = No
         for k, part in enumerate(parts):
             values[name][np.searchsorted(frame, part.frame), k] = getattr(part, name)
     return frame, values
+
+
+def places(table: Trajectory, frames: Whole) -> tuple[list[str], Array]:
+    """The names of the parts, and (T, targets, parts, 3) x, y and confidence: each target has all parts, or nan."""
+    targets, parts = table.targets, list(dict.fromkeys(part for _, part in table.names))
+    values = np.full((len(frames), len(targets), len(parts), 3), np.nan)
+    at = np.array([(targets.index(target), parts.index(part)) for target, part in table.names]).T
+    _, columns = aligned(table.parts, "x", "y", "confidence", frame=frames)
+    values[:, at[0], at[1]] = np.stack([*columns.values()], axis=2)
+    return parts, values
 
 
 def mean_confidence(confidences: Array) -> float:

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.types import BOX, Array, Texts, Whole
+from facetrack_cli.core.types import BOX, Array, Whole
 from facetrack_cli.trajectory.trajectory import MAX_ROWS, UNSEEN, Trajectory, aligned, header_value, joined, one_part
 
 Around: TypeAlias = Literal["windows", "points"]
@@ -30,20 +30,13 @@ def choose(table: Trajectory, select: str | None) -> Trajectory:
     return joined(parts, header=table.header, diagnostics=diagnostics, path=table.path)
 
 
-def blank_lost(table: Trajectory) -> Trajectory:
-    """The table with the place and size of lost rows not known."""
-    columns: Any = {name: np.where(table.status == "lost", np.nan, getattr(table, name)) for name in "xywh"}
-    return replace(table, **columns)
-
-
 def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajectory:
     """One box for each row of a target, as the series of a part `box`: the smallest upright box around its parts.
 
     A target of one part has that part's own box. Of several, `windows` encloses the windows that the tracker compares,
     `points` their centres alone, each as one pixel. Parts whose place is not known in a row are left out of it, and so
-    are parts without windows where others have some; lost ones count, since their place is the estimate.
-    `confidence` is the mean over the parts, `status` lost when all parts
-    are that are not absent. Raises InputError for windows of parts that have none.
+    are parts without windows where others have some; lost ones count, since their place is the estimate. `confidence`
+    is the mean over the parts, `status` lost when all are that are not absent. InputError for windows without a size.
     """
     target = parts[0].target
     if len(parts) == 1:
@@ -60,7 +53,14 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     left, top = np.fmin.reduce(edges[:2], axis=2)
     w, h = np.fmax.reduce(edges[2:], axis=2) - (left, top)
     place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h, "confidence": mean(confidence)}
-    about = {"status": _together(status), "by_hand": by_hand.any(axis=1), "time_s": joined(parts).times}
+    together = []
+    for row in status.tolist():  # what the parts agree on that are not absent, else that their target is there
+        states = set(filter(None, row))
+        of_tracker = bool(states & {"tracked", "init", "lost"})
+        states -= {"absent"} if of_tracker else set()
+        states = {"hidden"} if states == {*UNSEEN} else states
+        together.append(states.pop() if len(states) == 1 else "tracked" if of_tracker else "visible" if states else "")
+    about = {"status": together, "by_hand": by_hand.any(axis=1), "time_s": joined(parts).times}
     return one_part(target, BOX, frame, **place, **about)
 
 
@@ -80,18 +80,6 @@ def mean(values: Array) -> Array:
     finite = np.isfinite(values)
     count = finite.sum(axis=-1)
     return np.where(count > 0, np.where(finite, values, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)
-
-
-def _together(status: Texts) -> list[str]:
-    """What the statuses (T, K) of parts that are not absent agree on, else that their target is there."""
-    together = []
-    for row in status.tolist():
-        states = set(filter(None, row))
-        of_tracker = bool(states & {"tracked", "init", "lost"})
-        states -= {"absent"} if of_tracker else set()
-        states = {"hidden"} if states == {*UNSEEN} else states
-        together.append(states.pop() if len(states) == 1 else "tracked" if of_tracker else "visible" if states else "")
-    return together
 
 
 FRAME_S = 0.04  # how long a single frame lasts where nothing tells

@@ -153,22 +153,17 @@ def json_frames(rows: Trajectory) -> Iterator[str]:
 def as_written(rows: Trajectory) -> Trajectory:
     """The rows with the numbers that a file of them holds."""
 
-    def rounded(values: Array, decimals: int) -> Array:
+    def rounded(values: Array, decimals: int | tuple[int, ...]) -> Array:
+        if isinstance(decimals, tuple):
+            return np.stack([rounded(*each) for each in zip(values.T, decimals, strict=True)], axis=1)
         texts = _numbers(f".{decimals}f")(values.ravel().tolist())
         return np.array([float(text or "nan") for text in texts]).reshape(values.shape)
 
-    def reported(diagnostics: Diagnostics) -> Diagnostics:
-        values = {}
-        for item in diagnostics.declared:
-            if (value := diagnostics.values.get(item.name)) is not None:
-                if isinstance(item.decimals, tuple):
-                    values[item.name] = np.stack([rounded(value[:, i], d) for i, d in enumerate(item.decimals)], axis=1)
-                else:
-                    values[item.name] = rounded(value, item.decimals)
-        return replace(diagnostics, values=values)
-
     columns: dict[str, Any] = {name: rounded(getattr(rows, name), decimals) for name, decimals in DECIMALS.items()}
-    diagnostics = {target: reported(of_target) for target, of_target in rows.diagnostics.items()}
+    diagnostics = {}
+    for target, told in rows.diagnostics.items():
+        values = {d.name: rounded(told.values[d.name], d.decimals) for d in told.declared if d.name in told.values}
+        diagnostics[target] = replace(told, values=values)
     return replace(rows, **columns, corners=None, diagnostics=diagnostics)
 
 

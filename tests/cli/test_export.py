@@ -17,7 +17,7 @@ from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.face_points import LINES, POINTS
 from facetrack_cli.trajectory.formats import EXPORTS
-from facetrack_cli.trajectory.formats.keypoints import write_dlc_h5
+from facetrack_cli.trajectory.formats.tables import write_dlc_h5
 from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
 from facetrack_cli.trajectory.views import enclose
 from facetrack_cli.trajectory.writers import SCHEMA

@@ -502,7 +502,7 @@ def test_faces_that_cannot_be_told_again_are_unknown_and_those_of_one_frame_have
     reader = SimpleNamespace(change=lambda: 9.0, best=(1.0, np.zeros((8, 8, 3), np.uint8)))
     found = Cast(np.array([0, UNKNOWN, UNKNOWN, UNKNOWN]), np.array([1.0, 0.4, 0.4, 0.4]), (Doubt(1, 0, 0.3),))
     named = runs_people._named(tracks, found, ["person_1"], defaultdict(lambda: reader), SHOTS[:1], Clock(None, 25.0))
-    assert [one.person for _, one in named.tracks] == ["person_1", "unknown", "unknown_2", "unknown"]
+    assert [one.person for one in named.tracks] == ["person_1", "unknown", "unknown_2", "unknown"]
     line = runs_people.cast_line(named.people)
     assert line.startswith("1 person in 1 shot: person_1 1.6 s; 1 of 4 tracks are in doubt")
     assert line.endswith("; 3 show no face that could be told again (unknown)")

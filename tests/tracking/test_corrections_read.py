@@ -20,7 +20,7 @@ from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.make import Image, command, init_yaml, recipe_yaml
 from facetrack_cli.report.story import history_of, key_frames, reasons
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
-from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
+from facetrack_cli.trajectory.formats.tables import write_coco, write_dlc
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import one_part
 from facetrack_cli.trajectory.views import Clock

@@ -48,13 +48,9 @@ def test_columns_in_any_order_other_line_ends_and_what_is_not_known(tmp_path, te
     assert file_rows(saved(tmp_path, text)) == [row(**known)]
 
 
-def test_a_column_hidden_says_what_an_empty_status_does_not(tmp_path):
-    cells = (("", "1"), ("", " True "), ("", "0"), ("", "false"), ("", ""), ("visible", "1"), ("hidden", "0"))
-    rows = "".join(f"{n},face,nose,1,2,{status},{hidden}\n" for n, (status, hidden) in enumerate(cells))
+def test_a_folder_that_is_no_run_is_refused(tmp_path):
     with pytest.raises(InputError, match="cannot be read: Is a directory; name a trajectory or"):
         read_trajectory(tmp_path)
-    found = read_trajectory(saved(tmp_path, f"frame,target,part,x,y,status,hidden\n{rows}"))
-    assert found.status.tolist() == ["hidden", "hidden", "", "", "", "visible", "hidden"]
 
 
 HEAD = "frame,target,part,x,y"
@@ -64,8 +60,7 @@ HEAD = "frame,target,part,x,y"
     ("text", "message"),
     [
         ("\n", r":1: the header has no column, or two, called frame, target, part, x, y; it should read frame,"),
-        (f"{HEAD},hidden\n0,f,p,1,2,0\n1,f,p,1,2,yes\n", ":3: column hidden: 'yes' is no 0, 1, true or false; correct"),
-        (f"{HEAD},hidden,hidden\n", ":1: the header has no column, or two, called hidden; it"),
+        (f"{HEAD},w,w\n", ":1: the header has no column, or two, called w; it"),
         (f"{HEAD}\n0,f,p,1\n", r":2: 4 values under 5 columns; .*cut short"),
         (f"{HEAD}\n0,f,p,1_0,2\n", r":2: column x: '1_0' is no finite number; "),
         (f"{HEAD}\n0,f,p,1,2\n1,f,p,1,two\n", r":3: column y: 'two' is no finite number; "),

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import GROUPS, LINES, MESH, POINTS
-from facetrack_cli.trajectory.face_events import Chain, events_of
 from facetrack_cli.trajectory.formats.tables import Clip, write_boris, write_csv_wide, write_measures
 from facetrack_cli.trajectory.head import SHAPE, head_pose, rotation_of, with_eyes
-from facetrack_cli.trajectory.measures import LENGTH, MEASURES, SHARE, Measured
+from facetrack_cli.trajectory.measures import LENGTH, MEASURES, SHARE, Chain, Measured, events_of
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
 from tests.twins import hidden_markov

@@ -20,8 +20,7 @@ import pytest
 from facetrack_cli import export
 from facetrack_cli.trajectory.formats.annotation import write_cvat, write_labelstudio
 from facetrack_cli.trajectory.formats.boxes import write_mot
-from facetrack_cli.trajectory.formats.keypoints import write_dlc, write_dlc_h5
-from facetrack_cli.trajectory.formats.tables import write_textgrid
+from facetrack_cli.trajectory.formats.tables import write_dlc, write_dlc_h5, write_textgrid
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.trajectory.test_annotation_tools import SIZE, table
 from tests.trajectory.test_tables import face, read_textgrid

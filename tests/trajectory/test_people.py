@@ -15,7 +15,6 @@ from facetrack_cli.trajectory.people import (
     read_people,
     rename,
     split,
-    tracks_of,
     under_names,
 )
 from facetrack_cli.trajectory.reader import PEOPLE
@@ -37,7 +36,7 @@ def film():
 
 
 def spans(tracks):
-    return sorted((one.person, one.first, one.stop) for _, one in tracks)
+    return sorted((one.person, one.first, one.stop) for one in tracks)
 
 
 def test_people_have_intervals_and_seconds_and_their_file_comes_back(tmp_path):
@@ -59,13 +58,13 @@ def test_people_have_intervals_and_seconds_and_their_file_comes_back(tmp_path):
 
 
 def test_corrections():
-    tracks = tracks_of(film())
+    tracks = film().tracks
     assert spans(merge(tracks, "c", "b")) == [("a", 0, 50), ("a", 60, 80), ("b", 20, 60), ("b", 90, 95)]
     assert spans(rename(tracks, "b", "Björk")) == [("Björk", 20, 60), ("a", 0, 50), ("a", 60, 80), ("c", 90, 95)]
     parts = split(tracks, "a", 70)
     assert spans(parts) == [("a", 0, 50), ("a", 60, 70), ("b", 20, 60), ("c", 90, 95), ("person_1", 70, 80)]
-    assert {of for of, one in parts if one.person == "person_1"} == {"a"}
-    again = people_of(Clock(None, 25.0), SHOTS, [one for _, one in merge(parts, "person_1", "a")], {})
+    assert {one.target for one in parts if one.person == "person_1"} == {"a"}
+    again = people_of(Clock(None, 25.0), SHOTS, merge(parts, "person_1", "a"), {})
     assert again.people[0].intervals == ((0, 50), (60, 80)) and all(
         one.given for one in again.tracks if one.first == 70
     )
@@ -86,14 +85,14 @@ def test_corrections():
 )
 def test_what_cannot_be_is_refused(change, said):
     with pytest.raises(UsageError, match=said.replace("(", r"\(")):
-        change(tracks_of(film()))
+        change(film().tracks)
 
 
 def test_rows_go_to_the_people_of_their_tracks():
     frame = np.r_[0:50, 60:80, 20:60]
     which = np.r_[np.zeros(70, int), np.ones(40, int)]
     rows = build([("t1", "box"), ("t2", "box")], which, frame, x=np.arange(110.0))
-    named = under_names(rows, [("t1", track("a", 0, 50)), ("t2", track("b", 20, 60)), ("t1", track("b", 60, 70))])
+    named = under_names(rows, [track("a", 0, 50, of="t1"), track("b", 20, 60, of="t2"), track("b", 60, 70, of="t1")])
     assert named.targets == ("a", "b")
     a, b = named.parts
     assert np.array_equal(a.frame, np.arange(50)) and np.array_equal(b.frame, np.arange(20, 70))

@@ -21,27 +21,25 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import GROUPS, MESH, POINTS
 from facetrack_cli.core.numbers import csv_text
 from facetrack_cli.report.figures import page
-from facetrack_cli.trajectory.face_events import FaceEvent
 from facetrack_cli.trajectory.formats.boxes import NAMED
-from facetrack_cli.trajectory.formats.keypoints import (
-    COLUMNS,
-    IN_MESH,
-    LANDMARKS,
-    write_dlc,
-    write_openface,
-)
 from facetrack_cli.trajectory.formats.tables import (
     EVENT_COLUMNS,
+    IN_MESH,
+    LANDMARKS,
+    OPENFACE,
     Clip,
     write_boris,
     write_csv_wide,
+    write_dlc,
     write_events,
     write_measures,
+    write_openface,
     write_pose,
     write_subtitles,
     write_textgrid,
 )
 from facetrack_cli.trajectory.head import SHAPE, rotation_of
+from facetrack_cli.trajectory.measures import FaceEvent
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from facetrack_cli.video.source import open_source
 from tests.support.face_shape import moving_face
@@ -303,7 +301,7 @@ def framed(text):
 def test_columns_frames_and_landmarks_are_openface_s():
     table = joined([*turned_face(lost={("lip_lower", 5)}), one_part("face", "ear", [4], x=[1.0], y=[2.0])])
     found = framed(write_openface(table, (640, 480)))
-    assert list(found.columns) == list(COLUMNS) and len(COLUMNS) == 5 + 6 + 136
+    assert list(found.columns) == list(OPENFACE) and len(OPENFACE) == 5 + 6 + 136
     assert found["frame"].tolist() == [5, 6, 8] and found["face_id"].tolist() == [0, 0, 0]
     assert found["timestamp"].tolist() == [0.16, 0.2, 0.28] and found["confidence"].tolist() == [0.75] * 3
     assert found["success"].tolist() == [1, 0, 1]

@@ -15,6 +15,7 @@ from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import (
     COLUMNS,
     FLOATS,
+    SEEN,
     TEXTS,
     Collector,
     build,
@@ -71,7 +72,7 @@ def test_rows_come_in_any_order_and_what_is_not_given_is_not_known():
         assert np.isnan(getattr(rows, name)).all() and getattr(rows, name).dtype == np.float64, name
     assert not rows.by_hand.any() and not (rows.identity != "").any()
     assert rows.corners is None and rows.header == rows.diagnostics == {} and rows.path == Path()
-    with pytest.raises(InputError, match=r"t\.csv: frame 4 has two rows of face/lip; keep one row a frame, target and"):
+    with pytest.raises(InputError, match=r"t\.csv: frame 4 has two rows of face/lip; keep one row of them"):
         build([NOSE, LIP], [1] * 4, [4, 2, 9, 4], path=Path("t.csv"))
 
 
@@ -160,9 +161,9 @@ def test_a_data_frame_has_the_rows_in_the_order_of_the_file(monkeypatch):
 def test_intervals_are_spans_of_frames_without_a_gap():
     status = ["init", "tracked", "lost", "lost", "tracked", "lost"]
     table = build([("face", "nose")], [0] * 6, [3, 4, 5, 6, 9, 12], status=status)
-    assert table.lost_intervals() == {"face/nose": [(5, 7), (12, 13)]}
-    assert table.visible_intervals() == {"face/nose": [(3, 5), (9, 10)]}
-    assert some().visible_intervals() == {"face/nose": [(2, 4)], "face/lip": [(2, 3)], "hand/box": [(3, 5)]}
+    assert table.intervals("lost") == {"face/nose": [(5, 7), (12, 13)]}
+    assert table.intervals(*SEEN) == {"face/nose": [(3, 5), (9, 10)]}
+    assert some().intervals(*SEEN) == {"face/nose": [(2, 4)], "face/lip": [(2, 3)], "hand/box": [(3, 5)]}
 
 
 # --- put together ---

@@ -19,8 +19,7 @@ from facetrack_cli.evaluation.rows import NOT_SEEN, Pair, at
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.style import Axes, Figure
 from facetrack_cli.trajectory.diagnostics import AFFINE, EVIDENCE, POSTERIOR, SURE, Diagnostic
-from facetrack_cli.trajectory.face_events import KINDS
-from facetrack_cli.trajectory.measures import DEGREES, HAND_MEASURES, MEASURES, Measured
+from facetrack_cli.trajectory.measures import DEGREES, HAND_MEASURES, KINDS, MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 
 USUAL = (

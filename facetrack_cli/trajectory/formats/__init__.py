@@ -37,15 +37,15 @@ EXPORTS: Final = {
     "srt": Export("tables", "srt", "table", "the same as subtitles (SubRip), of one run"),
     "vtt": Export("tables", "vtt", "table", "the same as subtitles (WebVTT), of one run"),
     "textgrid": Export("tables", "TextGrid", "table", "the same as a TextGrid of Praat, of one run"),
-    "openface": Export("keypoints", "openface.csv", "table size", "OpenFace's CSV: confidence, pose, landmarks"),
+    "openface": Export("tables", "openface.csv", "table size", "OpenFace's CSV: confidence, pose, landmarks"),
     "mot": Export("boxes", "mot.txt", "boxes", "MOTChallenge: frame, id, box, confidence; all from 1"),
     "otb": Export("boxes", "otb.txt", "box", "OTB boxes, one a line, pixels from 1; one target"),
     "got10k": Export("boxes", "got10k.txt", "box", "GOT-10k boxes, one a line, pixels from 1; one target"),
     "vot": Export("boxes", "vot.txt", "box", "VOT result, one region a line, pixels from 0; one target"),
-    "coco": Export("keypoints", "coco.json", "table frame_size file_name around", "COCO: boxes and keypoints"),
-    "dlc": Export("keypoints", "dlc.csv", "table scorer", "DeepLabCut CSV: x, y, likelihood of every point"),
-    "dlc-h5": Export("keypoints", "dlc.h5", "table scorer", "the same as DeepLabCut's HDF5; needs pandas and PyTables"),
-    "eaf": Export("eaf", "eaf", "table video folder written", "ELAN: what was lost, what head, face, hands did"),
+    "coco": Export("tables", "coco.json", "table frame_size file_name around", "COCO: boxes and keypoints"),
+    "dlc": Export("tables", "dlc.csv", "table scorer", "DeepLabCut CSV: x, y, likelihood of every point"),
+    "dlc-h5": Export("tables", "dlc.h5", "table scorer", "the same as DeepLabCut's HDF5; needs pandas and PyTables"),
+    "eaf": Export("annotation", "eaf", "table video folder written", "ELAN: what was lost, what head, face, hands did"),
     "cvat": Export("annotation", "cvat.xml", "table size name", "CVAT for video 1.1: a track a part, to correct"),
     "labelstudio": Export("annotation", "labelstudio.json", "table frame_size fps name", "Label Studio's rectangles"),
 }
@@ -59,7 +59,16 @@ OF_MEDIA: Final = tuple(form for form, export in EXPORTS.items() if _SIZED & {*e
 
 
 def load(verb: Literal["read", "write"], form: str) -> Callable[..., Any]:
-    """The function that reads or writes a format."""
+    """The function that reads or writes a format.
+
+    Parameters
+    ----------
+    verb : what it does. It reads a Path, and adds `shift` to every frame number, which is from 0 on. It returns a
+        Trajectory in pixels from 0, whose `header["read_as"]` says how the file was read, and raises InputError, with
+        the line where there is one, for what it cannot read. It writes what `Export.takes` names, as text or bytes, and
+        raises InputError for what the format has no room for.
+    form : one of READERS, or of EXPORTS.
+    """
     module = import_module(f"{__name__}.{READERS[form] if verb == 'read' else EXPORTS[form].module}")
     function: Callable[..., Any] = getattr(module, f"{verb}_{form.replace('-', '_')}")
     return function

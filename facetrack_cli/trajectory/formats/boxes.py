@@ -13,9 +13,8 @@ docs/measure.md lists them. Frames and pixels of the table are counted from 0 wh
 - `mot`: ground truth (motchallenge.net/instructions; MOT16 and later) has nine values, results and MOT15 ground truth
   ten, -1 where not known (`MOT_COLUMNS`). Ids become the targets "1", "2", ..., each with the part "box". A row of flag
   0 is left out, as if the frame were not annotated. A visibility of 0 is "hidden". If every conf of ten values is 0 or
-  1 it is taken for the flag, else for a confidence, and then all rows count, as the benchmark has it. As in TrackEval
-  class 1 alone counts; rows of the classes in DISTRACTORS are "hidden" whatever their flag, so that targets on them are
-  neither right nor wrong; rows of others are left out. A file of a single class is of what counts.
+  1 it is taken for the flag, else for a confidence, and then all rows count, as the benchmark has it. Rows of the
+  classes in DISTRACTORS are "hidden" whatever their flag, as in TrackEval. A file of a single class is of what counts.
 - `pts`: landmarks of iBUG (300-W, 300VW), a file a frame, `annot/000001.pts`: "version: 1", "n_points: 68", then in
   braces a line "123.5 200.25" for each point. Files and pixels are counted from 1, as in Matlab: the centre of the top
   left pixel is 1, 1. The target is "face", with the parts point_01, ... in the file's order; of 68 points five have
@@ -28,6 +27,7 @@ import contextlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -38,7 +38,7 @@ from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.files import MAX_TABLE_BYTES, read_bounded
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.trajectory.formats import READERS, load
-from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, REQUIRED, read_trajectory
+from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, REQUIRED, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import MAX_ROWS, SEEN, Trajectory, build
 from facetrack_cli.trajectory.views import check_sized
 
@@ -85,9 +85,20 @@ def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0, beside: 
 
 
 def read_results(path: Path, form: str = "auto") -> Trajectory:
-    """A trajectory of ours, or what another tracker wrote, read as `form`, one of TRUTH_FORMATS, or by its shape.
+    """A trajectory of ours, or what another tracker wrote.
 
-    Status is init, tracked or lost where the file says so, else "". `header["read_as"]` is there for those of others.
+    Parameters
+    ----------
+    form : one of TRUTH_FORMATS; `auto` goes by the shape of the file.
+
+    Returns
+    -------
+    Trajectory : `status` is init, tracked or lost where the file says so, else ""; of others there is
+        `header["read_as"]`.
+
+    Raises
+    ------
+    InputError : for a file that is broken or of no known shape.
     """
     with reading(path, "make it readable, or name another"):
         shape = form
@@ -107,19 +118,18 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
 def recognise(path: Path) -> tuple[Path, str]:
     """The file to read, inside of `path` if that is a folder, and which of TRUTH_FORMATS it has."""
     if path.is_dir():
-        if any((path / f"trajectory.{suffix}").is_file() for suffix in ("json", "csv", "jsonl")):
+        if table_in(path) != path:
             return path, "facetrack"
         if any(path.glob("*.pts")) or any(path.glob("annot/*.pts")):
             return path, "pts"
         named = ("gt/gt.txt", "groundtruth_rect.txt", "groundtruth.txt", "groundtruth.csv")
         if (file := next((path / name for name in named if (path / name).is_file()), None)) is not None:
             return recognise(file)
-        files = f"trajectory.csv, {', '.join(named)} or .pts files"
-        raise InputError(f"{path}: is a folder without {files}; name the ground truth file")
+        raise InputError(f"{path}: is a folder without trajectory, {', '.join(named)} or .pts files; name a file")
     lines = Lines.of(path)
     first = lines.texts[0]
     names = {name.strip().strip('"').lower() for name in first.split(",")}
-    cells = [cell.strip() for cell in first.split(delimiter([first]))]
+    cells = lines.take([0]).cells[0]
     count = len(cells) if all(cells) and all(map(_NUMBER.fullmatch, cells)) else 0
     shape = next((form for begin, form in _BEGINS.items() if first.lower().startswith(begin)), "")
     if shape or {"target", "part"} <= names:
@@ -134,10 +144,9 @@ def recognise(path: Path) -> tuple[Path, str]:
         return path, next((form for name, form in beside.items() if path.with_name(name).is_file()), "otb")
     if count in MOT_COLUMNS and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
         return path, "mot"
-    heads = f"a header reads {','.join(REQUIRED)} for points or {','.join(BOX_COLUMNS)} for boxes"
-    why = f"begins no ground truth file that is known here; {heads}, without a header a line is {LTWH}"
-    remedy = f"commas stand between columns, and decimals have a point; or give --truth-format: {', '.join(READERS)}"
-    raise lines.error(0, f"{why}; {remedy}")
+    form = f"a header reads {','.join(REQUIRED)} or {','.join(BOX_COLUMNS)}; commas stand between columns"
+    why = f"begins no ground truth file that is known here: {form}; or give --truth-format: {', '.join(READERS)}"
+    raise lines.error(0, why)
 
 
 _BEGINS: Final = {"{": "facetrack", "<": "cvat", "version:": "pts"}
@@ -155,14 +164,8 @@ def read_text(path: Path) -> str:
         line = raw.count(b"\n", 0, e.start) + 1
         raise InputError(f"{path}:{line}: is not UTF-8 text; save it as UTF-8, or name another file") from e
     if not text.strip() or "\0" in text:
-        what = "binary, which of VOT's toolkit VOT_RESULTS_BINARY=false avoids" if text.strip() else "empty"
-        raise InputError(f"{path}: is {what}; name another file")
+        raise InputError(f"{path}: is {'binary' if text.strip() else 'empty'}; name another file")
     return text.replace("\r\n", "\n").replace("\r", "\n")
-
-
-def delimiter(texts: Sequence[str]) -> str | None:
-    """What stands between the numbers: a comma where there is one, else tabs or blanks (None, as for str.split)."""
-    return "," if any("," in text for text in texts) else None
 
 
 @dataclass(frozen=True)
@@ -170,28 +173,29 @@ class Lines:
     """T lines of the file `path`, without blanks at their ends, and their `places` in it, counted from 1."""
 
     path: Path
-    texts: list[str]
-    places: list[int]
+    texts: Any
+    places: Whole
 
     @classmethod
     def of(cls, path: Path, *, by_frame: bool = False) -> Lines:
-        """The lines of a file that are not blank.
-
-        With `by_frame` line i is frame i: a blank line is an error, but not at the end.
-        """
+        """Those that are not blank. With `by_frame` line i is frame i: a blank one is an error, but not at the end."""
         known = {place: line.strip() for place, line in enumerate(read_text(path).split("\n"), 1) if line.strip()}
         if by_frame and (blank := {*range(1, max(known) + 1)} - known.keys()):
-            why = "is blank, and each line is a frame; for none write nan,nan,nan,nan"
-            raise InputError(f"{path}:{min(blank)}: {why}")
-        return cls(path, [*known.values()], [*known])
+            raise InputError(f"{path}:{min(blank)}: is blank, and a line is a frame; for none write nan,nan,nan,nan")
+        return cls(path, np.array([*known.values()], object), np.array([*known]))
 
     def __len__(self) -> int:
         return len(self.texts)
 
+    @cached_property
+    def cells(self) -> list[list[str]]:
+        """What stands between commas where there are some, else between tabs or blanks."""
+        between = "," if any("," in text for text in self.texts) else None
+        return [[cell.strip() for cell in text.split(between)] for text in self.texts]
+
     def take(self, rows: Any) -> Lines:
         """These rows: indices, a mask or a slice."""
-        at = np.arange(len(self))[rows].tolist()
-        return Lines(self.path, [self.texts[i] for i in at], [self.places[i] for i in at])
+        return Lines(self.path, self.texts[rows], self.places[rows])
 
     def error(self, row: int, why: str) -> InputError:
         """What is wrong with a line."""
@@ -207,10 +211,8 @@ class Lines:
 
         InputError with the line of what is not `wanted`.
         """
-        between, width = delimiter(self.texts), counts[-1]
-        rows = [[cell.strip() for cell in text.split(between)] for text in self.texts]
-        which = range(width) if use is None else use
-        rows = [[row[k] for k in which if k < len(row)] if len(row) in counts else ["?"] for row in rows]
+        which = use or range(counts[-1])
+        rows = [[row[k] for k in which if k < len(row)] if len(row) in counts else ["?"] for row in self.cells]
         why = f"is no line of {wanted}; write numbers with a point, and one kind of comma, tab or blank between them"
         self.refuse([not all(map(_NUMBER.fullmatch, row)) for row in rows], why)
         cells = [float(cell or "nan") for row in rows for cell in row + ["nan"] * (len(which) - len(row))]
@@ -231,8 +233,8 @@ class Lines:
         state = np.broadcast_to(status, len(frame)).astype("<U8")
         absent = (state == "absent") | np.isnan(ltwh).all(axis=1) | (ltwh[:, 2:] == 0).all(axis=1)
         fine = (np.abs(ltwh) <= MAX_PIXELS).all(axis=1) & (ltwh[:, 2:] > 0).all(axis=1)
-        why = "is no box: left, top, a width and a height above 0, none farther out than any image; four times nan or 0"
-        self.refuse(~fine & ~absent, f"{why} say that there is none")
+        why = "is no box: left, top, a width and a height above 0, within any image; four times nan or 0 for none"
+        self.refuse(~fine & ~absent, why)
         left, top, w, h = np.where(absent[:, None], np.nan, ltwh).T
         place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h}
         targets, which = np.unique(np.broadcast_to(ids, len(frame)), return_inverse=True)
@@ -255,9 +257,9 @@ def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
         raise lines.error(0, "has target and part, with which x, y are centres; read it as facetrack's own table")
     if missing := ", ".join(name for name in BOX_COLUMNS if name not in names):
         raise lines.error(0, f"is a header without {missing}; it should read frame,x,y,w,h")
-    if len(lines) == 1:
-        raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
     lines = lines.take(slice(1, None))
+    if not len(lines):
+        raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
     values = lines.numbers(",".join(names), len(names), use=[names.index(name) for name in BOX_COLUMNS])
     frame = lines.whole(values[:, 0], "frame", 0)
     return lines.boxes(frame + shift, values[:, 1:], header={"read_as": "boxes: frame,x,y,w,h, all from 0"})
@@ -281,8 +283,7 @@ def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
         if file.is_file():
             labels = Lines.of(file, by_frame=True).numbers("one number", 1)[:, 0]
             if len(labels) != len(lines):
-                why = "they belong to different clips: move one away"
-                raise InputError(f"{file}: has {len(labels)} lines, {path.name} beside it {len(lines)}; {why}")
+                raise InputError(f"{file}: has {len(labels)} lines, {path.name} beside it {len(lines)}; move one away")
             status[((labels == 0) == (name == "cover")) & ~gone] = means
     header = {"read_as": f"GOT-10k text: {LTWH} a line, pixels from 1, and .label files that lie beside it"}
     return lines.boxes(np.arange(len(lines)) + shift, ltwh, status=status, header=header)
@@ -292,7 +293,7 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
     """VOT ground truth or results; line i, from 0, is frame i + `shift`. Polygons are the rows' `corners`."""
     lines = Lines.of(path, by_frame=True)
     values = lines.numbers(f"{REGION} (masks and other polygons are not read)", 1, 4, 8)
-    count = np.array([len(text.split(delimiter(lines.texts))) for text in lines.texts])[:, None]
+    count = np.array([*map(len, lines.cells)])[:, None]
     codes = np.where(count == 1, np.nan_to_num(values), np.nan)[:, 0]
     polygons, boxes = (np.where(count == n, values[:, :n], np.nan) for n in (8, 4))
     known = np.isnan(polygons).all(axis=1) | (np.abs(polygons) <= MAX_PIXELS).all(axis=1)
@@ -316,20 +317,11 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
 
     Parameters
     ----------
-    path : the file, whose frames, ids and pixels are counted from 1.
-    shift : is added to every frame number, once it is counted from 0.
+    path, shift : as of all readers (`formats.load`).
     results : whether column 7 is a confidence, and not a flag; None looks at its values.
-
-    Returns
-    -------
-    Trajectory : a target for each id, with the part `box`, in pixels from 0.
-
-    Raises
-    ------
-    InputError : with the line, for what cannot be read; where no row counts, or the classes do not say which.
     """
     lines = Lines.of(path)
-    count = len(lines.texts[0].split(delimiter(lines.texts)))
+    count = len(lines.cells[0])
     if count not in MOT_COLUMNS:
         raise lines.error(0, f"has {count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}")
     values = np.full((len(lines), 10), np.nan)
@@ -396,16 +388,13 @@ def _points(path: Path) -> Array:
 
 
 def write_otb(part: Trajectory, unknown: str = "nan,nan,nan,nan") -> str:
-    """A box a line, pixels from 1, at most 4 decimals: `read_otb` with the first frame as `shift` gives it back.
+    """A box a line from the first frame on, as in OTB's own files of clips that begin late (David at frame 300).
 
-    The format has no frame numbers: line 1 is the series' first frame, as in OTB's own files of clips that begin late
-    (David at frame 300). A place that is not known is the line `unknown`. Raises InputError for a gap between frames,
-    or a row with a place and no size.
+    `unknown` is the line of a place that is not known. InputError for a gap between frames, and a place without a size.
     """
     if (gaps := np.flatnonzero(np.diff(part.frame) != 1)).size:
-        between = f"no row between frames {part.frame[gaps[0]]} and {part.frame[gaps[0] + 1]}"
-        why = "a format without frame numbers has no room for a gap; export to mot or vot"
-        raise InputError(f"{part.name}: {between}, and {why}")
+        first, then = part.frame[gaps[0] : gaps[0] + 2]
+        raise InputError(f"{part.name}: no row between frames {first} and {then}, which has no room; export to vot")
     return "".join(f"{region or unknown}\n" for region in _regions(part, FROM_ONE))
 
 
@@ -415,11 +404,10 @@ def write_got10k(part: Trajectory) -> str:
 
 
 def write_vot(part: Trajectory) -> str:
-    """A result of vot-toolkit from frame 0 on: 1 in the first frame of the series, then a region a line, 4 decimals.
+    """A result from frame 0 on: 1 in the first frame of the series, then a region a line, a polygon where there is one.
 
-    Frames before the first and in gaps are 0, a place that is not known is 2. Rows with corners are polygons.
-    `read_vot` gives all rows back but for the place in the first frame. Raises InputError for a row with a place and no
-    size, and for a frame below 0.
+    Frames before the first and in gaps are 0, a place that is not known is 2. InputError for a place without a size,
+    and for a frame below 0.
     """
     first, last = int(part.frame[0]), int(part.frame[-1])
     if first < 0 or last >= MAX_ROWS:
@@ -434,13 +422,11 @@ def write_vot(part: Trajectory) -> str:
 
 
 def write_mot(parts: Sequence[Trajectory]) -> str:
-    """Results or ground truth of MOTChallenge, sorted by frame, at most 4 decimals.
+    """Results or ground truth of MOTChallenge, sorted by frame, without rows that have no place.
 
     Ground truth, as its statuses say, has nine values: flag and class 1, and visibility, 0 of hidden rows. Results have
-    ten: a conf, -1 where not known, then class and visibility as well, which readers look for there, and -1.
-    A series is an id: its target's name if all are numbers and differ, else 1, 2, ... in their order. Rows without a
-    place are left out, which is how the format says that nothing was found. `read_mot(..., results=True)` gives the
-    rest back. Raises InputError for a row with a place and no size.
+    ten: a conf, -1 where not known, then class and visibility as well, which readers look for there, and -1. A series
+    is an id: its target's name if all are numbers and differ, else 1, 2, ... InputError for a place without a size.
     """
     idents = [int(part.target) if part.target.isascii() and part.target.isdigit() else 0 for part in parts]
     if 0 in idents or len(set(idents)) < len(idents):

@@ -1,42 +1,57 @@
-"""Tables of rows, head poses, measures and events; events also as subtitles, a TextGrid and a BORIS 8 project.
+"""Tables for other programs: of rows, head poses, measures, events; and points as COCO, DeepLabCut and OpenFace have.
 
 Tables keep the conventions of trajectory.csv: frames and pixels from 0, x and y the centre, "" what is not known. Where
 a row is a frame there is one for each of `every_frame`, since readers count them. Times of events are seconds in the
 clip; an event ends when the frame after its last one begins.
 
-In BORIS a clip is an observation, a tier a behaviour, an event two rows, its begin and its end, with the value as
+BORIS 8: a clip is an observation, a tier a behaviour, an event two rows, its begin and its end, with the value as
 modifier of both; rows stand in the order of time. A subject that is not declared would not be shown.
 
-Also a trajectory as data frames of pandas, as a dataset of xarray, and as notebooks show it.
+COCO (cocodataset.org/#format-data): a target of one part called `box` is a plain detection.
+
+- `id` of an image is the frame + 1, since an id of 0 misleads COCO's own evaluation; `frame_id` is the 0-based frame.
+- Visibility v of a keypoint: 2 tracked (or visible in truth), 1 lost (or hidden): the place is the tracker's estimate;
+  0 not known, at 0, 0. A target without any known part has no annotation in that image.
+- `score` is the confidence (the mean over the parts; 1 where not known), so that `loadRes(annotations)` reads them as
+  results too; `keypoint_scores` are the parts' own; `track_id` counts the targets from 1.
+- COCO's keypoints are indices of pixels: a pixel's centre is a whole number, as here (Detectron2 adds 0.5). COCO's
+  boxes are measured from the image's corner: a box over the first ten columns is 0 to 10, left 0 and width 10, which
+  are the same numbers as here. So nothing is shifted.
+
+DeepLabCut's CSV and HDF5: whole numbers are pixel centres too; a part `box` is the centre of a box, whose size has no
+room.
+
+OpenFace 2's FeatureExtraction (Baltrusaitis et al., FG 2018; its wiki page "Output Format"), as docs/export.md says:
+
+- `timestamp` in seconds; `success` is 1 where all landmarks of the face are seen. All places are written, as OpenFace
+  does; `confidence` is the mean over the parts. Nothing is interpolated.
+- `pose_R` in radians: pitch, yaw, roll of R = R_x R_y R_z in the camera's axes. `pose_T` in millimetres: the middle
+  between the eyes of a generic head (63 mm apart), which OpenFace has near the middle of the face, by OpenFace's own
+  guess of a camera: a focal length of the mean of 500 width / 640 and 500 height / 480, through the image's centre.
 """
 
 from __future__ import annotations
 
-import html
-from collections import Counter
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from functools import partial
 from html import escape
+from itertools import pairwise, product
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, UsageError, needed
-from facetrack_cli.core.face_points import POINTS
+from facetrack_cli.core.errors import InputError, needed
+from facetrack_cli.core.face_points import LINES, MESH, POINTS
 from facetrack_cli.core.numbers import csv_text, dumps
 from facetrack_cli.core.types import BOX, Array, Whole
-from facetrack_cli.trajectory.face_events import FaceEvent, events_of
-from facetrack_cli.trajectory.head import SHAPE, head_pose
-from facetrack_cli.trajectory.measures import HAND_MEASURES, MEASURES, Measured
+from facetrack_cli.trajectory.head import SHAPE, euler, head_pose, rotation_of
+from facetrack_cli.trajectory.measures import HAND_MEASURES, MEASURES, Measured, events_of
 from facetrack_cli.trajectory.reader import clip_of
-from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned, header_value
-from facetrack_cli.trajectory.views import every_frame, frame_milliseconds
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-    from xarray import Dataset
+from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned, header_value, joined, places
+from facetrack_cli.trajectory.views import Around, enclose, every_frame, frame_milliseconds, mean
 
 WIDE = ("x", "y", "w", "h", "confidence", "status")
 STD = ("", "_std", "_noise")
@@ -108,16 +123,15 @@ def write_measures(clips: Sequence[Clip], many: bool = False) -> str:
     names_known = {name for targets in measures for measured in targets.values() for name in measured}
     names = [measure.name for measure in (*MEASURES, *HAND_MEASURES) if measure.name in names_known]
     if not names:
-        face = f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or its eyes"
-        raise InputError(f"{face}, or hands beside the box of a head")
+        raise InputError(f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or eyes, or hands")
     lines: list[list[Any]] = []
     for clip, targets in zip(clips, measures, strict=True):
         frames, times = timed(clip.table)
         cells = [_measured(measured, names, frames).tolist() for measured in targets.values()]
         for frame, time, *rows in zip(frames.tolist(), times.tolist(), *cells, strict=True):
-            begin = [*([clip.name] if many else []), frame, time]
+            begin = [clip.name, frame, time][not many :]
             lines += ([*begin, target, *row] for target, row in zip(targets, rows, strict=True))
-    first = [*(["clip"] if many else []), "frame", "time_s", "target"]
+    first = ["clip", "frame", "time_s", "target"][not many :]
     return csv_text([*first, *(name + end for name in names for end in STD)], lines)
 
 
@@ -164,7 +178,7 @@ def write_subtitles(table: Trajectory, form: str) -> str:
     for n, (begin, end, e) in enumerate((span for span in spans if span[1] > span[0]), 1):
         who = f"{e.target}: " if several and e.target else ""
         text = f"{who}{e.tier.replace('_', ' ')}: {e.value}"
-        text = html.escape(text, quote=False) if form == "vtt" else text
+        text = escape(text, quote=False) if form == "vtt" else text
         texts.append(f"{n}\n{_clock(begin, form)} --> {_clock(end, form)}\n{text}")
     return "\n\n".join(texts) + "\n"
 
@@ -189,9 +203,8 @@ def write_textgrid(table: Trajectory) -> str:
     ]
     if not kinds:
         raise InputError("has no points or hands that tell an event; a TextGrid needs a tier")
-    end = max(
-        [frame_milliseconds(table)[1][int(table.frames[-1])] / 1000, *(e.end_s for _, events in kinds for e in events)]
-    )
+    last = frame_milliseconds(table)[1][int(table.frames[-1])] / 1000
+    end = max([last, *(e.end_s for _, events in kinds for e in events)])
     lines = ['File type = "ooTextFile"', 'Object class = "TextGrid"', "", "xmin = 0", f"xmax = {end:.6f}"]
     lines += ["tiers? <exists>", f"size = {len(kinds)}", "item []:"]
     for n, (name, events) in enumerate(kinds, 1):
@@ -247,96 +260,154 @@ def write_boris(clips: Sequence[Clip], written: datetime) -> str:
     })  # fmt: skip
 
 
-_WIDTH, _HEIGHT, _MEANS = 160, 24, 80  # of a line of confidence: pixels, and means that it shows
+EDGES = (("nose", "lip_upper"), *(edge for line in LINES for edge in pairwise(line)))
+"""How the points of a face hang together; other parts are drawn without lines."""
+IN_MESH: Final = (
+    127, 234, 93, 132, 172, 136, 150, 176, 152, 400, 379, 365, 397, 361, 323, 454, 356,  # jaw
+    70, 63, 105, 66, 107, 336, 296, 334, 293, 300,  # brows
+    168, 197, 5, 1, 98, 97, 2, 326, 327,  # nose
+    33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380,  # eyes
+    61, 39, 37, 0, 267, 269, 291, 321, 314, 17, 84, 91,  # lips, outer border
+    78, 82, 13, 312, 308, 317, 14, 87,  # inner border
+)  # fmt: skip
+"""The point of MediaPipe's mesh for each of the 68, from iBUG's mean face beside MediaPipe's canonical face; much as in
+github.com/PeizhiYan/Mediapipe_2_Dlib_Landmarks, which takes the mean of two points for some of the 68."""
+COUNT: Final = len(IN_MESH)
+_NAMES: Final = {number: name for name, number in MESH.items()}
+LANDMARKS: Final = {_NAMES.get(number, f"mesh_{number}"): i for i, number in enumerate(IN_MESH)} | {
+    f"point_{i + 1:02d}": i for i in range(COUNT)
+}
+"""The number of each part: a point of the face, another point of the mesh, or a point as .pts files are read."""
+OPENFACE: Final = (
+    "frame", "face_id", "timestamp", "confidence", "success",
+    *(f"pose_{what}{axis}" for what in "TR" for axis in "xyz"), *(f"{axis}_{i}" for axis in "xy" for i in range(COUNT)),
+)  # fmt: skip
 
 
-def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"], *, measures: bool) -> DataFrame:
-    """As `Trajectory.to_pandas` says."""
-    if what not in ("rows", "measures", "events"):
-        raise UsageError(f"{what!r} is no table; give rows, measures or events")
-    with needed("data frames", "pandas", "pandas"):
-        import pandas
-
-    if what == "events":
-        return pandas.DataFrame(table.events, columns=FaceEvent._fields)
-    measured = table.measures if measures or what == "measures" else {}
-    each = [(target, name, line) for target, by_name in measured.items() for name, line in by_name.items()]
-    if what == "rows":
-        rows = pandas.DataFrame(table.columns())
-        for target, name, line in each:
-            here = rows.target == target
-            rows.loc[here, name] = rows.frame[here].map(dict(zip(line.frame, line.value, strict=True)))
-        return rows
-    names = ("frame", "time_s", "value", "std", "noise")
-    frames = [
-        pandas.DataFrame({"target": target, "measure": name, "unit": line.unit, **{k: getattr(line, k) for k in names}})
-        for target, name, line in each
-    ]
-    if not frames:
-        return pandas.DataFrame(columns=["target", "measure", *names])
-    return pandas.concat(frames, ignore_index=True)
-
-
-def dataset(table: Trajectory) -> Dataset:
-    """As `Trajectory.to_xarray` says."""
-    with needed("datasets", "xarray", "xarray"):
-        import xarray
-
-    timed = np.isfinite(table.times)
-    if not timed.any():
-        raise InputError("no row has a time_s, and a dataset needs times; fill that column")
-    frames = np.arange(table.frames[0], table.frames[-1] + 1)
-    time_s = np.interp(frames, table.frames[timed], table.times[timed])
-    parts, values = places(table, frames)
-    fps = header_value(table, "source", "fps")
-    about: dict[str, Any] = {"source_software": "facetrack", "ds_type": "poses", "time_unit": "seconds"}
-    if fps is not None or len(frames) > 1:
-        about["fps"] = round(1 / float(np.median(np.diff(time_s))), 6) if fps is None else fps
-    return xarray.Dataset(
-        {
-            "position": (("time", "space", "keypoints", "individuals"), values[..., :2].transpose(0, 3, 2, 1)),
-            "confidence": (("time", "keypoints", "individuals"), values[..., 2].transpose(0, 2, 1)),
-        },
-        {
-            "time": time_s,
-            "space": ["x", "y"],
-            "keypoints": parts,
-            "individuals": [target or "target" for target in table.targets],
-            "frame": ("time", frames),
-        },
-        about,
-    )
-
-
-def places(table: Trajectory, frames: Whole) -> tuple[list[str], Array]:
-    """The names of the parts, and (T, targets, parts, 3) x, y and confidence: each target has all parts, or nan."""
-    targets, parts = table.targets, list(dict.fromkeys(part for _, part in table.names))
-    values = np.full((len(frames), len(targets), len(parts), 3), np.nan)
-    at = np.array([(targets.index(target), parts.index(part)) for target, part in table.names]).T
-    _, columns = aligned(table.parts, "x", "y", "confidence", frame=frames)
-    values[:, at[0], at[1]] = np.stack([*columns.values()], axis=2)
-    return parts, values
-
-
-def html_table(table: Trajectory) -> str:
-    """A small table: of each target its parts, frames, the share of rows that are seen, its events, and confidence."""
-    events = Counter((event.target, event.value) for event in table.events)
-    lines = []
-    for target in table.targets:
+def write_coco(
+    table: Trajectory, size: tuple[int, int], file_name: Callable[[int], str], around: Around = "windows"
+) -> str:
+    """The JSON text for images of `size` (width, height), named `file_name(frame)`. InputError as of `enclose`."""
+    categories, annotations = [], list[dict[str, Any]]()
+    for ident, target in enumerate(table.targets, 1):
         parts = table.of_target(target)
-        seen = np.concatenate([np.isin(part.status, SEEN) for part in parts])
-        said = ", ".join(f"{n} {value}" for (of, value), n in sorted(events.items()) if of == target)
-        share = f"{seen.mean():.0%}" if seen.size else ""
-        cells = target or "-", len(parts), len(parts[0]), share, said, _confidence_line(parts[0].confidence)
-        lines.append("<tr>" + "".join(f"<td>{td if i == 5 else escape(str(td))}</td>" for i, td in enumerate(cells)))
-    heads = "".join(f"<th>{head}" for head in ("target", "parts", "frames", "seen", "events", "confidence"))
-    return f"<table><tr>{heads}{''.join(lines)}</table>"
+        points = tuple(part for part in parts if part.part != BOX)
+        names = [part.part for part in points]
+        # COCO counts the ends of a skeleton's edges from 1
+        skeleton = [[names.index(a) + 1, names.index(b) + 1] for a, b in EDGES if a in names and b in names]
+        about = {"keypoints": names, "skeleton": skeleton} if names else {}
+        categories.append({"id": ident, "name": target or "target", "supercategory": "", **about})
+        box, zeros, rows = enclose(parts, around), [0] * len(points), dict[int, dict[str, Any]]()
+        for frame, ltwh, sure in zip(box.frame.tolist(), box.boxes.tolist(), box.confidence.tolist(), strict=True):
+            if math.isfinite(sum(ltwh)):
+                whose = {"id": 0, "image_id": frame + 1, "category_id": ident, "track_id": ident}
+                place = {"bbox": [round(value, 3) for value in ltwh], "area": round(ltwh[2] * ltwh[3], 3), "iscrowd": 0}
+                rows[frame] = {**whose, **place, "score": sure if math.isfinite(sure) else 1.0}
+                if points:
+                    rows[frame] |= {"num_keypoints": 0, "keypoints": zeros * 3, "keypoint_scores": list(zeros)}
+        for k, part in enumerate(points):
+            flags = np.where(np.isin(part.status, SEEN), 2, 1).tolist()
+            columns = (part.frame.tolist(), part.x.tolist(), part.y.tolist(), flags, part.confidence.tolist())
+            for frame, x, y, flag, sure in zip(*columns, strict=True):
+                if frame in rows and math.isfinite(x) and math.isfinite(y):
+                    row = rows[frame]
+                    row["keypoints"][3 * k : 3 * k + 3] = [round(x, 3), round(y, 3), flag]
+                    row["keypoint_scores"][k] = sure if math.isfinite(sure) else 1.0
+                    row["num_keypoints"] += 1
+        annotations += rows.values()
+    annotations.sort(key=lambda annotation: (annotation["image_id"], annotation["category_id"]))
+    for ident, one in enumerate(annotations, 1):
+        one["id"] = ident
+    sides, frames = {"width": size[0], "height": size[1]}, table.frames.tolist()
+    images = [{"id": n + 1, "file_name": file_name(n), **sides, "frame_id": n} for n in frames]
+    groups = {"images": images, "annotations": annotations, "categories": categories}
+    info = {"description": f"Tracked by facetrack: {table.path.name}", "version": "1.0"}
+    # a line for each image and annotation: large files stay readable, and can be compared
+    lists = ",\n".join(f"{dumps(name)}: [\n" + ",\n".join(map(dumps, rows)) + "\n]" for name, rows in groups.items())
+    return f'{{\n"info": {dumps(info)},\n"licenses": [],\n{lists}\n}}\n'
 
 
-def _confidence_line(values: Array) -> str:
-    """Values from 0 to 1 over time as a picture."""
-    means = [float(share.mean()) for share in np.array_split(np.nan_to_num(values), _MEANS) if len(share)]
-    x = np.linspace(0, _WIDTH, len(means)).tolist()
-    points = " ".join(f"{a:.1f},{_HEIGHT - 1 - v * (_HEIGHT - 2):.1f}" for a, v in zip(x, means, strict=True))
-    line = f'<polyline points="{points}" fill="none" stroke="currentColor"/>'
-    return f'<svg width="{_WIDTH}" height="{_HEIGHT}" role="img" aria-label="confidence over time">{line}</svg>'
+def write_dlc(table: Trajectory, scorer: str = "facetrack") -> str:
+    """The text of the CSV. `scorer` names what tracked."""
+    names, columns, frames, values = _dlc(table, scorer)
+    cells = np.stack([texts(values[..., i], DECIMALS[name]) for i, name in enumerate(("x", "y", "confidence"))], axis=2)
+    if not np.isfinite(values[0]).any():
+        cells[0] = "nan"  # pandas takes an empty first row for the name of the index, and every frame moves by one
+    rows = zip(frames.tolist(), cells.reshape(len(frames), -1).tolist(), strict=True)
+    heads = [[name, *level] for name, level in zip(names, zip(*columns, strict=True), strict=True)]
+    return csv_text(heads[0], [*heads[1:], *([frame, *row] for frame, row in rows)])
+
+
+def write_dlc_h5(table: Trajectory, scorer: str = "facetrack") -> bytes:
+    """The HDF5 file: the same as a data frame, under DeepLabCut's key, without the time of writing.
+
+    UsageError without pandas and PyTables, InputError for more columns than such a table has room for.
+    """
+    with needed("DeepLabCut's HDF5 files", "pandas", "pandas"):
+        import pandas
+        from tables.exceptions import HDF5ExtError
+    names, columns, frames, values = _dlc(table, scorer)
+    head = pandas.MultiIndex.from_tuples(columns, names=names)
+    frame = pandas.DataFrame(values.reshape(len(frames), -1), index=frames, columns=head)
+    in_memory: dict[str, Any] = {"driver": "H5FD_CORE", "driver_core_backing_store": 0}
+    with pandas.HDFStore("track.h5", mode="w", **in_memory) as store:
+        try:
+            store.put("df_with_missing", frame, format="table", index=False, track_times=False)
+        except HDF5ExtError:
+            why = f"HDF5 has no room for the names of {len(columns)} columns"
+            raise InputError(f"{why}; choose a target with --target, or export to dlc") from None
+        # readers before pandas 3, as DeepLabCut has, find no values without what pandas 3.1 no longer writes
+        store.get_storer("df_with_missing").attrs.pandas_version = "0.15.2"
+        store.flush()
+        image: bytes = store._handle.get_file_image()
+    return image
+
+
+def _dlc(table: Trajectory, scorer: str) -> tuple[list[str], list[tuple[str, ...]], Whole, Array]:
+    """The names of the header's levels, its columns, T frames, and (T, K, 3) values: x, y, likelihood.
+
+    Readers take the columns for individuals x body parts: each individual has all parts, empty where it has none.
+    """
+    several, (frames, _) = len(table.targets) > 1, every_frame(table)
+    parts, values = places(table, frames)
+    values[~np.isfinite(values[..., :2]).all(axis=3)] = np.nan
+    names = ["scorer", *(["individuals"] if several else []), "bodyparts", "coords"]
+    individuals = [(scorer, target) if several else (scorer,) for target in table.targets]
+    columns = [(*one, part, coord) for one, part, coord in product(individuals, parts, ("x", "y", "likelihood"))]
+    return names, columns, frames, values.reshape(len(frames), -1, 3)
+
+
+def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
+    """The text for images of `size` (width, height), None if that is not known. InputError without any landmark."""
+    rows: list[tuple[int, int, list[Any]]] = []
+    shown = size and (size[0] * table.pixel_aspect, size[1])
+    faces = [[part for part in table.of_target(name) if part.part in LANDMARKS] for name in table.targets]
+    for ident, parts in enumerate(filter(None, faces)):
+        frames, columns = aligned(parts, "x", "y", "confidence", "status")
+        cells = np.full((len(frames), len(OPENFACE)), "", dtype=object)
+        seen = np.isin(columns["status"], SEEN) & np.isfinite(columns["x"] + columns["y"])
+        cells[:, 2] = texts(joined(parts).times, 3)
+        cells[:, 3] = texts(mean(columns["confidence"]), 4)
+        cells[:, 4] = seen.all(axis=1).astype(int)
+        if (pose := head_pose(table.of_target(parts[0].target))) is not None:
+            at = np.searchsorted(frames, pose.frame)
+            there = np.isin(pose.frame, frames)
+            place, rotation = np.full_like(pose.angles, np.nan), np.radians(pose.angles)
+            if shown is not None:
+                focal = (500 * shown[0] / 640 + 500 * shown[1] / 480) / 2
+                off = (pose.origin - (np.array(shown) - 1) / 2) / focal
+                place = np.concatenate([off, np.ones((len(off), 1))], axis=1) * (focal / pose.scale)[:, None]
+                # from the line of sight, along which weak perspective looks, to the camera's axis
+                pitch, yaw = np.arctan2(-off[:, 1], 1), np.arctan2(off[:, 0], np.hypot(1, off[:, 1]))
+                towards = rotation_of(np.stack([pitch, yaw, np.zeros_like(yaw)], axis=1))
+                rotation = euler(towards @ rotation_of(rotation))
+            cells[at[there], 5:8], cells[at[there], 8:11] = texts(place[there], 1), texts(rotation[there], 4)
+        for k, part in enumerate(parts):
+            for first, name in ((11, "x"), (11 + COUNT, "y")):
+                cells[:, first + LANDMARKS[part.part]] = texts(columns[name][:, k], 3)
+        cells[:, 0], cells[:, 1] = frames + 1, ident
+        rows += [(row[0], ident, row) for row in cells.tolist()]
+    if not rows:
+        names = ", ".join(name for name in MESH if name in LANDMARKS)
+        raise InputError(f"no part is one of OpenFace's landmarks, which are {names}, and point_01 to point_68")
+    return csv_text(OPENFACE, [row for *_, row in sorted(rows, key=lambda row: row[:2])])
