@@ -13,7 +13,6 @@ import contextlib
 import hashlib
 import json
 import os
-import stat
 import threading
 import traceback
 from collections.abc import Callable, Sequence
@@ -47,17 +46,15 @@ from facetrack_cli.core.files import (
     temporary_path,
 )
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import Correction
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.run_folder import lease
-from facetrack_cli.trajectory.reader import PEOPLE, corrections_record, is_there, read_table, read_trajectory, table_in
+from facetrack_cli.trajectory.reader import PEOPLE, is_there, read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of, tail
 from facetrack_cli.video.images import listing
 
-BORNE_OUT: Final = 0.95  # share of points; it is said if it is less
 NAME: Final = "run.json"
 VIDEO: Final = "annotated.mp4"
 POSTERIOR: Final = "posterior.npz"
@@ -91,8 +88,7 @@ class Clip(File):
 class Manifest(RunSummary):
     """The contents of run.json. `asked`: a digest of all that was asked for.
 
-    `networks` are those that placed points: `mesh`, or the file that the recipe names; `borne_out` is the share of
-    their points that the other senses bear out, None without one.
+    `networks` are those that placed points: `mesh`, or the file that the recipe names.
     `doubts` is what speaks against the track, `look` the first and last frames to look at, the longest span first.
     `began` and `ended` are UTC; `seconds` is the time between them, in which all but `resumed` frames were tracked. In
     a batch a clip that failed has its `error`.
@@ -104,7 +100,6 @@ class Manifest(RunSummary):
     facetrack: str = __version__
     asked: str = ""
     networks: tuple[str, ...] = ()
-    borne_out: float | None = None
     doubts: str = ""
     look: tuple[tuple[int, int], ...] = ()
     resumed: int = 0
@@ -120,11 +115,8 @@ class Manifest(RunSummary):
 
     @property
     def network(self) -> str:
-        """Which networks placed points, and whether the other senses bear them out; "" without one."""
-        said = f"with the network {' and '.join(map(os.path.basename, self.networks))}" if self.networks else ""
-        if self.borne_out is None or self.borne_out >= BORNE_OUT:
-            return said
-        return f"{said}, but for {1 - self.borne_out:.0%} of its points, which the other senses contradict"
+        """Which networks placed points; "" without one."""
+        return f"with the network {' and '.join(map(os.path.basename, self.networks))}" if self.networks else ""
 
     def record(self) -> dict[str, Any]:
         """The contents as JSON has them. What the tables say of the ending and the clip is not repeated."""
@@ -295,8 +287,8 @@ def trajectory_of(run: Path) -> Path:
     raise InputError(f"{run}: has no trajectory.json, with recipe and clip; {remedy} with --format csv,json")
 
 
-def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: False) -> int:
-    """End what a killed process left in a folder, if nobody writes there; the number of frames that it had tracked.
+def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: False) -> None:
+    """End what a killed process left in a folder, if nobody writes there.
 
     Files half replaced are replaced; tables that were being written become the tables of a run that was stopped.
     """
@@ -304,35 +296,33 @@ def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: Fals
         lease.finish_replacing(folder, lease.left_in(folder))
         if lease.holder(folder) is None:  # else it is at work
             with contextlib.suppress(OutputError, OSError), lease.FolderLease(folder, stopped) as lock:
-                return recover(folder, lock)
-    return 0
+                recover(folder, lock)
 
 
-def recover(folder: Path, lock: lease.FolderLease) -> int:
+def recover(folder: Path, lock: lease.FolderLease) -> None:
     """As `recover_interrupted`, of a folder that is locked."""
-    note, frames = lock.stale_note, 0
+    note = lock.stale_note
     lease.finish_replacing(folder, note)
     with contextlib.suppress(ValueError, InputError):  # a note need not be ours
         run, mark = _adapter().validate_python(note.get("run")), lease.mark_of(note)
         if mark is not None:
-            frames = _end_tables(folder, lock, mark, run)
+            _end_tables(folder, lock, mark, run)
     lock.note({"before": None})
     lease.sweep(folder)
-    return frames
 
 
-def _end_tables(folder: Path, lock: lease.FolderLease, mark: str, run: Manifest) -> int:
-    """Write the whole frames of a killed process's tables again, and run.json; the number of these frames."""
+def _end_tables(folder: Path, lock: lease.FolderLease, mark: str, run: Manifest) -> None:
+    """Write the whole frames of a killed process's tables again, and run.json."""
     check_plain(*(folder / name for name in TABLES))
     parts = {form: temporary_path(folder / f"trajectory.{form}", mark) for form in FORMATS}
     forms = [form for form, part in parts.items() if part.is_file()]
     if not forms:
-        return 0
+        return
     first = forms[-1]  # JSON also has the header, and its lines are the last of the three to be written
     text, frames = _whole_frames(first, read_bounded(parts[first], MAX_TABLE_BYTES))
     before = read_manifest(folder)
     if not frames or (before is not None and before.asked == run.asked and before.frames >= frames):
-        return 0
+        return
     torn = temporary_path(folder / f"torn.{first}")
     try:
         torn.write_bytes(text)
@@ -347,26 +337,15 @@ def _end_tables(folder: Path, lock: lease.FolderLease, mark: str, run: Manifest)
         commit(lock, folder, files, replace(run, **{name: getattr(ending, name) for name in members}, files={}))
     finally:
         torn.unlink(missing_ok=True)
-    return frames
 
 
-def write_rows(
-    form: Format,
-    write: Callable[[bytes], object],
-    rows: Trajectory,
-    corrections: Sequence[Correction] | None = None,
-) -> None:
-    """Write these rows as a run does, by calls of `write`. `corrections`, if given, replace those in the header."""
+def write_rows(form: Format, write: Callable[[bytes], object], rows: Trajectory) -> None:
+    """Write these rows as a run does, by calls of `write`."""
     head = {key: value for key, value in rows.header.items() if key not in (*FOOTER, "frames_tracked", "type")}
     foot = {key: value for key, value in rows.header.items() if key in FOOTER}
-    ending = RunSummary(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
-    if corrections is not None:
-        init = {key: value for key, value in head["init"].items() if key != "corrections"}
-        head["init"] = {**init, **corrections_record(corrections)}
-        ending.lost_frames = summary_of(rows).lost_frames
     writer = WRITERS[form](BytesSink(write), head)
     writer.write(rows)
-    writer.close(ending)
+    writer.close(RunSummary(**{**foot, "warnings": tuple(foot.get("warnings", ()))}))
 
 
 def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
@@ -418,23 +397,22 @@ def recipe_digest(recipe: Recipe) -> str:
     return hashlib.sha256(dumps([to_dict(recipe), *map(clip_digest, files)]).encode()).hexdigest()
 
 
-class ClipDigest:
+class ClipDigest(threading.Thread):
     """The SHA-256 of a clip, computed in a thread of its own while the clip is tracked; `clip` is the clip without."""
 
     def __init__(self, clip: Path, *, whole: bool = True) -> None:
         """Without `whole` it is not computed: the clip of a chunk is the same for all."""
-        self.clip, self._found, self._stopped = clip_stat(clip), "", not whole
+        super().__init__(name="sha256", daemon=True)
+        self.clip, self._path, self._found, self._stopped = clip_stat(clip), clip, "", not whole
+        self.start()
 
-        def compute() -> None:
-            self._found = clip_digest(clip, lambda: self._stopped)
-
-        self._thread = threading.Thread(target=compute, name="sha256", daemon=True)
-        self._thread.start()
+    def run(self) -> None:
+        self._found = clip_digest(self._path, lambda: self._stopped)
 
     def end(self, *, whole: bool) -> Clip | None:
         """The clip with its checksum, for which it waits if the run is `whole`; None if the clip is gone."""
         self._stopped = not whole
-        self._thread.join()
+        self.join()
         return self.clip and replace(self.clip, sha256=self._found)
 
 
@@ -469,7 +447,5 @@ def _is_as_written(folder: Path, name: str, run: Manifest) -> bool:
     """Whether a file is what its run wrote; of a run that did not end, whose tables are replaced, if its size is."""
     path, of = folder / name, run.files[name]
     with contextlib.suppress(OSError, ValueError):
-        stat_now = path.lstat()
-        if stat.S_ISREG(stat_now.st_mode) and stat_now.st_size == of.bytes:
-            return run.stopped is not None or digest([path]) == of.sha256
+        return path.stat().st_size == of.bytes and (run.stopped is not None or digest([path]) == of.sha256)
     return False

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
 from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.engine.corrected import restored
 from facetrack_cli.engine.loop import track
@@ -23,8 +23,6 @@ from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.shots import Shot
 from facetrack_cli.video.source import brings_rate
-
-MAX_LAG_BYTES = 1 << 30  # of the frames that wait for later ones
 
 
 def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
@@ -53,7 +51,7 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
                 from facetrack_cli.runs.split import join_chunks
 
                 done = join_chunks(into, stop, report)
-    if done.stopped is not None or job.out is None or not isinstance(done.failure, InputError | None):
+    if done.stopped is not None or job.out is None or isinstance(done.failure, OutputError):
         return done
     if done.failure is not None:  # what was tracked of the clip is drawn all the same
         plan = replace(plan, job=replace(job, smooth=False))
@@ -74,7 +72,7 @@ def _finished(plan: Plan, done: Outcome, stop: Stop, looked: Report) -> Outcome:
 
             done.note, done.verdict = name_run(job, stop, looked), ""  # which was of tracks without names
         else:
-            from facetrack_cli.runs.smooth import finish_run
+            from facetrack_cli.runs.finished import finish_run
 
             done.warnings += (*finish_run(job, out, lambda n, of: looked(n, of, f"{what}ing"), stop),)
     except StoppedError:
@@ -108,7 +106,7 @@ def track_clip(into: record.Recorder, stop: Stop, report: Report, looked: Report
     if job.out is not None:
         kept.append(RunMonitor.of(job.recipe, start))
         if job.smooth:
-            from facetrack_cli.runs.smooth import PosteriorWriter
+            from facetrack_cli.runs.finished import PosteriorWriter
 
             kept.append(PosteriorWriter(job.out))
     into.open(kept, start)
@@ -126,10 +124,6 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: record.RunState, 
     """The results of a clip, or of the `shots` of a film, from its start, or where `state` says that it goes on."""
     job = plan.job
     with job.open(state.frame) as source:
-        (width, height), frame_bytes = source.size, 3 * source.size[0] * source.size[1]
-        if job.lag * frame_bytes > MAX_LAG_BYTES:
-            most = f"at most --lag {MAX_LAG_BYTES // frame_bytes} at {width}x{height}, or take --smooth"
-            raise UsageError(f"{job.clip}: {job.lag} frames of this size take too much memory; {most}")
         clip, more = record.ClipFacts.of(job.clip, source), {"shots": [list(shot) for shot in shots]} if shots else {}
         asked = frames_of(source, state.frame, job.origin(start))
 

@@ -90,7 +90,7 @@ def follow(
 
     Raises InputError for images that are none, or no start in the first of them.
     """
-    came: dict[int, float] = {}
+    came, count = dict[int, float](), 0
 
     def dated(coming: Iterator[tuple[float, Image | Frame]]) -> Iterator[tuple[float, Image]]:
         began = None
@@ -99,7 +99,6 @@ def follow(
             own = image.time_s if isinstance(image, Frame) else math.nan
             yield now - began if math.isnan(own) else own, image.bgr if isinstance(image, Frame) else image
 
-    count = 0
     try:
         timed = ((time.monotonic(), image) for image in images)  # as it comes: it waits for those before it
         with decoded_ahead(timed, most=1, stopped=stopped) as coming:
@@ -107,8 +106,7 @@ def follow(
             results = Tracker(recipe, init=init)._follow(frames) if cast is None else cast.follow(frames, recipe)
             for result in results:
                 at = came[result.frame.index]
-                for index in [index for index in came if index <= result.frame.index]:
-                    del came[index]
+                came = {index: now for index, now in came.items() if index > result.frame.index}
                 nobody = f'"frame":{result.frame.index},"time_s":{result.frame.time_s:.4f},"targets":[]'
                 line = [f'"age_s":{time.monotonic() - at:.4f}', next(json_frames(result.rows), nobody)]
                 if cast is not None:

@@ -17,9 +17,9 @@ from facetrack_cli.core.types import BOX, Frame, Image
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.run_folder.lease import IN_A_COPY, FolderLease
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, other_clip, read_manifest, read_run
+from facetrack_cli.runs.finished import rewrite
 from facetrack_cli.runs.plan import Job, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
-from facetrack_cli.runs.smooth import rewrite
 from facetrack_cli.start.presence import MAX_FACES
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import (

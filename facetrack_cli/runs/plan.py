@@ -265,8 +265,12 @@ class Split(NamedTuple):
     length: float
     frames: bool
 
+    @property
+    def unit(self) -> str:
+        return "f" if self.frames else "s"
+
     def record(self) -> dict[str, str]:
-        return {"length": f"{self.length:.15g}{'f' if self.frames else 's'}"}
+        return {"length": f"{self.length:.15g}{self.unit}"}
 
 
 @dataclass(frozen=True)
@@ -312,7 +316,7 @@ class Plan:
 
     @property
     def draws(self) -> bool:
-        """Whether the video is drawn while the clip is tracked: of a film the names are known at the end."""
+        """Whether a video is drawn from rows: of a film the names are known at the end."""
         return self.job.video and self.job.out is not None and not self.everyone
 
     @property

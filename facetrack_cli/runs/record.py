@@ -15,7 +15,6 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -27,7 +26,7 @@ import numpy as np
 
 from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.npz import Arrays, Kind, Stored, flatten, restore
+from facetrack_cli.core.npz import Kind, Stored, flatten, restore
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
 from facetrack_cli.engine.loop import TrackState
@@ -99,7 +98,6 @@ class Sink:
     """Takes the results of a run, and writes or counts them. A file is written under the temporary name of `path`."""
 
     path: Path | None = None
-    every = False  # whether it also takes frames without targets, which are none of the run's
     missing: OutputError | None = None  # why there is no file, though all others are whole
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
@@ -109,10 +107,7 @@ class Sink:
         """Take one more frame."""
 
     def mark(self) -> Any:
-        """The state from which `begin` can continue."""
-
-    def sync(self) -> None:
-        """Flush what was written to the disk, before a checkpoint relies on it. Raises OSError."""
+        """The state from which `begin` can continue; what was written until then is on the disk."""
 
     def end(self, done: Outcome) -> None:
         """Called after the last result, before any sink is closed. It may add to the outcome, which tables write."""
@@ -127,7 +122,7 @@ class Sink:
 
 
 class Checkpoints:
-    """The whole state of the run into `out` that `key` tells from all others, kept now and then by a thread of its own.
+    """The whole state of the run into `out` that `key` tells from all others, kept now and then.
 
     The same run again goes on from there. Its rows are byte for byte those of a run that was never ended; its video is
     drawn from them at the end. Trackers of OpenCV do not give their state away, and with a lag rows wait in memory:
@@ -137,8 +132,6 @@ class Checkpoints:
     def __init__(self, out: Path, key: str) -> None:
         self.folder, self._key = out / FOLDER, key
         files.check_plain(self.folder, self.folder / STATE)
-        self._worker = ThreadPoolExecutor(1, "checkpoint")
-        self._ready: tuple[Arrays, Sequence[Callable[[], None]]] | None = None
         self._last_s, self._last_frames = time.monotonic(), 0
 
     def find(self) -> Any:
@@ -156,35 +149,16 @@ class Checkpoints:
                 return KIND.read(self.folder / STATE, make)
         return None
 
-    def is_due(self, frames: int) -> bool:
-        """Whether the run is to be marked after so many frames."""
-        return frames - self._last_frames >= EVERY_FRAMES or time.monotonic() - self._last_s >= EVERY_S
-
-    def mark(self, frames: int, state: Any, steps: Sequence[Callable[[], None]]) -> None:
-        """Keep the `state` after so many frames, once there is one more, since after the last nothing is kept.
-
-        The `steps` come before.
-        """
+    def keep(self, frames: int, state: RunState, sinks: Sequence[Sink]) -> None:
+        """Keep the `state` after so many frames, and the marks of its sinks, if it is time to."""
+        if frames - self._last_frames < EVERY_FRAMES and time.monotonic() - self._last_s < EVERY_S:
+            return
         self._last_s, self._last_frames = time.monotonic(), frames
-        self._ready = {"frames": np.array(frames), **flatten("run", state)}, steps
-
-    def release(self) -> None:
-        """Keep what is marked."""
-        if self._ready is not None:
-            self._worker.submit(self._keep, *self._ready)
-            self._ready = None
-
-    def _keep(self, arrays: Arrays, steps: Sequence[Callable[[], None]]) -> None:
-        # whoever writes what could not be finished says so; without a checkpoint the run goes on all the same
-        with contextlib.suppress(OutputError, OSError):
+        state.sinks = tuple(sink.mark() for sink in sinks)
+        with contextlib.suppress(OutputError, OSError):  # without a checkpoint the run goes on all the same
             self.folder.mkdir(exist_ok=True)
-            for step in steps:
-                step()
-            KIND.write(self.folder / STATE, {"key": np.array(self._key), **arrays})
-
-    def end(self) -> None:
-        """Wait until all is kept."""
-        self._worker.shutdown()
+            arrays = {"key": np.array(self._key), "frames": np.array(frames), **flatten("run", state)}
+            KIND.write(self.folder / STATE, arrays)
 
 
 @dataclass
@@ -269,22 +243,17 @@ class Recorder:
             sink.begin(results.clip, header, mark)
 
     def write(self, result: FrameResult) -> None:
-        """Write one more frame. Without targets it counts in a film; between joined chunks it is only drawn."""
+        """Write one more frame. Without targets, as between joined chunks, it counts in a film alone."""
         self.outcome.warnings = (*self.outcome.warnings, *result.notes)[:_MAX_NOTES]
-        counts = bool(result.targets) or self.plan.everyone
-        for sink in self.sinks:
-            if counts or sink.every:
+        if result.targets or self.plan.everyone:
+            for sink in self.sinks:
                 sink.write(result)
-        if counts:
             self.outcome.count(result.rows)
         self.state.frame = result.frame.index + 1
         if self.lease is not None:
             self.lease.progress(self.outcome.frames, self.total)
-        if self.checkpoints is not None:
-            self.checkpoints.release()
-            if self.state.at.states and self.checkpoints.is_due(self.outcome.frames):
-                self.state.sinks = tuple(sink.mark() for sink in self.sinks)
-                self.checkpoints.mark(self.outcome.frames, self.state, [sink.sync for sink in self.sinks])
+        if self.checkpoints is not None and self.state.at.states:
+            self.checkpoints.keep(self.outcome.frames, self.state, self.sinks)
 
     def record(self, results: Results, stop: Stop, report: Report = silent) -> Outcome:
         """Write the results until they end, also because `stop` says so, or an error.
@@ -328,7 +297,7 @@ class Recorder:
         done.source_sha256 = done.clip.sha256 if done.clip else ""
         errors: list[Exception] = []
         steps: list[Callable[[Outcome], None]] = [sink.end for sink in reversed(self.sinks)]
-        for step in (*steps, self._end_checkpoints, *(sink.close for sink in self.sinks)):
+        for step in (*steps, *(sink.close for sink in self.sinks)):
             try:
                 step(done)
             except Exception as e:
@@ -372,18 +341,12 @@ class Recorder:
         kept = [path for path in (out / CORRECTED, out / UNSAVED) if path.is_file() and os.path.realpath(path) != init]
         done.warnings += (*manifest.outdated(out), *(f"{path}: {said} {path}" for path in kept))
 
-    def _end_checkpoints(self, *_: object) -> None:
-        """Wait until every checkpoint is written."""
-        if self.checkpoints is not None:
-            self.checkpoints.end()
-
     def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
         """Drop what was not closed."""
         with self._opened:
             for sink in self.sinks:
                 with contextlib.suppress(Exception):
                     sink.discard()
-            self._end_checkpoints()
             job = self.plan.job
             if self.lease is not None and job.out is not None and job.batch and isinstance(error, Exception):
                 manifest.note_failure(self.lease, job.out, manifest.Manifest(**self._about), job.clip, error)
@@ -415,7 +378,8 @@ def _versions() -> Mapping[str, str]:
 def outputs(into: Recorder) -> list[Sink]:
     """The video, if one is drawn, and a table of each format that was asked for."""
     job = into.plan.job
-    video = [Video(job, job.out)] if job.out is not None and into.plan.draws else []
+    # of chunks that are joined it is drawn from their rows
+    video = [Video(job, job.out)] if job.out is not None and into.plan.draws and job.split is None else []
     return [*video, *(Table(job.out, form) for form in job.formats)]
 
 
@@ -442,11 +406,9 @@ class Table(Sink):
 
     def mark(self) -> files.Place:
         assert isinstance(self._sink, files.FileSink)
+        with contextlib.suppress(OSError):
+            self._sink.sync()
         return self._sink.place()
-
-    def sync(self) -> None:
-        assert isinstance(self._sink, files.FileSink)
-        self._sink.sync()
 
     def close(self, done: Outcome) -> None:
         self._writer.close(done)
@@ -484,8 +446,6 @@ class Video(Sink):
     from all rows.
     """
 
-    every = True
-
     def __init__(self, job: Job, out: Path) -> None:
         self._job, self._target = job, out / manifest.VIDEO
         self._video: VideoWriter | None = None
@@ -503,7 +463,7 @@ class Video(Sink):
         self._painter = Painter(self._paint, threaded=self._job.threads > 1)
 
     def write(self, result: FrameResult) -> None:
-        if self._painter is not None and all(result.frame.size):  # of joined chunks a frame may be gone
+        if self._painter is not None:
             self._painter.put(result)
 
     def _paint(self, result: FrameResult) -> None:

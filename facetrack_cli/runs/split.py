@@ -14,7 +14,7 @@ import shutil
 from collections.abc import Collection, Generator, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import chain, count
+from itertools import chain, count, product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -26,7 +26,7 @@ from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import Array, Frame, Mask, Start
+from facetrack_cli.core.types import Frame, Mask, Start
 from facetrack_cli.run_folder.manifest import clip_stat, read_manifest, read_run
 from facetrack_cli.run_folder.status import CHUNKS, PLAN, chunk_name
 from facetrack_cli.runs.batch import check_all, run_batch
@@ -36,20 +36,17 @@ from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.record import ClipFacts, Recorder, Results, outputs
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
-from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.trackers.face.detectors import check_parts, detector
 from facetrack_cli.trajectory.reader import InitHeader, to_record
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
 from facetrack_cli.trajectory.views import choose, enclose
-from facetrack_cli.video.decode import read_index
-from facetrack_cli.video.source import FolderSource
 
 OVERLAP_S: Final = 5.0  # of two chunks
 OVERLAP: Final = 0.5  # of the boxes around a target's parts
 SHARE: Final = 0.8  # of the frames that both have, in which they must agree
 TABLE: Final = "trajectory.json"
 _SAME: Final = 0.5  # of those frames, in which tracks of several faces agree if they are of one face
-_NOTHING: Final = np.zeros((0, 0, 3), np.uint8)  # the pixels of a frame that nobody draws
+_NOTHING: Final = np.zeros((0, 0, 3), np.uint8)  # the pixels of a frame; the video is drawn at the end
 
 
 def run_chunks(
@@ -116,7 +113,10 @@ def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
     else:
         start = job.find(job.recipe, stopped=stop, looked=progress.looked)
         _check_detector(job, start)
-    cuts = cut_by_length(start.frame, _times(job, start, stop, progress), job.split, str(job.clip))
+    with job.open(start.frame) as source:
+        if source.frames_hint is None:
+            raise UsageError(f"{job.clip}: does not say how long it is; convert it to MP4, or leave --split out")
+        cuts = cut_by_length(start.frame, start.frame + source.frames_hint, float(source.fps), job.split)
     made = {"key": key, "init": {"from": start.origin, **to_record(start)}, "note": start.note}
     make_folder(folder)
     text = dumps({**made, "cuts": [*cuts[:-1], (cuts[-1][0], job.stop)]})
@@ -126,56 +126,21 @@ def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
 
 def _check_detector(job: Job, start: Start) -> None:
     """UsageError where a detector cannot begin what the clip's start begins."""
-    fix = "or leave --split out"
     if start.corrections:
         raise UsageError(f"{start.origin}: has corrections, which --split does not follow; leave --split out")
     if not job.recipe.points and not job.recipe.followed and start.origin not in DETECTORS:
-        what = f"{job.recipe.name} follows what is in the box of {start.origin}"
-        raise UsageError(f"{job.clip}: {what}, which no detector finds again; begin with --init haar, {fix}")
-    if len(start.targets) > 1 and not job.recipe.followed and job.faces != "all":
-        raise UsageError(f"{start.origin}: has {len(start.targets)} targets, and the search takes one; add --faces all")
-    try:
-        check_parts(job.recipe.points)
-    except InputError as e:
-        raise UsageError(f"{job.clip}: --split: {e}; {fix}") from None
+        what = f"{job.recipe.name} follows what is in the box of {start.origin}, which no detector finds again"
+        raise UsageError(f"{job.clip}: {what}; begin with --init haar, or leave --split out")
+    check_parts(job.recipe.points)
 
 
-def _times(job: Job, start: Start, stop: Stop, progress: Progress) -> Array:
-    """The times (T,) of the clip's frames up to --stop, in s."""
-    with job.open(start.frame) as source:
-        claimed = None if source.frames_hint is None else start.frame + source.frames_hint
-        count, fps = len(source.files) if isinstance(source, FolderSource) else claimed, float(source.fps)
-    if not isinstance(source, FolderSource):
-        index = read_index(job.clip, stop, job.stream)
-        if stop():
-            raise InputError(f"{job.clip}: stopped before it was cut")
-        if index is not None:
-            return index.times[: job.stop]
-        progress.say(f"{job.clip}: its frames cannot be sought: every chunk decodes the clip from its start")
-    if count is None:
-        raise UsageError(f"{job.clip}: does not say how long it is; convert it to MP4, or leave --split out")
-    return np.arange(count)[: job.stop] / fps
-
-
-def cut_by_length(first: int, times: Array, split: Split, clip: str) -> list[tuple[int, int]]:
-    """[first, stop) of chunks of the frames from `first` to the last of `times` (T,), in s; each overlaps the next."""
-    end, steps = len(times), np.diff(times[first:])
-    overlap = OVERLAP_S
-    if split.frames and len(steps):
-        overlap /= float(np.median(steps))
-    if split.length < 2 * overlap:
-        least = f"{round(2 * overlap)}f" if split.frames else f"{2 * overlap:g}s"
-        raise UsageError(f"{clip}: chunks overlap by {OVERLAP_S:g} s; give --split {least} or more")
-    clock = np.arange(end, dtype=np.float64) if split.frames else times
-    begins = [first]
-    while True:
-        wished = clock[begins[-1]] + split.length
-        at = int(np.searchsorted(clock, wished))
-        if at >= end or clock[-1] - wished < 2 * overlap:
-            break
-        begins.append(at)
-    stops = [min(int(np.searchsorted(times, times[begin] + OVERLAP_S)), end) for begin in begins[1:]]
-    return list(zip(begins, [*stops, end], strict=True))
+def cut_by_length(first: int, end: int, fps: float, split: Split) -> list[tuple[int, int]]:
+    """[first, stop) of chunks of the frames from `first` to before the `end`; each overlaps the next. UsageError."""
+    length, overlap = round(split.length if split.frames else split.length * fps), round(OVERLAP_S * fps)
+    if split.length < (least := 2 * overlap if split.frames else 2 * OVERLAP_S):
+        raise UsageError(f"chunks overlap by {OVERLAP_S:g} s; give --split {least:g}{split.unit} or more")
+    begins = [first, *range(first + length, end - 2 * overlap + 1, length)]
+    return list(zip(begins, [*(begin + overlap for begin in begins[1:]), end], strict=True))
 
 
 class ChunkPlan(BaseModel):
@@ -212,31 +177,24 @@ class Seam(NamedTuple):
     agrees: bool
 
 
-class Stitch(NamedTuple):
-    """A seam; `names` are those that targets of the later chunk take, `begun` the targets that begin there."""
-
-    seam: Seam
-    names: dict[str, str]
-    begun: frozenset[str]
-
-
-def stitch(earlier: Trajectory, later: Trajectory, taken: Collection[str], *, matched: bool) -> Stitch:
+def stitch(
+    earlier: Trajectory, later: Trajectory, taken: Collection[str], *, matched: bool
+) -> tuple[Seam, dict[str, str], frozenset[str]]:
     """How the rows of two chunks are stitched, in the middle of the frames that both have.
 
+    With the seam come the names that targets of the later chunk take, and the names of those that begin there.
     `matched`: targets have the names of those that they agree with, others a name that is not `taken`; else names stay.
     """
     both = np.intersect1d(earlier.frames, later.frames)
     if not len(both):
         names = _named(later, {}, taken) if matched else {name: name for name in later.targets}
-        return Stitch(Seam(int(later.frames[0]), None, False), names, frozenset(names.values()))
-    first, stop = int(both[0]), int(both[-1]) + 1
-    a, b = earlier.between(first, stop), later.between(first, stop)
+        return Seam(int(later.frames[0]), None, False), names, frozenset(names.values())
+    a, b = (rows.between(int(both[0]), int(both[-1]) + 1) for rows in (earlier, later))
     shares: dict[tuple[str, str], float] = {}
-    for ours in a.targets:
-        for theirs in b.targets:
-            if matched or ours == theirs:
-                fine = agreeing(choose(a, ours), choose(b, theirs))
-                shares[ours, theirs] = float(fine.mean()) if len(fine) else 0.0
+    for ours, theirs in product(a.targets, b.targets):
+        if matched or ours == theirs:
+            fine = agreeing(choose(a, ours), choose(b, theirs))
+            shares[ours, theirs] = float(fine.mean()) if len(fine) else 0.0
     pairs: dict[str, str] = {}
     for (ours, theirs), share in sorted(shares.items(), key=lambda pair: -pair[1]):
         if ours not in pairs.values() and theirs not in pairs and (share >= _SAME or not matched):
@@ -247,7 +205,7 @@ def stitch(earlier: Trajectory, later: Trajectory, taken: Collection[str], *, ma
     agreement = min((agreements.get(name, 0.0) for name in there), default=0.0)
     names = _named(later, pairs, taken)
     seam = Seam(int(both[len(both) // 2]), round(agreement, 4), agreement >= SHARE)
-    return Stitch(seam, names, frozenset(names[name] for name in later.targets if name not in pairs))
+    return seam, names, frozenset(names[name] for name in later.targets if name not in pairs)
 
 
 def renamed(rows: Trajectory, names: Mapping[str, str]) -> Trajectory:
@@ -389,42 +347,30 @@ def join_chunks(into: Recorder, stop: Stop, report: Report) -> Outcome:
         more = f" (and {len(survey.failed) - 1} more chunks failed)" if len(survey.failed) > 1 else ""
         again = "the same command with --retry-failed tries again"
         error = FacetrackError(f"{job.clip}: {survey.failed[0]}{more}; {again}")
-    with replace(job, stop=survey.parts[-1].stop).open(start.frame) as source:
-        first, clip = survey.parts[0].rows(), ClipFacts.of(job.clip, source)._replace(frames_hint=None)
-        about = {name: first.header[name] for name in ("diagnostics",) if name in first.header}
-        about |= {"split": job.split.record(), "chunks": survey.chunks}
-        about |= {"seams": [seam._asdict() for seam in survey.seams]} if survey.seams else {}
+    first = survey.parts[0].rows()
+    about = {name: first.header[name] for name in ("diagnostics",) if name in first.header}
+    about |= {"split": job.split.record(), "chunks": survey.chunks}
+    about |= {"seams": [seam._asdict() for seam in survey.seams]} if survey.seams else {}
+    with job.open(start.frame) as source:
+        clip = ClipFacts.of(job.clip, source)._replace(frames_hint=None)
 
-        def frames() -> Iterator[Frame]:
-            """Those of the clip, if they are drawn; then, up to the end of the rows, frames without pixels."""
-            index = start.frame
-            if plan.draws:
-                with decoded_ahead(iter(source), threaded=job.threads > 1, stopped=stop) as decoded:
-                    for frame in decoded:
-                        yield frame
-                        index = frame.index + 1
-            for missing in range(index, survey.end):
-                yield Frame(missing, 0.0, _NOTHING)
-
-        def joined() -> Generator[FrameResult, None, None]:
-            rows, later = first, iter(survey.parts[1:])
-            for frame in frames():
-                if stop():
-                    break
-                while frame.index > rows.frames[-1] and (part := next(later, None)) is not None:
-                    rows = part.rows()
-                yield FrameResult(frame, recorded(frame.index, rows.at(frame.index)))
+    def joined() -> Generator[FrameResult, None, None]:
+        rows, later = first, iter(survey.parts[1:])
+        for index in range(start.frame, survey.end):
             if stop():
                 raise StoppedError
+            while index > rows.frames[-1] and (part := next(later, None)) is not None:
+                rows = part.rows()
+            yield FrameResult(Frame(index, 0.0, _NOTHING), recorded(index, rows.at(index)))
 
-        def ended(done: Outcome, whole: bool) -> None:
-            done.complete, done.variable_fps, done.failure = survey.complete, survey.variable, error
-            done.warnings = tuple(survey.warnings)
+    def ended(done: Outcome, whole: bool) -> None:
+        done.complete, done.variable_fps, done.failure = survey.complete, survey.variable, error
+        done.warnings = tuple(survey.warnings)
 
-        monitor = RunMonitor.of(job.recipe, start)
-        monitor.detector = None  # it has looked at the chunks as they were tracked
-        into.open([*outputs(into), monitor])
-        into.outcome.note = start.note
-        done = into.record(Results(clip, start, about, joined(), ended), stop, report)
+    monitor = RunMonitor.of(job.recipe, start)
+    monitor.detector = None  # it has looked at the chunks as they were tracked
+    into.open([*outputs(into), monitor])
+    into.outcome.note = start.note
+    done = into.record(Results(clip, start, about, joined(), ended), stop, report)
     done.frames_per_s = 0.0  # rows were joined, not tracked
     return done

@@ -24,7 +24,7 @@ from facetrack_cli.runs.record import ClipFacts, Sink
 from facetrack_cli.trackers.face.detectors import Detector, detector
 from facetrack_cli.trackers.face.stabilized import BOX as STILL
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity, slope
-from facetrack_cli.trajectory.diagnostics import DOUBTFUL, NAMED, NETWORK
+from facetrack_cli.trajectory.diagnostics import DOUBTFUL, NAMED
 from facetrack_cli.trajectory.trajectory import SEEN, FrameResult, Trajectory, mean_confidence
 from facetrack_cli.trajectory.writers import Header
 
@@ -52,8 +52,6 @@ class RunMonitor(Sink):
     judged: int = 0  # frames with a confidence
     sure: float = 0.0  # the sum of their means
     least: tuple[float, int] = (np.inf, 0)
-    placed: int = 0  # faces of which a network said where the points are
-    borne_out: float = 0.0  # the sum of the shares of its points that the other senses bear out
     lost_frames: int = 0
     hidden_frames: int = 0
     lost: Spans = field(default_factory=list)  # where a part is lost
@@ -76,30 +74,21 @@ class RunMonitor(Sink):
 
     def end(self, done: Outcome) -> None:
         done.verdict, done.doubts, done.look = self.line(), self.doubts(), self.look
-        done.borne_out = round(float(self.borne_out / self.placed), 4) if self.placed else None
         if unseen := self.unseen():
             done.warnings += (unseen,)
 
     def write(self, result: FrameResult) -> None:
         """Take in one more frame, and look at every few."""
-        self.take(result.rows)
-        lost = (result.rows.status == "lost").all()
-        if self.detector is not None and self.frames % EVERY_FRAMES == 0 and not lost:
-            self._look(result, self.detector)
-
-    def take(self, rows: Trajectory) -> None:
-        """Take in the rows of one more frame."""
+        rows = result.rows
         if not len(rows):  # nobody is there
             return
-        for diagnostics in rows.diagnostics.values():
-            if np.isfinite(share := float(diagnostics.get(NETWORK.name)[-1])):
-                self.placed, self.borne_out = self.placed + 1, self.borne_out + share
-        index = int(rows.frame[0])
+        index, gone = int(rows.frame[0]), rows.status == "lost"
         if not self.frames:
             self.first = index, float(rows.time_s[0])
         self.frames += 1
         self.several |= len(rows) > 1
-        gone = rows.status == "lost"
+        if self.detector is not None and self.frames % EVERY_FRAMES == 0 and not gone.all():
+            self._look(result, self.detector)
         if gone.any():
             self.lost_frames += 1
             self.lost = _grown(self.lost, index)

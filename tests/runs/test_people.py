@@ -312,7 +312,7 @@ def test_a_kill_between_two_files_of_a_correction(copy, monkeypatch, after):
         return replace(self, to)
 
     monkeypatch.setattr(Path, "replace", killed)
-    monkeypatch.setattr("facetrack_cli.runs.smooth.discard", lambda path: None)
+    monkeypatch.setattr("facetrack_cli.runs.finished.discard", lambda path: None)
     with pytest.raises(Killed):
         recast(copy, [("a", lambda tracks: rename(tracks, "person_1", "Ann"))], video=False)
     monkeypatch.undo()

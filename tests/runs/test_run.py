@@ -438,14 +438,6 @@ def test_a_part_that_is_lost_at_the_end(run, tmp_path):
     assert run(path, *SMALL, "--no-video", "--fail-on-lost", "-o", "early", "--stop", 8)[0] == 0
 
 
-def test_a_lag_of_more_frames_than_memory_holds(run, clip, monkeypatch):
-    monkeypatch.setattr("facetrack_cli.runs.clip.MAX_LAG_BYTES", 128 * 96 * 3 * 5)
-    code, _, err = run(clip, *SMALL, "--lag", 6)
-    assert code == ExitCode.USAGE and "at most --lag 5 at 128x96" in one_line(err)
-    assert not Path("sway-face").exists()
-    assert run(clip, *SMALL, "--lag", 5)[0] == 0
-
-
 def test_folder_names_are_told_apart_by_where_the_clips_lie(tmp_path):
     def named(*clips):
         return folders([tmp_path / clip for clip in clips], "r")
