@@ -66,7 +66,7 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     if run.video is not None and not video:
         notes.append(f"{run.video}: left as it was, it shows the track of before")
     fixer.saved(rows)
-    return [*(f"{path}: written" for path in written), *notes, *outdated(folder)]
+    return [*(f"{path}: written" for path in written), *notes, *outdated(folder, folder / CORRECTED)]
 
 
 def is_tracked_again(run: Run) -> bool:

@@ -15,7 +15,7 @@ import json
 import os
 import threading
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import chain, groupby, takewhile
@@ -50,7 +50,7 @@ from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.run_folder import lease
-from facetrack_cli.trajectory.reader import PEOPLE, is_there, read_table, read_trajectory, table_in
+from facetrack_cli.trajectory import reader
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of, tail
 from facetrack_cli.video.images import listing
@@ -59,7 +59,7 @@ NAME: Final = "run.json"
 VIDEO: Final = "annotated.mp4"
 POSTERIOR: Final = "posterior.npz"
 FILTERED: Final = "trajectory.filtered.csv"
-OWNED: Final = (VIDEO, POSTERIOR, FILTERED, PEOPLE, *TABLES, NAME)  # the files that a run writes, or replaces
+OWNED: Final = (VIDEO, POSTERIOR, FILTERED, reader.PEOPLE, *TABLES, NAME)  # the files that a run writes, or replaces
 REPORT: Final = "report.html"
 PLOT: Final = "plot.png"
 KILLED: Final = "killed"
@@ -159,13 +159,16 @@ def check_belongs(path: Path) -> None:
         )
 
 
-def outdated(folder: Path) -> list[str]:
-    """A line on the files that report, plot and export made of the track that is replaced now; none without any."""
-    with contextlib.suppress(OSError):
-        there = sorted(path.name for path in folder.iterdir() if path.name not in OWNED)
-        if made := [name for name in there if name in (REPORT, PLOT) or name.startswith("trajectory.")]:
-            return [f"{folder}: older than the track: {', '.join(made)}; make them anew with --overwrite"]
-    return []
+def outdated(folder: Path, init: Path | None) -> Iterator[str]:
+    """A line on the files that report, plot and export made of the track that is replaced now, and on corrections that
+    are not those of its `init` file.
+    """
+    there = sorted(path.name for path in folder.iterdir() if path.name not in OWNED)
+    if made := [name for name in there if name in (REPORT, PLOT) or name.startswith("trajectory.")]:
+        yield f"{folder}: older than the track: {', '.join(made)}; make them anew with --overwrite"
+    for path in (folder / reader.CORRECTED, folder / reader.UNSAVED):
+        if path.is_file() and (init is None or os.path.realpath(path) != os.path.realpath(init)):
+            yield f"{path}: holds corrections that this track does not have; take them with --init {path}"
 
 
 def commit(
@@ -254,37 +257,29 @@ def read_run(path: Path | str) -> Trajectory:
     first. InputError also for a file of another run than run.json beside it.
     """
     check_run(Path(path))
-    return read_trajectory(path)
+    return reader.read_trajectory(path)
 
 
 def check_run(path: Path) -> None:
-    """Recover the folder of a run, or of one of its files. InputError for a file of another run than run.json there."""
+    """Recover the folder of a run, or of one of its files. InputError for a file of another run than run.json there,
+    and for a folder whose first run is not at its end.
+    """
     with reading(path, "name a trajectory or ground-truth file"):
         recover_interrupted(path if path.is_dir() else path.parent)
-        _check_written(path)
-        check_belongs(table_in(path))
-
-
-def _check_written(folder: Path) -> None:
-    """InputError for a folder whose first run is not at its end."""
-    ended = (folder / NAME).is_file() or any(folder.glob("trajectory.*"))
-    if folder.is_dir() and not ended and lease.holder(folder) is not None:
-        raise InputError(
-            f"{folder}: a run is being written here; wait until it ends (facetrack status tells how far it is)"
-        )
+        ended = (path / NAME).is_file() or any(path.glob("trajectory.*"))
+        if path.is_dir() and not ended and lease.holder(path) is not None:
+            how_far = "facetrack status tells how far it is"
+            raise InputError(f"{path}: a run is being written here; wait until it ends ({how_far})")
+        check_belongs(reader.table_in(path))
 
 
 def trajectory_of(run: Path) -> Path:
     """The trajectory of a run's folder that has a header. InputError if there is none."""
-    remedy = "name the folder of a run, which facetrack run wrote"
-    if not run.is_dir():
-        raise InputError(f"{run}: is no folder; {remedy}")
-    recover_interrupted(run)
-    _check_written(run)
-    for form in ("json", "jsonl"):
-        if (path := run / f"trajectory.{form}").is_file():
-            return path
-    raise InputError(f"{run}: has no trajectory.json, with recipe and clip; {remedy} with --format csv,json")
+    check_run(run)
+    if not run.is_dir() or (path := reader.table_in(run)).suffix not in (".json", ".jsonl"):
+        again = "name the folder of a run, which facetrack run wrote with --format csv,json"
+        raise InputError(f"{run}: is no folder with trajectory.json, which has recipe and clip; {again}")
+    return path
 
 
 def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: False) -> None:
@@ -326,7 +321,7 @@ def _end_tables(folder: Path, lock: lease.FolderLease, mark: str, run: Manifest)
     torn = temporary_path(folder / f"torn.{first}")
     try:
         torn.write_bytes(text)
-        rows = read_table(torn)
+        rows = reader.read_table(torn)
         ending = summary_of(rows, complete=False, stopped=KILLED)
         rows = replace(rows, header={**rows.header, **{name: getattr(ending, name) for name in FOOTER}})
         files = [folder / f"trajectory.{form}" for form in forms]
@@ -371,7 +366,7 @@ def previous_run(folder: Path, asked: str, clip: Path) -> tuple[Manifest | None,
 
     Raises InputError for a run.json that is not as we write it.
     """
-    present = read_manifest(folder) if is_there(folder) else None
+    present = read_manifest(folder) if reader.is_there(folder) else None
     if present is None or present.clip is None or present.asked != asked:
         return None, present
     whole = all(_is_as_written(folder, name, present) for name in present.files)
@@ -381,7 +376,7 @@ def previous_run(folder: Path, asked: str, clip: Path) -> tuple[Manifest | None,
 def other_clip(rows: Trajectory, clip: Path) -> str | None:
     """A line if a clip that is there is not, byte for byte, the clip that the rows of a run are of."""
     digest_then, run = rows.header.get("source_sha256"), read_manifest(rows.path.parent)
-    if not isinstance(digest_then, str) or not digest_then or not is_there(clip):
+    if not isinstance(digest_then, str) or not digest_then or not reader.is_there(clip):
         return None
     of_run = run.clip if run is not None and run.clip is not None and run.clip.sha256 == digest_then else None
     if clip_digest(clip) == digest_then if of_run is None else _is_same(of_run, clip):

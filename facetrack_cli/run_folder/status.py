@@ -21,7 +21,6 @@ from facetrack_cli.run_folder.manifest import NAME, Manifest, as_text, read_mani
 State: TypeAlias = Literal["done", "running", "interrupted", "failed", "not begun"]
 _BATCHES: Final = "batch-????????.json"
 CHUNKS: Final = "chunks"  # the folder of them, in that of a run
-PLAN: Final = "plan.json"  # how the clip is cut, beside them
 MAX_ROWS: Final = 20  # of the table of clips to look at
 STATES: Final[tuple[State, ...]] = ("done", "running", "interrupted", "failed", "not begun")
 
@@ -165,7 +164,7 @@ def survey(folder: Path) -> Status:
     with reading(folder):
         if _is_run(folder):
             return Status(folder, (clip_status(folder, ".", ""),))
-        if chunks := _chunks_in(folder):
+        if chunks := sorted(f"{CHUNKS}/{path.name}" for path in (folder / CHUNKS).glob("?????")):
             return Status(folder, tuple(clip_status(folder / name, name, name) for name in chunks), "chunk")
         named = _batches(folder)
         below = folder.iterdir() if folder.is_dir() else ()
@@ -184,14 +183,6 @@ def is_batch(folder: Path) -> bool:
 def chunk_name(chunk: int) -> str:
     """The folder of a chunk, in that of the run."""
     return f"{CHUNKS}/{chunk:05d}"
-
-
-def _chunks_in(folder: Path) -> list[str]:
-    """The names of the chunks of a clip that was split; none where there is no plan of them."""
-    try:
-        return [chunk_name(i) for i, _ in enumerate(json.loads(read_bounded(folder / CHUNKS / PLAN))["cuts"])]
-    except (OSError, InputError, ValueError, LookupError, TypeError):
-        return []
 
 
 def _is_run(folder: Path) -> bool:

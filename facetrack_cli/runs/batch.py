@@ -413,24 +413,17 @@ def _clips(path: Path) -> list[Path]:
             if (path / NAME).exists():
                 raise InputError(f"{path}: is the folder of a run; name the clip that was tracked")
             below = _sorted(sub for sub in path.iterdir() if not sub.name.startswith(".") and sub.is_dir())
-            inside = (clip for folder in below for clip in _of_folder(folder))
-            return _of_folder(path) or [*inside] or [path]
+            return _of_folder(path) or [clip for folder in below for clip in _of_folder(folder)] or [path]
         if re.search(r"[*?\[]", str(path)) and not is_there(path):
-            return _of_glob(path)
+            matches = _sorted(Path(name) for name in glob.glob(str(path), recursive=True))  # noqa: PTH207 -- any parts
+            if not matches:
+                raise InputError(f"{path}: matches no file; check the name")
+            videos = [match for match in matches if not match.is_dir() and not is_image(match)]
+            inside = [match for match in matches if match.is_dir()]
+            return videos + [clip for folder in inside for clip in _of_folder(folder)] if videos or inside else [path]
     except OSError as e:
         raise from_system(e) or InputError(f"{e.filename or path}: {reason(e)}; check the permissions") from e
     return [path]
-
-
-def _of_glob(pattern: Path) -> list[Path]:
-    matches = _sorted(Path(name) for name in glob.glob(str(pattern), recursive=True))  # noqa: PTH207 -- any of its parts
-    if not matches:
-        raise InputError(f"{pattern}: matches no file; check the name")
-    files = [path for path in matches if not path.is_dir()]
-    videos = [path for path in files if not is_image(path)]
-    if not videos and len(files) == len(matches):
-        return [pattern]
-    return videos + [clip for folder in matches if folder.is_dir() for clip in _of_folder(folder)]
 
 
 def _of_folder(folder: Path) -> list[Path]:

@@ -8,6 +8,7 @@ import hashlib
 import math
 import os
 import shlex
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, fields, replace
 from fractions import Fraction
@@ -15,7 +16,7 @@ from functools import partial
 from itertools import islice
 from numbers import Integral
 from pathlib import Path
-from typing import Final, NamedTuple, TypeAlias, get_args
+from typing import Any, Final, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
@@ -127,24 +128,17 @@ class ClipRequest:
             return completed(recipe, start, lambda: self.frame(at, origin), str(self.clip))
         with self.open(at) as source:
             faces: Faces = "all" if recipe.later else self.faces
-            frames = frames_of(source, at, origin, stopped, looked)
-            try:
-                look, clip = detector(self.by), str(self.clip)
-                complete = partial(with_names, recipe, clip)
-                start = search_start(frames, recipe.points, detector=look, faces=faces, clip=clip, complete=complete)
-            except InputError:
-                if stopped():
-                    raise InputError(f"{self.clip}: stopped before a start was found") from None
-                raise
+            frames, clip = frames_of(source, at, origin, stopped, looked), str(self.clip)
+            how: Any = {"faces": faces, "clip": clip, "complete": partial(with_names, recipe, clip)}
+            start = search_start(frames, recipe.points, detector=detector(self.by), **how)
         return self._signer(recipe, start) if recipe.later else start
 
     def _signer(self, recipe: Recipe, start: Start) -> Start:
         """Of a start with several faces that with the largest, or with one whose hands move far more than its hands."""
-        (first, _), *others = start.targets.items()
-        if not others:
-            return start
+        first, moved = next(iter(start.targets)), list[float]()
         starts = [replace(start, targets={first: face}) for face in start.targets.values()]
-        moved = []
+        if len(starts) == 1:
+            return start
         for candidate in starts:
             with self.open(start.frame) as source:
                 tracker = tracker_for(recipe, candidate, source.size)
@@ -154,7 +148,7 @@ class ClipRequest:
         if moved[best] < MIN_MOVED or moved[best] < MOVES_MORE * moved[0]:
             return replace(starts[0], note=start.note.replace(", and ", "; passed over: ", 1))
         wide = f"begins in frame {start.frame} with a face {box_of(starts[best], first)[2]:.0f} pixels wide"
-        note = f"{wide}, whose hands move most, by {start.origin}; passed over: {len(others)} more"
+        note = f"{wide}, whose hands move most, by {start.origin}; passed over: {len(starts) - 1} more"
         return replace(starts[best], note=note)
 
     def origin(self, start: Start | None) -> str:
@@ -222,7 +216,7 @@ def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
     """The first frame of the ground truth in which its targets' boxes, or all these points of them, are visible."""
     for frame, rows in by_frame(truth):
         boxes: dict[str, Box] = {}
-        places: dict[str, dict[str, Point]] = {}
+        places: dict[str, dict[str, Point]] = defaultdict(dict)
         for i in rows:
             target, part = truth.names[truth.which[i]]
             place = tuple(truth.boxes[i].tolist())
@@ -233,7 +227,7 @@ def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
             if len(place) == 4:
                 boxes[target] = place
             elif part in points:
-                places.setdefault(target, {})[part] = place
+                places[target][part] = place
         whole = {target: {p: at[p] for p in points} for target, at in places.items() if len(at) == len(points)}
         if {*boxes, *whole} >= {*truth.targets}:
             targets = {name or "face": TargetStart(boxes.get(name), whole.get(name, {})) for name in truth.targets}

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import platform
 import shutil
 import sys
@@ -32,12 +31,12 @@ from facetrack_cli.core.types import Start
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder import manifest
-from facetrack_cli.run_folder.lease import FolderLease, here, sweep, utc_now
+from facetrack_cli.run_folder.lease import FolderLease, here, utc_now
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.workers import Painter
 from facetrack_cli.trajectory.diagnostics import KNOWN
-from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, to_record
+from facetrack_cli.trajectory.reader import to_record
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, SCHEMA, VERSION, WRITERS, Format, Header
 from facetrack_cli.video.source import Source
@@ -121,46 +120,6 @@ class Sink:
             files.discard(self.path)
 
 
-class Checkpoints:
-    """The whole state of the run into `out` that `key` tells from all others, kept now and then.
-
-    The same run again goes on from there. Its rows are byte for byte those of a run that was never ended; its video is
-    drawn from them at the end. Trackers of OpenCV do not give their state away, and with a lag rows wait in memory:
-    those runs begin from their first frame.
-    """
-
-    def __init__(self, out: Path, key: str) -> None:
-        self.folder, self._key = out / FOLDER, key
-        files.check_plain(self.folder, self.folder / STATE)
-        self._last_s, self._last_frames = time.monotonic(), 0
-
-    def find(self) -> Any:
-        """The last state of this very run; None if none can be read."""
-
-        def make(stored: Stored) -> Any:
-            if stored.text("key") != self._key:
-                return None
-            self._last_frames = int(stored.file["frames"])
-            return restore("run", stored.file)
-
-        if (self.folder / STATE).is_file():
-            sweep(self.folder)
-            with contextlib.suppress(InputError):  # a file that is damaged
-                return KIND.read(self.folder / STATE, make)
-        return None
-
-    def keep(self, frames: int, state: RunState, sinks: Sequence[Sink]) -> None:
-        """Keep the `state` after so many frames, and the marks of its sinks, if it is time to."""
-        if frames - self._last_frames < EVERY_FRAMES and time.monotonic() - self._last_s < EVERY_S:
-            return
-        self._last_s, self._last_frames = time.monotonic(), frames
-        state.sinks = tuple(sink.mark() for sink in sinks)
-        with contextlib.suppress(OutputError, OSError):  # without a checkpoint the run goes on all the same
-            self.folder.mkdir(exist_ok=True)
-            arrays = {"key": np.array(self._key), "frames": np.array(frames), **flatten("run", state)}
-            KIND.write(self.folder / STATE, arrays)
-
-
 @dataclass
 class RunState:
     """The state of a run: the `frame` to track next, the outcome so far, the tracker's state, the sinks' marks."""
@@ -177,14 +136,19 @@ class Recorder:
     Without `close` nothing is left. A run with a folder has its lease, keeps checkpoints, and writes run.json; one
     without is streamed, or stays in memory. Raises OutputError, and BusyError where another process writes there. In a
     batch it notes that its clip failed.
+
+    A checkpoint is the whole state of a run, from which the same run goes on: its rows are byte for byte those of a run
+    that was never ended; its video is drawn from them at the end. Trackers of OpenCV do not give their state away, and
+    with a lag rows wait in memory: those runs begin from their first frame.
     """
 
     def __init__(self, plan: Plan, stopped: Stopped = never) -> None:
         self.plan, self.sinks = plan, list[Sink]()
         job = plan.job
         self.lease = None if job.out is None else FolderLease(job.out, stopped)
-        self.checkpoints: Checkpoints | None = None
         self.state = RunState(0, Outcome(source=job.clip, streamed=job.out is None))
+        self._checkpoint, self._key = Path(), ""  # the last state, which the key tells from those of other runs
+        self._kept_s, self._kept_frames, self._marked = time.monotonic(), 0, dict[str, Any]()
         self.total: int | None = None  # the number of frames that the clip says it has, if it does
 
     @property
@@ -215,18 +179,23 @@ class Recorder:
         if job.recipe.filters and not job.lag:
             clip = manifest.clip_stat(job.clip)
             same = [self.plan.asked, _versions(), to_record(start), clip and (clip.bytes, clip.changed_ns)]
-            key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
-            self.checkpoints = Checkpoints(job.out, key)
-            last = self.checkpoints.find() if job.resume and not job.overwrite else None
+            self._key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
+            self._checkpoint = job.out / FOLDER / STATE
+            files.check_plain(self._checkpoint.parent, self._checkpoint)
+            with contextlib.suppress(InputError):  # there is none, or it is damaged
+                last = KIND.read(self._checkpoint, self._restored) if job.resume and not job.overwrite else None
         if isinstance(last, RunState):
             with contextlib.suppress(InputError, OSError):  # a table was edited, or is gone
                 for sink in sinks:
                     if isinstance(sink, Table) and sink.path is not None:
                         manifest.check_belongs(sink.path)
                 vars(last.outcome).update(self._about, resumed=last.outcome.frames)
-                self.state = last
+                self.state, self._kept_frames = last, last.outcome.frames
                 return
         shutil.rmtree(job.out / FOLDER, ignore_errors=True)
+
+    def _restored(self, stored: Stored) -> Any:
+        return restore("run", stored.file) if stored.text("key") == self._key else None
 
     def begin(self, results: Results, first: FrameResult) -> None:
         """Begin the files, before the `first` result is written."""
@@ -244,6 +213,11 @@ class Recorder:
 
     def write(self, result: FrameResult) -> None:
         """Write one more frame. Without targets, as between joined chunks, it counts in a film alone."""
+        if self._marked:  # now that there is one frame more: after the last nothing is kept
+            with contextlib.suppress(OutputError, OSError):  # without a checkpoint the run goes on all the same
+                self._checkpoint.parent.mkdir(exist_ok=True)
+                KIND.write(self._checkpoint, self._marked)
+            self._marked = {}
         self.outcome.warnings = (*self.outcome.warnings, *result.notes)[:_MAX_NOTES]
         if result.targets or self.plan.everyone:
             for sink in self.sinks:
@@ -252,8 +226,13 @@ class Recorder:
         self.state.frame = result.frame.index + 1
         if self.lease is not None:
             self.lease.progress(self.outcome.frames, self.total)
-        if self.checkpoints is not None and self.state.at.states:
-            self.checkpoints.keep(self.outcome.frames, self.state, self.sinks)
+        frames, now = self.outcome.frames, time.monotonic()
+        if not self._key or not self.state.at.states:
+            return
+        if frames - self._kept_frames >= EVERY_FRAMES or now - self._kept_s >= EVERY_S:
+            self._kept_s, self._kept_frames = now, frames
+            self.state.sinks = tuple(sink.mark() for sink in self.sinks)
+            self._marked = {"key": np.array(self._key), **flatten("run", self.state)}
 
     def record(self, results: Results, stop: Stop, report: Report = silent) -> Outcome:
         """Write the results until they end, also because `stop` says so, or an error.
@@ -307,8 +286,16 @@ class Recorder:
             # a text file that a full disk cut short is kept, a video is not
             paths = [sink.path for sink in self.sinks if sink.path is not None]
             done.paths = [path for path in paths if files.temporary_path(path).is_file()]
+            done.ended, done.seconds = utc_now(), round(time.monotonic() - self._entered_s, 3)
+            unwritten = next((str(e) for e in errors), None)
+            run: manifest.Manifest = replace(
+                done, stopped=done.stopped or unwritten, complete=done.complete and not errors
+            )
+            if job.batch and error is not None and not isinstance(error, OutputError):
+                run = manifest.failed(run, error)
             try:
-                self._commit(self.lease, job.out, error, next((str(e) for e in errors), None))
+                manifest.commit(self.lease, job.out, done.paths, run)
+                done.warnings += (*manifest.outdated(job.out, job.init if isinstance(job.init, Path) else None),)
             except (OutputError, OSError) as e:  # the lease is lost, or the disk is full
                 errors.append(files.cannot_write(Path(e.filename or job.out), e) if isinstance(e, OSError) else e)
                 done.paths = ()
@@ -323,23 +310,6 @@ class Recorder:
         done.warnings = tuple(line for line in done.warnings if line != str(done.failure) and line not in done.verdict)
         done.frames_per_s = (done.frames - done.resumed - 1) / max(time.perf_counter() - self._began_s, 1e-9)
         return done
-
-    def _commit(self, lease: FolderLease, out: Path, error: Exception | None, unwritten: str | None) -> None:
-        """Let the finished files replace the old ones; `error` ended the run, `unwritten` says what cannot be written.
-
-        What is left in the folder of an earlier track is warned of. Raises OutputError and OSError.
-        """
-        done, job = self.outcome, self.plan.job
-        done.ended, done.seconds = utc_now(), round(time.monotonic() - self._entered_s, 3)
-        complete = done.complete and unwritten is None
-        run: manifest.Manifest = replace(done, stopped=done.stopped or unwritten, complete=complete)
-        if job.batch and error is not None and not isinstance(error, OutputError):
-            run = manifest.failed(run, error)
-        manifest.commit(lease, out, done.paths, run)
-        init = os.path.realpath(job.init) if isinstance(job.init, Path) else ""
-        said = "holds corrections that this track does not have; take them with --init"
-        kept = [path for path in (out / CORRECTED, out / UNSAVED) if path.is_file() and os.path.realpath(path) != init]
-        done.warnings += (*manifest.outdated(out), *(f"{path}: {said} {path}" for path in kept))
 
     def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
         """Drop what was not closed."""
@@ -430,12 +400,10 @@ class Rows(Sink):
     def write(self, result: FrameResult) -> None:
         self._collected.add(result.rows)
 
-    def close(self, done: Outcome) -> None:
-        self._halted = done.stopped
-
     def trajectory(self, done: Outcome) -> Trajectory:
         """The rows, whose header says what a JSON file says of its run."""
-        header = {**self._header, **{name: getattr(done, name) for name in FOOTER}, "stopped": self._halted}
+        stopped = done.stopped if done.failure is None else str(done.failure)
+        header = {**self._header, **{name: getattr(done, name) for name in FOOTER}, "stopped": stopped}
         return self._collected.trajectory(header=header, path=done.source)
 
 
@@ -448,8 +416,7 @@ class Video(Sink):
 
     def __init__(self, job: Job, out: Path) -> None:
         self._job, self._target = job, out / manifest.VIDEO
-        self._video: VideoWriter | None = None
-        self._painter: Painter | None = None
+        self._into: tuple[Painter, VideoWriter] | None = None
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
         from facetrack_cli.video.overlay import Overlay
@@ -458,43 +425,42 @@ class Video(Sink):
         if mark is not None:
             return
         self.path = self._target
-        self._overlay = Overlay(clip.size, fps=float(clip.fps), title=self._job.recipe.name)
-        self._video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, audio_from=clip.sound, replace=False)
-        self._painter = Painter(self._paint, threaded=self._job.threads > 1)
+        overlay = Overlay(clip.size, fps=float(clip.fps), title=self._job.recipe.name)
+        video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, audio_from=clip.sound, replace=False)
+
+        def paint(result: FrameResult) -> None:
+            if self.missing is None:
+                image = overlay.draw(result)
+                try:
+                    video.write(image, result.frame.time_s)
+                except OutputError as e:
+                    self.missing = e
+
+        self._into = Painter(paint, threaded=self._job.threads > 1), video
 
     def write(self, result: FrameResult) -> None:
-        if self._painter is not None:
-            self._painter.put(result)
-
-    def _paint(self, result: FrameResult) -> None:
-        assert self._video is not None
-        if self.missing is not None:
-            return
-        image = self._overlay.draw(result)
-        try:
-            self._video.write(image, result.frame.time_s)
-        except OutputError as e:
-            self.missing = e
+        if self._into is not None:
+            self._into[0].put(result)
 
     def mark(self) -> bool:
         return True
 
     def end(self, done: Outcome) -> None:
         """The video ends before the tables, so that they can say what was wrong with it."""
-        if self._video is None or self._painter is None:
+        if self._into is None:
             return
+        painter, video = self._into
         try:
-            self._painter.end()
+            painter.end()
         finally:
             try:
-                self._video.close()
+                video.close()
             except OutputError as e:
                 self.missing = self.missing or e
-            done.warnings += (*self._video.warnings, *(() if self.missing is None else (str(self.missing),)))
+            done.warnings += (*video.warnings, *(() if self.missing is None else (str(self.missing),)))
 
     def discard(self) -> None:
-        if self._painter is not None:
+        if self._into is not None:
             with contextlib.suppress(BaseException):
-                self._painter.end()
-        if self._video is not None:
-            self._video.discard()
+                self._into[0].end()
+            self._into[1].discard()

@@ -112,14 +112,21 @@ class Painter:
     def __init__(self, paint: Callable[[FrameResult], None], *, threaded: bool = True) -> None:
         self._paint, self._waiting = paint, deque[Future[None]]()
         self._thread = ThreadPoolExecutor(1, "paint") if threaded else None
+        self._failed = False
 
     def put(self, result: FrameResult) -> None:
         if self._thread is None:
             self._paint(result)
             return
-        self._waiting.append(self._thread.submit(self._paint, result))
+        self._waiting.append(self._thread.submit(self._next, result))
         while len(self._waiting) > _room(result.frame):
             self._waiting.popleft().result()
+
+    def _next(self, result: FrameResult) -> None:
+        if not self._failed:
+            self._failed = True  # unless it is painted: nothing follows a frame that is not
+            self._paint(result)
+            self._failed = False
 
     def end(self) -> None:
         """Wait until all is painted."""
