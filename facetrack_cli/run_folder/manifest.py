@@ -278,7 +278,7 @@ def trajectory_of(run: Path) -> Path:
     check_run(run)
     if not run.is_dir() or (path := reader.table_in(run)).suffix not in (".json", ".jsonl"):
         again = "name the folder of a run, which facetrack run wrote with --format csv,json"
-        raise InputError(f"{run}: is no folder with trajectory.json, which has recipe and clip; {again}")
+        raise InputError(f"{run}: has no trajectory.json, with recipe and clip; {again}")
     return path
 
 

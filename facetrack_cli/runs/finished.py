@@ -21,7 +21,7 @@ from pydantic import ValidationError
 from facetrack_cli.core.errors import InputError, OutputError, reading
 from facetrack_cli.core.files import FULL, check_plain, discard, publish, temporary_path, writing
 from facetrack_cli.core.models import shipped_folder, shipped_recipes
-from facetrack_cli.core.npz import Kind, Stored, write_arrays
+from facetrack_cli.core.npz import Kind, Stored, flatten, restore, write_arrays
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
 from facetrack_cli.engine.protocols import Belief, Linear
@@ -295,7 +295,6 @@ def repaint(
 
 KIND: Final = Kind("facetrack-posterior", 1, "posterior of a run", "facetrack run --smooth")
 _BLOCK_FRAMES: Final = 500  # that are written together
-_NAMES: Final = ("mean", "cov", "matrix", "offset", "noise", "doubt")
 
 
 class PosteriorWriter(Sink):
@@ -332,20 +331,14 @@ class PosteriorWriter(Sink):
     def _flush(self) -> None:
         if not self._frames:
             return
-        arrays: dict[str, Any] = {}
-        for i, kept in enumerate(self._kept):
-            above = f"{self._blocks}/{i}"
-            arrays[f"{above}/frame"] = np.array([frame for frame, _ in kept], "<i8")
-            for j, group in enumerate(zip(*(beliefs for _, beliefs in kept), strict=True)):
-                flat = [(belief.mean, belief.cov, *belief.motion, belief.doubt) for belief in group]
-                for name, values in zip(_NAMES, zip(*flat, strict=True), strict=True):
-                    arrays[f"{above}/{j}/{name}"] = np.stack(values).astype("<f8")
-                if named := [belief.named for belief in group if belief.named is not None]:
-                    arrays[f"{above}/{j}/named"] = np.stack(named).astype("<f8")
+        held = []
+        for kept in self._kept:
+            groups = zip(*(beliefs for _, beliefs in kept), strict=True)
+            held.append(([frame for frame, _ in kept], [_stacked(group) for group in groups]))
             kept.clear()
         with writing(self.path):
             self._folder.mkdir(exist_ok=True)
-            write_arrays(self._block(self._blocks), arrays)
+            write_arrays(self._block(self._blocks), flatten(str(self._blocks), held))
             publish(self._block(self._blocks))
         self._blocks, self._frames = self._blocks + 1, 0
 
@@ -355,6 +348,21 @@ class PosteriorWriter(Sink):
 
     def _block(self, number: int) -> Path:
         return self._folder / f"posterior-{number:05}.npz"
+
+
+def _stacked(group: Sequence[Belief]) -> Belief:
+    """The beliefs in T frames as one, whose arrays have T as their first axis."""
+    mean, cov, motion, doubt, named = zip(*group, strict=True)
+    linear = Linear(*(np.array(values, np.float64) for values in zip(*motion, strict=True)))
+    names = None if named[0] is None else np.array(named, np.float64)
+    return Belief(np.array(mean, np.float64), np.array(cov, np.float64), linear, np.array(doubt), names)
+
+
+def _each(group: Belief) -> list[Belief]:
+    """The belief in each of the frames of stacked ones."""
+    named = [None] * len(group.mean) if group.named is None else group.named
+    columns = group.mean, group.cov, map(Linear, *group.motion), group.doubt, named
+    return [Belief(*values) for values in zip(*columns, strict=True)]
 
 
 def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:
@@ -369,25 +377,12 @@ def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:
             raise InputError(f"{path}: was kept before the run was corrected; {again}")
         beliefs: dict[str, dict[int, tuple[Belief, ...]]] = {name: {} for name in stored.texts("targets")}
         block = 0
-        while f"{block}/0/frame" in stored:
-            for i, by_frame in enumerate(beliefs.values()):
-                by_frame |= _block(stored, f"{block}/{i}")
+        while str(block) in stored:
+            for by_frame, (at, groups) in zip(beliefs.values(), restore(str(block), stored.file), strict=True):
+                by_frame |= zip(at, zip(*map(_each, groups), strict=True), strict=True)
             block += 1
         frames = rows.frames.tolist()
         return {name: [by_frame.get(frame, ()) for frame in frames] for name, by_frame in beliefs.items()}
 
     check_belongs(path)
     return KIND.read(path, make)
-
-
-def _block(stored: Stored, above: str) -> Mapping[int, tuple[Belief, ...]]:
-    frames = stored.whole(f"{above}/frame")
-    groups: list[list[Belief]] = []
-    while f"{above}/{len(groups)}/mean" in stored:
-        key = f"{above}/{len(groups)}"
-        ranks = zip(_NAMES, (3, 4, 4, 3, 4, 2), strict=True)
-        mean, cov, matrix, offset, noise, doubt = (stored.reals(f"{key}/{name}", rank) for name, rank in ranks)
-        named = stored.reals(f"{key}/named", 2) if f"{key}/named" in stored else [None] * len(mean)
-        each = zip(mean, cov, map(Linear, matrix, offset, noise), doubt > 0, named, strict=True)
-        groups.append([Belief(*values) for values in each])
-    return dict(zip(frames, zip(*groups, strict=True), strict=True)) if groups else {}
