@@ -28,7 +28,7 @@ from facetrack_cli.recipe.model import Recipe, seeded, to_dict
 from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.people import cast_in
 from facetrack_cli.runs.plan import Job, check_count, check_smoothing, completed, resolve, silent, with_names
-from facetrack_cli.runs.record import ClipFacts, Recorder, Results, Rows, outputs
+from facetrack_cli.runs.record import ClipFacts, Recorder, Rows, outputs
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import read_init
@@ -209,7 +209,7 @@ class Recording:
             if result.start is None:
                 raise InputError(f"{self.job.out}: the first result has no start; write results of track_frames")
             clip = ClipFacts(str(self.job.clip), result.frame.size, self._rate)
-            self._into.begin(Results(clip, result.start, {}), result)
+            self._into.begin(clip, result.start, {}, result)
         self._into.write(result)
 
     def __exit__(self, kind: Any = None, error: BaseException | None = None, trace: Any = None) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
@@ -20,7 +19,6 @@ from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.precompile import precompiling
 from facetrack_cli.trackers.face.detectors import detector
-from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.shots import Shot
 from facetrack_cli.video.source import brings_rate
 
@@ -112,22 +110,17 @@ def track_clip(into: record.Recorder, stop: Stop, report: Report, looked: Report
     into.open(kept, start)
     state = into.state
     state.frame, into.outcome.note = state.frame if into.outcome.resumed else start.frame, start.note
-    with follow(plan, start, shots, state, stop) as results:
-        done = into.record(results, stop, report)
-    if done.verdict and job.fps is None and done.frames > 1 and not brings_rate(job.clip):
-        done.verdict += f"; images have no rate: {results.clip.fps} frames/s is taken, or that of --fps"
-    return done
+    return _follow(into, start, shots, stop, report)
 
 
-@contextlib.contextmanager
-def follow(plan: Plan, start: Start, shots: list[Shot], state: record.RunState, stop: Stop) -> Iterator[record.Results]:
-    """The results of a clip, or of the `shots` of a film, from its start, or where `state` says that it goes on."""
-    job = plan.job
+def _follow(into: record.Recorder, start: Start, shots: list[Shot], stop: Stop, report: Report) -> Outcome:
+    """Track a clip, or the `shots` of a film, from its start, or where the state of its run says that it goes on."""
+    job, state = into.plan.job, into.state
     with job.open(state.frame) as source:
         clip, more = record.ClipFacts.of(job.clip, source), {"shots": [list(shot) for shot in shots]} if shots else {}
         asked = frames_of(source, state.frame, job.origin(start))
 
-        def tracked() -> Generator[FrameResult, None, None]:
+        def tracked() -> record.Results:
             with decoded_ahead(asked, threaded=job.threads > 1, stopped=stop) as frames:
                 if shots:
                     from facetrack_cli.start.presence import MultiFaceTracker
@@ -159,7 +152,11 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: record.RunState, 
                 warnings += (f"--faces all: {alone}; recipe face with --init haar follows everybody, over cuts",)
             done.complete, done.warnings, done.variable_fps = source.complete, warnings, source.variable
 
-        yield record.Results(clip, start, more, tracked(), ended)
+        into.ended = ended
+        done = into.record(clip, start, more, tracked(), stop, report)
+    if done.verdict and job.fps is None and done.frames > 1 and not brings_rate(job.clip):
+        done.verdict += f"; images have no rate: {clip.fps} frames/s is taken, or that of --fps"
+    return done
 
 
 def past_end(corrections: Iterable[Correction], last: int, origin: str) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import cv2
 import numba
@@ -48,6 +48,7 @@ FOLDER: Final = ".checkpoint"
 KIND: Final = Kind("facetrack-checkpoint", 1, "checkpoint of a run", "facetrack run")
 EVERY_S, EVERY_FRAMES = 30.0, 1000  # between two checkpoints, whichever is less
 STATE: Final = "state.npz"
+Results: TypeAlias = Generator[FrameResult, None, None]  # of a clip, of a film, of joined chunks
 _MAX_NOTES: Final = 5  # lines that the tracker has for the user, which are kept
 
 
@@ -75,22 +76,6 @@ class ClipFacts(NamedTuple):
         odd |= {"begins_s": self.begins_s} if self.begins_s else {}
         odd |= {} if self.stream is None else {"stream": self.stream}
         return {"path": self.path, "size": list(self.size), "fps": round(float(self.fps), 6), **odd}
-
-
-@dataclass(frozen=True)
-class Results:
-    """The results of a clip, of a film, of joined chunks: whatever is written as a run.
-
-    `more` is what JSON says at its beginning beside clip, recipe and start. `frames` raises StoppedError where nothing
-    is to be kept. `ended` adds to the outcome how they ended, and is told whether nothing ended them early; it raises
-    InputError where nothing is to be kept.
-    """
-
-    clip: ClipFacts
-    start: Start
-    more: Header
-    frames: Generator[FrameResult, None, None] | None = None  # of who writes them one by one
-    ended: Callable[[Outcome, bool], None] = lambda done, whole: None
 
 
 class Sink:
@@ -150,6 +135,8 @@ class Recorder:
         self._checkpoint, self._key = Path(), ""  # the last state, which the key tells from those of other runs
         self._kept_s, self._kept_frames, self._marked = time.monotonic(), 0, dict[str, Any]()
         self.total: int | None = None  # the number of frames that the clip says it has, if it does
+        # adds to the outcome how the results ended, and whether nothing ended them early; InputError to keep nothing
+        self.ended: Callable[[Outcome, bool], None] = silent
 
     @property
     def outcome(self) -> Outcome:
@@ -197,19 +184,18 @@ class Recorder:
     def _restored(self, stored: Stored) -> Any:
         return restore("run", stored.file) if stored.text("key") == self._key else None
 
-    def begin(self, results: Results, first: FrameResult) -> None:
-        """Begin the files, before the `first` result is written."""
-        self._results, self._began_s = results, time.perf_counter()  # the rate leaves the start-up out
-        hint = results.clip.frames_hint
-        self.total = hint and hint + self.outcome.resumed
+    def begin(self, clip: ClipFacts, start: Start, more: Header, first: FrameResult) -> None:
+        """Begin the files, before the `first` result is written; `more` is what JSON says beside clip and start."""
+        self._began_s = time.perf_counter()  # the rate leaves the start-up out
+        self.total = clip.frames_hint and clip.frames_hint + self.outcome.resumed
         self._digest = manifest.ClipDigest(self.plan.job.clip, whole=not self.plan.job.chunk)
         if self.lease is not None:
             self.outcome.clip = self._digest.clip
             far = {"frame": self.outcome.frames, "frames": self.total}
             self.lease.note({"clip": str(self.plan.job.clip), "run": self.outcome.record(), **far})
-        header = _header(self.plan.job, results, first.rows)
+        header = _header(self.plan.job, clip, start, more, first.rows)
         for sink, mark in zip(self.sinks, self.state.sinks or [None] * len(self.sinks), strict=True):
-            sink.begin(results.clip, header, mark)
+            sink.begin(clip, header, mark)
 
     def write(self, result: FrameResult) -> None:
         """Write one more frame. Without targets, as between joined chunks, it counts in a film alone."""
@@ -234,19 +220,21 @@ class Recorder:
             self.state.sinks = tuple(sink.mark() for sink in self.sinks)
             self._marked = {"key": np.array(self._key), **flatten("run", self.state)}
 
-    def record(self, results: Results, stop: Stop, report: Report = silent) -> Outcome:
-        """Write the results until they end, also because `stop` says so, or an error.
+    def record(
+        self, clip: ClipFacts, start: Start, more: Header, results: Results, stop: Stop, report: Report = silent
+    ) -> Outcome:
+        """Write the results until they end, also because `stop` says so, or an error. They raise StoppedError where
+        nothing is to be kept.
 
         `report` hears how many frames are written, and how many there are, None if that is not known. An error after
         the first frame is in the outcome, beside what was kept; before it, it is raised, and no file is left.
         """
-        assert results.frames is not None
         begun, error = False, None
-        with contextlib.closing(results.frames):
+        with contextlib.closing(results):
             try:
-                for result in results.frames:
+                for result in results:
                     if not begun:
-                        self.begin(results, result)
+                        self.begin(clip, start, more, result)
                         begun = True
                     self.write(result)
                     report(self.outcome.frames, self.total)
@@ -268,7 +256,7 @@ class Recorder:
         `stopped` says why the run ended early, `error` goes into the outcome.
         """
         done, job = self.outcome, self.plan.job
-        self._results.ended(done, stopped is None and error is None)
+        self.ended(done, stopped is None and error is None)
         error = error or done.failure
         done.stopped = stopped or (None if error is None else str(error))
         done.complete = done.complete and done.stopped is None
@@ -322,20 +310,20 @@ class Recorder:
                 manifest.note_failure(self.lease, job.out, manifest.Manifest(**self._about), job.clip, error)
 
 
-def _header(job: Job, results: Results, rows: Trajectory) -> Header:
+def _header(job: Job, clip: ClipFacts, start: Start, more: Header, rows: Trajectory) -> Header:
     """What JSON says at its beginning; `rows` are those of the first frame."""
     # those that every facetrack knows are not declared
     kinds = [kind for reported in rows.diagnostics.values() for kind in reported.declared if kind.name not in KNOWN]
     declared = {kind.name: kind for kind in kinds}
     return {
         "versions": _versions(),
-        "source": results.clip.record(),
+        "source": clip.record(),
         "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
         "seed": job.recipe.seed,
-        "init": {"from": results.start.origin, **to_record(results.start)},
+        "init": {"from": start.origin, **to_record(start)},
         **({"smoothed": {"lag": job.lag}} if job.lag else {}),
         **({"diagnostics": [kind.record() for kind in declared.values()]} if declared else {}),
-        **results.more,
+        **more,
     }
 
 

@@ -10,7 +10,7 @@ agree if every target does, in `SHARE` of the frames that both have. None of thi
 from __future__ import annotations
 
 import shutil
-from collections.abc import Collection, Generator, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain, count, product
 from pathlib import Path
@@ -312,7 +312,7 @@ def join_chunks(into: Recorder, stop: Stop, report: Report) -> Outcome:
     with job.open(start.frame) as source:
         clip = ClipFacts.of(job.clip, source)._replace(frames_hint=None)
 
-    def joined() -> Generator[FrameResult, None, None]:
+    def joined() -> Results:
         rows, later = first, iter(survey.parts[1:])
         for index in range(start.frame, survey.end):
             if stop():
@@ -329,6 +329,7 @@ def join_chunks(into: Recorder, stop: Stop, report: Report) -> Outcome:
     monitor.detector = None  # it has looked at the chunks as they were tracked
     into.open([*outputs(into), monitor])
     into.outcome.note = start.note
-    done = into.record(Results(clip, start, about, joined(), ended), stop, report)
+    into.ended = ended
+    done = into.record(clip, start, about, joined(), stop, report)
     done.frames_per_s = 0.0  # rows were joined, not tracked
     return done
