@@ -13,7 +13,6 @@ import contextlib
 import hashlib
 import json
 import os
-import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,7 +26,6 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import (
     BusyError,
-    ExitCode,
     FacetrackError,
     InputError,
     OutputError,
@@ -241,12 +239,6 @@ def note_failure(lock: lease.FolderLease, folder: Path, run: Manifest, clip: Pat
         commit(lock, folder, [], failed(run, error))
 
 
-def error_of(run: Manifest) -> FacetrackError | None:
-    """The error that a run ended with."""
-    kind = InputError if run.exit_code == ExitCode.INPUT else FacetrackError
-    return None if run.error is None else kind(run.error)
-
-
 def as_text(name: str) -> str:
     """A name as JSON holds it: bytes that are no text are escaped."""
     return name.encode(errors="backslashreplace").decode()
@@ -392,25 +384,6 @@ def recipe_digest(recipe: Recipe) -> str:
     return hashlib.sha256(dumps([to_dict(recipe), *map(clip_digest, files)]).encode()).hexdigest()
 
 
-class ClipDigest(threading.Thread):
-    """The SHA-256 of a clip, computed in a thread of its own while the clip is tracked; `clip` is the clip without."""
-
-    def __init__(self, clip: Path, *, whole: bool = True) -> None:
-        """Without `whole` it is not computed: the clip of a chunk is the same for all."""
-        super().__init__(name="sha256", daemon=True)
-        self.clip, self._path, self._found, self._stopped = clip_stat(clip), clip, "", not whole
-        self.start()
-
-    def run(self) -> None:
-        self._found = clip_digest(self._path, lambda: self._stopped)
-
-    def end(self, *, whole: bool) -> Clip | None:
-        """The clip with its checksum, for which it waits if the run is `whole`; None if the clip is gone."""
-        self._stopped = not whole
-        self.join()
-        return self.clip and replace(self.clip, sha256=self._found)
-
-
 def clip_stat(clip: Path) -> Clip | None:
     """A clip without its checksum; None if it is gone."""
     try:
@@ -422,11 +395,11 @@ def clip_stat(clip: Path) -> Clip | None:
     return Clip(sum(file.st_size for file in stats), "", as_text(str(clip)), changed)
 
 
-def clip_digest(path: Path, stopped: Callable[[], bool] = lambda: False) -> str:
+def clip_digest(path: Path) -> str:
     """SHA-256 of a file, or of the images of a folder; "" if it cannot be read."""
     try:
         images = listing(path)
-        return digest([path] if images is None else images, names=images is not None, stopped=stopped)
+        return digest([path] if images is None else images, names=images is not None)
     except OSError:
         return ""
 

@@ -221,7 +221,16 @@ def run_cluster(jobs: Sequence[Job], address: str, stop: Stop, progress: Progres
     Once `stop` says so, the clips at work close their files as far as they can within `STOP_S`. Raises UsageError if no
     scheduler answers.
     """
-    client = _client(address)
+    from distributed import Client
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # our lines say what matters
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            client = Client(address, timeout=ANSWER_S, set_as_default=False)
+    except OSError as e:
+        said = f"no scheduler of Dask answers at {address} within {ANSWER_S:.0f} s"
+        raise UsageError(f"--cluster: {said} ({reason(e)}); start one with `dask scheduler`, or take -j") from e
     try:
         if not client.nthreads():
             progress.say(f"facetrack: the scheduler at {address} has no worker; waiting for one")
@@ -229,20 +238,6 @@ def run_cluster(jobs: Sequence[Job], address: str, stop: Stop, progress: Progres
     finally:
         with contextlib.suppress(Exception):
             client.close(timeout=ANSWER_S)
-
-
-def _client(address: str) -> Any:
-    """A client of the scheduler. Raises UsageError if none answers within `ANSWER_S`."""
-    from distributed import Client
-
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # our lines say what matters
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return Client(address, timeout=ANSWER_S, set_as_default=False)
-    except OSError as e:
-        said = f"no scheduler of Dask answers at {address} within {ANSWER_S:.0f} s"
-        raise UsageError(f"--cluster: {said} ({reason(e)}); start one with `dask scheduler`, or take -j") from e
 
 
 def _cluster_turn(client: Any, stop: Stop, progress: Progress, jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
@@ -259,7 +254,7 @@ def _cluster_turn(client: Any, stop: Stop, progress: Progress, jobs: Sequence[Jo
     while out and time.monotonic() < deadline and client.status == "running":
         if stop() and deadline == math.inf:
             deadline = time.monotonic() + STOP_S
-            _tell(client, batch)
+            threading.Thread(target=_tell, args=(client, batch), daemon=True).start()  # nobody waits for who hangs
         for future, job in [(future, job) for future, job in out.items() if future.done()]:
             outcome = _outcome(job, future, killed)
             left = outcome is None or (outcome.stopped is not None and outcome.failure is None)  # by its worker
@@ -302,13 +297,9 @@ def _outcome(job: Job, future: Any, killed: set[Path]) -> Outcome | None:
 
 
 def _tell(client: Any, batch: str) -> None:
-    """Let the workers end the clips of this batch; nobody waits for a worker that hangs."""
-
-    def say() -> None:
-        with contextlib.suppress(Exception):
-            client.run(_end, batch, on_error="ignore")
-
-    threading.Thread(target=say, daemon=True).start()
+    """Let the workers end the clips of this batch."""
+    with contextlib.suppress(Exception):
+        client.run(_end, batch, on_error="ignore")
 
 
 # --- on a worker -----------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from facetrack_cli.core import __version__
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS, HANDS, DetectorName
 from facetrack_cli.core.files import check_folder, check_plain
 from facetrack_cli.core.numbers import dumps
@@ -259,12 +259,8 @@ class Split(NamedTuple):
     length: float
     frames: bool
 
-    @property
-    def unit(self) -> str:
-        return "f" if self.frames else "s"
-
     def record(self) -> dict[str, str]:
-        return {"length": f"{self.length:.15g}{self.unit}"}
+        return {"length": f"{self.length:.15g}{'f' if self.frames else 's'}"}
 
 
 @dataclass(frozen=True)
@@ -347,7 +343,14 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
     searched = job.box is None and (job.init is None or job.init in DETECTORS)
     everyone = job.faces == "all" and searched and follows_everyone(job.recipe)
     _check_options(job, everyone, kept)
-    asked = digest_of(job)
+    how = {"clip", "recipe", "out", "overwrite", "threads", "resume", "batch", "retry_failed"}
+    values: dict[str, object] = {each.name: getattr(job, each.name) for each in fields(job) if each.name not in how}
+    if isinstance(job.init, Path):
+        values["init"] = manifest.clip_digest(job.init)
+    elif isinstance(job.init, Start):
+        values["init"] = to_record(job.init)
+    words = [__version__, manifest.recipe_digest(job.recipe), *map(str, values.items())]
+    asked = hashlib.sha256(dumps(words).encode(errors="surrogateescape")).hexdigest()
     if job.out is None:
         return Plan(job, asked, everyone, None)
     if job.chunk:
@@ -367,18 +370,6 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
 def follows_everyone(recipe: Recipe) -> bool:
     """Whether a recipe follows everybody over cuts, where all faces are asked for."""
     return bool(recipe.heads) and not recipe.followed
-
-
-def digest_of(job: Job) -> str:
-    """A digest of all that is asked for but the clip, of a job whose init file is found."""
-    how = {"clip", "recipe", "out", "overwrite", "threads", "resume", "batch", "retry_failed"}
-    asked: dict[str, object] = {each.name: getattr(job, each.name) for each in fields(job) if each.name not in how}
-    if isinstance(job.init, Path):
-        asked["init"] = manifest.clip_digest(job.init)
-    elif isinstance(job.init, Start):
-        asked["init"] = to_record(job.init)
-    words = [__version__, manifest.recipe_digest(job.recipe), *map(str, asked.items())]
-    return hashlib.sha256(dumps(words).encode(errors="surrogateescape")).hexdigest()
 
 
 def check_count(name: str, value: object) -> None:
@@ -441,7 +432,8 @@ class Outcome(manifest.Manifest):
     def of(cls, job: Job, run: manifest.Manifest) -> Outcome:
         """That of a run that its folder holds already."""
         assert job.out is not None
-        paths, failure = [job.out / name for name in run.files], manifest.error_of(run)
+        kind = InputError if run.exit_code == ExitCode.INPUT else FacetrackError
+        paths, failure = [job.out / name for name in run.files], None if run.error is None else kind(run.error)
         if job.strict and not run.complete:
             failure = failure or InputError(run.warnings[-1])
         said = {"warnings": (), "stopped": None, "resumed": 0}

@@ -188,9 +188,8 @@ class Recorder:
         """Begin the files, before the `first` result is written; `more` is what JSON says beside clip and start."""
         self._began_s = time.perf_counter()  # the rate leaves the start-up out
         self.total = clip.frames_hint and clip.frames_hint + self.outcome.resumed
-        self._digest = manifest.ClipDigest(self.plan.job.clip, whole=not self.plan.job.chunk)
+        self.outcome.clip = manifest.clip_stat(self.plan.job.clip)
         if self.lease is not None:
-            self.outcome.clip = self._digest.clip
             far = {"frame": self.outcome.frames, "frames": self.total}
             self.lease.note({"clip": str(self.plan.job.clip), "run": self.outcome.record(), **far})
         header = _header(self.plan.job, clip, start, more, first.rows)
@@ -260,8 +259,9 @@ class Recorder:
         error = error or done.failure
         done.stopped = stopped or (None if error is None else str(error))
         done.complete = done.complete and done.stopped is None
-        done.clip = self._digest.end(whole=done.stopped is None)
-        done.source_sha256 = done.clip.sha256 if done.clip else ""
+        if done.stopped is None and done.clip is not None and not job.chunk:  # the clip of a chunk is the same for all
+            done.source_sha256 = manifest.clip_digest(job.clip)
+            done.clip = replace(done.clip, sha256=done.source_sha256)
         errors: list[Exception] = []
         steps: list[Callable[[Outcome], None]] = [sink.end for sink in reversed(self.sinks)]
         for step in (*steps, *(sink.close for sink in self.sinks)):

@@ -26,12 +26,12 @@ from facetrack_cli.core.types import Frame, Mask, Start
 from facetrack_cli.run_folder.manifest import read_manifest, read_run
 from facetrack_cli.run_folder.status import CHUNKS, chunk_name
 from facetrack_cli.runs.batch import check_all, run_batch
+from facetrack_cli.runs.clip import RunMonitor
 from facetrack_cli.runs.people import ORIGIN
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, resolve, silent
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.record import ClipFacts, Recorder, Results, outputs
 from facetrack_cli.runs.signals import Stop, StoppedError
-from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.trackers.face.detectors import check_parts, detector
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
 from facetrack_cli.trajectory.views import choose, enclose
@@ -121,8 +121,9 @@ def _check_detector(job: Job, start: Start) -> None:
 def cut_by_length(first: int, end: int, fps: float, split: Split) -> list[tuple[int, int]]:
     """[first, stop) of chunks of the frames from `first` to before the `end`; each overlaps the next. UsageError."""
     length, overlap = round(split.length if split.frames else split.length * fps), round(OVERLAP_S * fps)
-    if split.length < (least := 2 * overlap if split.frames else 2 * OVERLAP_S):
-        raise UsageError(f"chunks overlap by {OVERLAP_S:g} s; give --split {least:g}{split.unit} or more")
+    least = split._replace(length=2 * overlap if split.frames else 2 * OVERLAP_S)
+    if split.length < least.length:
+        raise UsageError(f"chunks overlap by {OVERLAP_S:g} s; give --split {least.record()['length']} or more")
     begins = [first, *range(first + length, end - 2 * overlap + 1, length)]
     return list(zip(begins, [*(begin + overlap for begin in begins[1:]), end], strict=True))
 

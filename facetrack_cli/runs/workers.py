@@ -177,7 +177,7 @@ def side_by_side(
     running: dict[Any, tuple[int, bool, BaseProcess]] = {}
     idle: list[tuple[Any, BaseProcess]] = []
     with _starting():
-        context = worker_context()
+        context: Any = worker_context()
         # without locks: a process that is killed while it holds a lock would stop all others
         ending, frames = context.RawValue("i", 0), context.RawArray("q", len(tasks))
     try:
@@ -186,8 +186,14 @@ def side_by_side(
                 waiting.clear()
                 ending.value = stop.code or ExitCode.INTERRUPTED
             while waiting and len(running) < workers:
-                with _starting():
-                    pipe, process = idle.pop() if idle else _process(context, work, ending, frames, threads)
+                if idle:
+                    pipe, process = idle.pop()
+                else:
+                    with _starting():
+                        pipe, theirs = context.Pipe()
+                        process = context.Process(target=_do, args=(theirs, work, ending, frames, threads), daemon=True)
+                        process.start()
+                        theirs.close()
                 with contextlib.suppress(OSError):  # it has died while it had no task
                     pipe.send((waiting[0][0], tasks[waiting[0][0]]))
                     running[pipe] = *waiting.popleft(), process
@@ -222,15 +228,6 @@ def _result(work: Work, task: object, stop: Stop, report: Callable[..., None]) -
         return work(task, stop, report)
     except Exception as e:  # it goes on where the tasks come from
         return e
-
-
-def _process(context: BaseContext, *shared: Any) -> tuple[Any, BaseProcess]:
-    """A process that does tasks, and the pipe on which it takes them and gives results."""
-    ours, theirs = context.Pipe()
-    process: BaseProcess = context.Process(target=_do, args=(theirs, *shared), daemon=True)  # type: ignore[attr-defined]
-    process.start()
-    theirs.close()
-    return ours, process
 
 
 # --- in the processes ------------------------------------------------------------------------------------------------

@@ -266,7 +266,7 @@ class Scheduler:
 
 def outcomes(monkeypatch, scheduler, tmp_path):
     """The outcomes of a batch by clip."""
-    monkeypatch.setattr(cluster, "_client", lambda where: scheduler)
+    monkeypatch.setattr(distributed, "Client", lambda address, **_: scheduler)
     monkeypatch.setattr(cluster, "ANSWER_LOOK_S", 0.0)
     recipe = load_recipe("sir")
     jobs = [Job(Path(name), recipe, tmp_path / name, batch=True, overwrite=True) for name in scheduler.scripts]

@@ -23,8 +23,8 @@ from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.files import FileSink, cannot_write
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.runs.batch import folders, variant_name
+from facetrack_cli.runs.clip import RunMonitor
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
