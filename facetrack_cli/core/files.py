@@ -269,8 +269,8 @@ def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
                 file.write(data)
 
 
-def digest(files: Iterable[Path], *, names: bool = False, stopped: Callable[[], bool] = lambda: False) -> str:
-    """SHA-256 of the bytes of these files, with `names` of their names too; "" once `stopped`. Raises OSError."""
+def digest(files: Iterable[Path], *, names: bool = False) -> str:
+    """SHA-256 of the bytes of these files, with `names` of their names too. Raises OSError."""
     total = hashlib.sha256()
     for path in files:
         if names:
@@ -278,8 +278,6 @@ def digest(files: Iterable[Path], *, names: bool = False, stopped: Callable[[], 
         with path.open("rb") as file:
             while block := file.read(1 << 20):
                 total.update(block)
-                if stopped():
-                    return ""
     return total.hexdigest()
 
 

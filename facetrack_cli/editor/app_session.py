@@ -21,12 +21,12 @@ from facetrack_cli.editor.project import RECIPES, Clip, Project, What, free
 from facetrack_cli.editor.save import open_track
 from facetrack_cli.editor.session import Answer, Json, Page, jpeg
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.run_folder.finished import open_run, stamp
 from facetrack_cli.run_folder.manifest import NAME as MANIFEST
 from facetrack_cli.run_folder.manifest import VIDEO, read_run
 from facetrack_cli.run_folder.status import ClipStatus
 from facetrack_cli.runs.batch import expand
 from facetrack_cli.runs.export import content, encoded, named
+from facetrack_cli.runs.finished import open_run, stamp
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats import EXPORTS
 from facetrack_cli.video.seek import Frames

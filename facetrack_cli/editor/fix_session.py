@@ -26,8 +26,8 @@ from facetrack_cli.editor.save import is_tracked_again, keep, save
 from facetrack_cli.editor.session import Answer, Draft, Json, Page, Session, jpeg
 from facetrack_cli.engine.corrected import correctable_parts
 from facetrack_cli.recipe.model import OpenCvRecipe
-from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.run_folder.manifest import read_run
+from facetrack_cli.runs.finished import Run
 from facetrack_cli.runs.people import film_of, people_in, recast, still_of
 from facetrack_cli.runs.plan import Report
 from facetrack_cli.trackers.face.detectors import PARTS

@@ -19,7 +19,7 @@ from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
 from facetrack_cli.editor.pick_session import fitted
 from facetrack_cli.engine.corrected import CorrectedTarget, all_or, completed, is_complete, with_confirmed
 from facetrack_cli.engine.loop import Target, stream
-from facetrack_cli.run_folder.finished import Run, check_size, stamp
+from facetrack_cli.runs.finished import Run, stamp
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.start.assembly import build_tracker, tracker_for
@@ -262,11 +262,12 @@ def _writing() -> Iterator[None]:
 
 @contextlib.contextmanager
 def fixing(run: Run) -> Iterator[tuple[Fixer, Frames]]:
-    """A run with its corrections, and the frames of its clip. Raises InputError for a clip of another size."""
-    with Frames(run.clip, fps=run.fps, stream=run.header.source.stream) as frames:
-        check_size(run, frames.size)
-        with contextlib.closing(Fixer(run, frames.read)) as fixer:
-            yield fixer, frames
+    """A run with its corrections, and the frames of its clip."""
+    with (
+        Frames(run.clip, fps=run.fps, stream=run.header.source.stream) as frames,
+        contextlib.closing(Fixer(run, frames.read)) as fixer,
+    ):
+        yield fixer, frames
 
 
 def completed_by(correction: Correction, rows: Trajectory) -> Correction:

@@ -15,8 +15,8 @@ from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Correction, Mask, TargetStart
 from facetrack_cli.engine.corrected import all_or, correctable_parts
-from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.run_folder.manifest import read_run
+from facetrack_cli.runs.finished import Run
 from facetrack_cli.trajectory.formats.annotation import Tier, read_cvat, read_labelstudio, read_tiers, seen_in, spans_of
 from facetrack_cli.trajectory.trajectory import DECIMALS, UNSEEN, Trajectory, hide_outside
 from facetrack_cli.trajectory.views import every_frame, frame_milliseconds

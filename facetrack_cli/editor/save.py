@@ -18,22 +18,21 @@ from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.protocols import Belief
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe
-from facetrack_cli.run_folder.finished import Run, recipe_of, run_files, stamp
 from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_run, write_rows
 from facetrack_cli.runs.clip import past_end
+from facetrack_cli.runs.finished import Run, Write, given_all, recipe_of, rewrite, run_files, stamp
 from facetrack_cli.runs.people import ORIGIN, film_of, people_in, write_people
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
-from facetrack_cli.runs.smooth import Write, given_all, rewrite
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import as_yaml, write_init
 from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.people import read_still
-from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, read_header
+from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, corrections_record, read_header
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.views import choose
-from facetrack_cli.trajectory.writers import as_written
+from facetrack_cli.trajectory.writers import as_written, summary_of
 from facetrack_cli.video.source import open_source
 
 
@@ -58,13 +57,16 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
             files[folder / FILTERED] = partial(write_rows, "csv", rows=filtered)
     files[folder / CORRECTED] = lambda write: write(as_yaml(fixer.start, run.clip.name).encode())
     clip = run.clip if video and run.video is not None else None
-    how: Any = {"report": report, "stop": stop, "corrections": fixer.corrections, "check": lambda: _check(run)}
+    init = {key: value for key, value in rows.header["init"].items() if key != "corrections"}
+    header = {**rows.header, "init": {**init, **corrections_record(fixer.corrections)}}
+    rows = replace(rows, header={**header, "lost_frames": summary_of(rows).lost_frames})
+    how: Any = {"report": report, "stop": stop, "check": lambda: _check(run)}
     written, notes = rewrite(folder, rows, files, [folder / UNSAVED], clip, **how)
     notes += past_end(fixer.corrections, run.last, str(folder / CORRECTED))
     if run.video is not None and not video:
         notes.append(f"{run.video}: left as it was, it shows the track of before")
     fixer.saved(rows)
-    return [*(f"{path}: written" for path in written), *notes, *outdated(folder)]
+    return [*(f"{path}: written" for path in written), *notes, *outdated(folder, folder / CORRECTED)]
 
 
 def is_tracked_again(run: Run) -> bool:

@@ -13,10 +13,8 @@ import contextlib
 import hashlib
 import json
 import os
-import stat
-import threading
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import chain, groupby, takewhile
@@ -28,7 +26,6 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import (
     BusyError,
-    ExitCode,
     FacetrackError,
     InputError,
     OutputError,
@@ -47,22 +44,20 @@ from facetrack_cli.core.files import (
     temporary_path,
 )
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import Correction
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.run_folder import lease
-from facetrack_cli.trajectory.reader import PEOPLE, corrections_record, is_there, read_table, read_trajectory, table_in
+from facetrack_cli.trajectory import reader
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of, tail
 from facetrack_cli.video.images import listing
 
-BORNE_OUT: Final = 0.95  # share of points; it is said if it is less
 NAME: Final = "run.json"
 VIDEO: Final = "annotated.mp4"
 POSTERIOR: Final = "posterior.npz"
 FILTERED: Final = "trajectory.filtered.csv"
-OWNED: Final = (VIDEO, POSTERIOR, FILTERED, PEOPLE, *TABLES, NAME)  # the files that a run writes, or replaces
+OWNED: Final = (VIDEO, POSTERIOR, FILTERED, reader.PEOPLE, *TABLES, NAME)  # the files that a run writes, or replaces
 REPORT: Final = "report.html"
 PLOT: Final = "plot.png"
 KILLED: Final = "killed"
@@ -91,8 +86,7 @@ class Clip(File):
 class Manifest(RunSummary):
     """The contents of run.json. `asked`: a digest of all that was asked for.
 
-    `networks` are those that placed points: `mesh`, or the file that the recipe names; `borne_out` is the share of
-    their points that the other senses bear out, None without one.
+    `networks` are those that placed points: `mesh`, or the file that the recipe names.
     `doubts` is what speaks against the track, `look` the first and last frames to look at, the longest span first.
     `began` and `ended` are UTC; `seconds` is the time between them, in which all but `resumed` frames were tracked. In
     a batch a clip that failed has its `error`.
@@ -104,7 +98,6 @@ class Manifest(RunSummary):
     facetrack: str = __version__
     asked: str = ""
     networks: tuple[str, ...] = ()
-    borne_out: float | None = None
     doubts: str = ""
     look: tuple[tuple[int, int], ...] = ()
     resumed: int = 0
@@ -120,11 +113,8 @@ class Manifest(RunSummary):
 
     @property
     def network(self) -> str:
-        """Which networks placed points, and whether the other senses bear them out; "" without one."""
-        said = f"with the network {' and '.join(map(os.path.basename, self.networks))}" if self.networks else ""
-        if self.borne_out is None or self.borne_out >= BORNE_OUT:
-            return said
-        return f"{said}, but for {1 - self.borne_out:.0%} of its points, which the other senses contradict"
+        """Which networks placed points; "" without one."""
+        return f"with the network {' and '.join(map(os.path.basename, self.networks))}" if self.networks else ""
 
     def record(self) -> dict[str, Any]:
         """The contents as JSON has them. What the tables say of the ending and the clip is not repeated."""
@@ -167,13 +157,16 @@ def check_belongs(path: Path) -> None:
         )
 
 
-def outdated(folder: Path) -> list[str]:
-    """A line on the files that report, plot and export made of the track that is replaced now; none without any."""
-    with contextlib.suppress(OSError):
-        there = sorted(path.name for path in folder.iterdir() if path.name not in OWNED)
-        if made := [name for name in there if name in (REPORT, PLOT) or name.startswith("trajectory.")]:
-            return [f"{folder}: older than the track: {', '.join(made)}; make them anew with --overwrite"]
-    return []
+def outdated(folder: Path, init: Path | None) -> Iterator[str]:
+    """A line on the files that report, plot and export made of the track that is replaced now, and on corrections that
+    are not those of its `init` file.
+    """
+    there = sorted(path.name for path in folder.iterdir() if path.name not in OWNED)
+    if made := [name for name in there if name in (REPORT, PLOT) or name.startswith("trajectory.")]:
+        yield f"{folder}: older than the track: {', '.join(made)}; make them anew with --overwrite"
+    for path in (folder / reader.CORRECTED, folder / reader.UNSAVED):
+        if path.is_file() and (init is None or os.path.realpath(path) != os.path.realpath(init)):
+            yield f"{path}: holds corrections that this track does not have; take them with --init {path}"
 
 
 def commit(
@@ -246,12 +239,6 @@ def note_failure(lock: lease.FolderLease, folder: Path, run: Manifest, clip: Pat
         commit(lock, folder, [], failed(run, error))
 
 
-def error_of(run: Manifest) -> FacetrackError | None:
-    """The error that a run ended with."""
-    kind = InputError if run.exit_code == ExitCode.INPUT else FacetrackError
-    return None if run.error is None else kind(run.error)
-
-
 def as_text(name: str) -> str:
     """A name as JSON holds it: bytes that are no text are escaped."""
     return name.encode(errors="backslashreplace").decode()
@@ -262,41 +249,33 @@ def read_run(path: Path | str) -> Trajectory:
     first. InputError also for a file of another run than run.json beside it.
     """
     check_run(Path(path))
-    return read_trajectory(path)
+    return reader.read_trajectory(path)
 
 
 def check_run(path: Path) -> None:
-    """Recover the folder of a run, or of one of its files. InputError for a file of another run than run.json there."""
+    """Recover the folder of a run, or of one of its files. InputError for a file of another run than run.json there,
+    and for a folder whose first run is not at its end.
+    """
     with reading(path, "name a trajectory or ground-truth file"):
         recover_interrupted(path if path.is_dir() else path.parent)
-        _check_written(path)
-        check_belongs(table_in(path))
-
-
-def _check_written(folder: Path) -> None:
-    """InputError for a folder whose first run is not at its end."""
-    ended = (folder / NAME).is_file() or any(folder.glob("trajectory.*"))
-    if folder.is_dir() and not ended and lease.holder(folder) is not None:
-        raise InputError(
-            f"{folder}: a run is being written here; wait until it ends (facetrack status tells how far it is)"
-        )
+        ended = (path / NAME).is_file() or any(path.glob("trajectory.*"))
+        if path.is_dir() and not ended and lease.holder(path) is not None:
+            how_far = "facetrack status tells how far it is"
+            raise InputError(f"{path}: a run is being written here; wait until it ends ({how_far})")
+        check_belongs(reader.table_in(path))
 
 
 def trajectory_of(run: Path) -> Path:
     """The trajectory of a run's folder that has a header. InputError if there is none."""
-    remedy = "name the folder of a run, which facetrack run wrote"
-    if not run.is_dir():
-        raise InputError(f"{run}: is no folder; {remedy}")
-    recover_interrupted(run)
-    _check_written(run)
-    for form in ("json", "jsonl"):
-        if (path := run / f"trajectory.{form}").is_file():
-            return path
-    raise InputError(f"{run}: has no trajectory.json, with recipe and clip; {remedy} with --format csv,json")
+    check_run(run)
+    if not run.is_dir() or (path := reader.table_in(run)).suffix not in (".json", ".jsonl"):
+        again = "name the folder of a run, which facetrack run wrote with --format csv,json"
+        raise InputError(f"{run}: has no trajectory.json, with recipe and clip; {again}")
+    return path
 
 
-def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: False) -> int:
-    """End what a killed process left in a folder, if nobody writes there; the number of frames that it had tracked.
+def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: False) -> None:
+    """End what a killed process left in a folder, if nobody writes there.
 
     Files half replaced are replaced; tables that were being written become the tables of a run that was stopped.
     """
@@ -304,39 +283,37 @@ def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: Fals
         lease.finish_replacing(folder, lease.left_in(folder))
         if lease.holder(folder) is None:  # else it is at work
             with contextlib.suppress(OutputError, OSError), lease.FolderLease(folder, stopped) as lock:
-                return recover(folder, lock)
-    return 0
+                recover(folder, lock)
 
 
-def recover(folder: Path, lock: lease.FolderLease) -> int:
+def recover(folder: Path, lock: lease.FolderLease) -> None:
     """As `recover_interrupted`, of a folder that is locked."""
-    note, frames = lock.stale_note, 0
+    note = lock.stale_note
     lease.finish_replacing(folder, note)
     with contextlib.suppress(ValueError, InputError):  # a note need not be ours
         run, mark = _adapter().validate_python(note.get("run")), lease.mark_of(note)
         if mark is not None:
-            frames = _end_tables(folder, lock, mark, run)
+            _end_tables(folder, lock, mark, run)
     lock.note({"before": None})
     lease.sweep(folder)
-    return frames
 
 
-def _end_tables(folder: Path, lock: lease.FolderLease, mark: str, run: Manifest) -> int:
-    """Write the whole frames of a killed process's tables again, and run.json; the number of these frames."""
+def _end_tables(folder: Path, lock: lease.FolderLease, mark: str, run: Manifest) -> None:
+    """Write the whole frames of a killed process's tables again, and run.json."""
     check_plain(*(folder / name for name in TABLES))
     parts = {form: temporary_path(folder / f"trajectory.{form}", mark) for form in FORMATS}
     forms = [form for form, part in parts.items() if part.is_file()]
     if not forms:
-        return 0
+        return
     first = forms[-1]  # JSON also has the header, and its lines are the last of the three to be written
     text, frames = _whole_frames(first, read_bounded(parts[first], MAX_TABLE_BYTES))
     before = read_manifest(folder)
     if not frames or (before is not None and before.asked == run.asked and before.frames >= frames):
-        return 0
+        return
     torn = temporary_path(folder / f"torn.{first}")
     try:
         torn.write_bytes(text)
-        rows = read_table(torn)
+        rows = reader.read_table(torn)
         ending = summary_of(rows, complete=False, stopped=KILLED)
         rows = replace(rows, header={**rows.header, **{name: getattr(ending, name) for name in FOOTER}})
         files = [folder / f"trajectory.{form}" for form in forms]
@@ -347,26 +324,15 @@ def _end_tables(folder: Path, lock: lease.FolderLease, mark: str, run: Manifest)
         commit(lock, folder, files, replace(run, **{name: getattr(ending, name) for name in members}, files={}))
     finally:
         torn.unlink(missing_ok=True)
-    return frames
 
 
-def write_rows(
-    form: Format,
-    write: Callable[[bytes], object],
-    rows: Trajectory,
-    corrections: Sequence[Correction] | None = None,
-) -> None:
-    """Write these rows as a run does, by calls of `write`. `corrections`, if given, replace those in the header."""
+def write_rows(form: Format, write: Callable[[bytes], object], rows: Trajectory) -> None:
+    """Write these rows as a run does, by calls of `write`."""
     head = {key: value for key, value in rows.header.items() if key not in (*FOOTER, "frames_tracked", "type")}
     foot = {key: value for key, value in rows.header.items() if key in FOOTER}
-    ending = RunSummary(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
-    if corrections is not None:
-        init = {key: value for key, value in head["init"].items() if key != "corrections"}
-        head["init"] = {**init, **corrections_record(corrections)}
-        ending.lost_frames = summary_of(rows).lost_frames
     writer = WRITERS[form](BytesSink(write), head)
     writer.write(rows)
-    writer.close(ending)
+    writer.close(RunSummary(**{**foot, "warnings": tuple(foot.get("warnings", ()))}))
 
 
 def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
@@ -392,7 +358,7 @@ def previous_run(folder: Path, asked: str, clip: Path) -> tuple[Manifest | None,
 
     Raises InputError for a run.json that is not as we write it.
     """
-    present = read_manifest(folder) if is_there(folder) else None
+    present = read_manifest(folder) if reader.is_there(folder) else None
     if present is None or present.clip is None or present.asked != asked:
         return None, present
     whole = all(_is_as_written(folder, name, present) for name in present.files)
@@ -402,7 +368,7 @@ def previous_run(folder: Path, asked: str, clip: Path) -> tuple[Manifest | None,
 def other_clip(rows: Trajectory, clip: Path) -> str | None:
     """A line if a clip that is there is not, byte for byte, the clip that the rows of a run are of."""
     digest_then, run = rows.header.get("source_sha256"), read_manifest(rows.path.parent)
-    if not isinstance(digest_then, str) or not digest_then or not is_there(clip):
+    if not isinstance(digest_then, str) or not digest_then or not reader.is_there(clip):
         return None
     of_run = run.clip if run is not None and run.clip is not None and run.clip.sha256 == digest_then else None
     if clip_digest(clip) == digest_then if of_run is None else _is_same(of_run, clip):
@@ -418,26 +384,6 @@ def recipe_digest(recipe: Recipe) -> str:
     return hashlib.sha256(dumps([to_dict(recipe), *map(clip_digest, files)]).encode()).hexdigest()
 
 
-class ClipDigest:
-    """The SHA-256 of a clip, computed in a thread of its own while the clip is tracked; `clip` is the clip without."""
-
-    def __init__(self, clip: Path, *, whole: bool = True) -> None:
-        """Without `whole` it is not computed: the clip of a chunk is the same for all."""
-        self.clip, self._found, self._stopped = clip_stat(clip), "", not whole
-
-        def compute() -> None:
-            self._found = clip_digest(clip, lambda: self._stopped)
-
-        self._thread = threading.Thread(target=compute, name="sha256", daemon=True)
-        self._thread.start()
-
-    def end(self, *, whole: bool) -> Clip | None:
-        """The clip with its checksum, for which it waits if the run is `whole`; None if the clip is gone."""
-        self._stopped = not whole
-        self._thread.join()
-        return self.clip and replace(self.clip, sha256=self._found)
-
-
 def clip_stat(clip: Path) -> Clip | None:
     """A clip without its checksum; None if it is gone."""
     try:
@@ -449,11 +395,11 @@ def clip_stat(clip: Path) -> Clip | None:
     return Clip(sum(file.st_size for file in stats), "", as_text(str(clip)), changed)
 
 
-def clip_digest(path: Path, stopped: Callable[[], bool] = lambda: False) -> str:
+def clip_digest(path: Path) -> str:
     """SHA-256 of a file, or of the images of a folder; "" if it cannot be read."""
     try:
         images = listing(path)
-        return digest([path] if images is None else images, names=images is not None, stopped=stopped)
+        return digest([path] if images is None else images, names=images is not None)
     except OSError:
         return ""
 
@@ -469,7 +415,5 @@ def _is_as_written(folder: Path, name: str, run: Manifest) -> bool:
     """Whether a file is what its run wrote; of a run that did not end, whose tables are replaced, if its size is."""
     path, of = folder / name, run.files[name]
     with contextlib.suppress(OSError, ValueError):
-        stat_now = path.lstat()
-        if stat.S_ISREG(stat_now.st_mode) and stat_now.st_size == of.bytes:
-            return run.stopped is not None or digest([path]) == of.sha256
+        return path.stat().st_size == of.bytes and (run.stopped is not None or digest([path]) == of.sha256)
     return False

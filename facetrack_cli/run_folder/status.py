@@ -12,8 +12,6 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, ValidationError
-
 from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
 from facetrack_cli.core.numbers import document, places
@@ -23,43 +21,34 @@ from facetrack_cli.run_folder.manifest import NAME, Manifest, as_text, read_mani
 State: TypeAlias = Literal["done", "running", "interrupted", "failed", "not begun"]
 _BATCHES: Final = "batch-????????.json"
 CHUNKS: Final = "chunks"  # the folder of them, in that of a run
-PLAN: Final = "plan.json"  # how the clip is cut, beside them
 MAX_ROWS: Final = 20  # of the table of clips to look at
 STATES: Final[tuple[State, ...]] = ("done", "running", "interrupted", "failed", "not begun")
 
 
-class BatchFile(BaseModel):
-    """`batch-<8 hex>.json` among the results of a batch: each clip with the name of its folder.
+def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[str]) -> None:
+    """Write `batch-<8 hex>.json`, each clip of a batch with the name of its folder, into `out`, which is made.
 
-    The same batch has the same name.
+    The same batch has the same name. Raises OutputError.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
-    format: Literal["facetrack-batch"] = "facetrack-batch"
-    version: Literal[1] = 1
-    recipe: str
-    clips: tuple[tuple[str, str], ...]
-
-
-def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[str]) -> Path:
-    """Write the file of a batch into its folder, which is made. Raises OutputError."""
     pairs = [(as_text(str(clip)), as_text(name)) for clip, name in zip(clips, names, strict=True)]
-    data = BatchFile(recipe=recipe, clips=tuple(pairs)).model_dump_json(indent=1).encode() + b"\n"
+    record = {"format": "facetrack-batch", "version": 1, "recipe": recipe, "clips": pairs}
+    data = json.dumps(record, indent=1, ensure_ascii=False).encode() + b"\n"
     path = out / f"batch-{hashlib.sha256(data).hexdigest()[:8]}.json"
     make_folder(out)
     check_plain(path)
     if not path.exists():
         write_new(path, data, overwrite=True)
-    return path
 
 
-def batches(folder: Path) -> Iterator[BatchFile]:
-    """Those of a folder. Raises InputError for one that is not as we write it, and OSError."""
+def _batches(folder: Path) -> dict[str, str]:
+    """The clips of the batches of a folder, by the names of their folders. Raises InputError, and OSError."""
+    clips: dict[str, str] = {}
     for path in sorted(folder.glob(_BATCHES)):
         try:
-            yield BatchFile.model_validate_json(read_bounded(path))
-        except ValidationError as e:
+            clips = {name: clip for clip, name in json.loads(read_bounded(path))["clips"]} | clips
+        except (ValueError, LookupError, TypeError) as e:
             raise InputError(f"{path}: is not as facetrack run writes it; remove it, and run again") from e
+    return clips
 
 
 @dataclass(frozen=True)
@@ -108,27 +97,16 @@ class Status:
     def work_s(self) -> float | None:
         """Seconds that one process would take for what is left; None if nothing is done yet that would tell."""
         took = [clip.seconds for clip in self.clips if clip.state == "done" and clip.seconds is not None]
-        left = 0.0
-        for clip in self.clips:
-            if clip.state in ("running", "interrupted", "not begun"):
-                left += max(0.0, 1 - clip.frames / clip.of) if clip.state == "running" and clip.of else 1.0
-        return left * statistics.fmean(took) if took else None
-
-    @property
-    def remaining_s(self) -> float | None:
-        """Seconds until all is done, with as many processes as there are now; None if there are none, or not known."""
-        running, work_s = self.counts["running"], self.work_s
-        return work_s / running if work_s and running else None if work_s else work_s
+        left = sum(
+            max(0.0, 1 - clip.frames / clip.of) if clip.state == "running" and clip.of else 1.0
+            for clip in self.clips
+            if clip.state not in ("done", "failed")
+        )
+        return round(left * statistics.fmean(took), 1) if took else None
 
     def json(self) -> str:
-        fields = {
-            "folder": as_text(str(self.folder)),
-            "counts": self.counts,
-            "remaining_s": None if self.remaining_s is None else round(self.remaining_s, 1),
-            "work_s": None if self.work_s is None else round(self.work_s, 1),
-            "clips": [asdict(clip) for clip in self.clips],
-        }
-        return document("facetrack-status", fields, indent=1)
+        fields = {"folder": as_text(str(self.folder)), "counts": self.counts, "work_s": self.work_s}
+        return document("facetrack-status", {**fields, "clips": [asdict(clip) for clip in self.clips]}, indent=1)
 
     def lines(self) -> Iterator[str]:
         """The same in words."""
@@ -140,10 +118,9 @@ class Status:
             if clip.state == "running":
                 of = "" if clip.of is None else f" of about {clip.of}"
                 rate = "" if clip.frames_per_s is None else f", {clip.frames_per_s:.1f} frames/s"
-                since = f"on {clip.host or 'a machine'} since {clip.since}"
-                yield f"running: {clip.clip}: {since}, {clip.frames}{of} frames{rate}"
+                yield f"running: {clip.clip}: on {clip.host} since {clip.since}, {clip.frames}{of} frames{rate}"
         running = self.counts["running"]
-        left = running + self.counts["interrupted"] + self.counts["not begun"]
+        left = len(self.clips) - self.counts["done"] - self.counts["failed"]
         again = "" if running else "; nothing is running: give the command again"
         if not left and self.kind == "chunk":
             yield "no chunk is left: give the command again, which joins them"
@@ -187,11 +164,9 @@ def survey(folder: Path) -> Status:
     with reading(folder):
         if _is_run(folder):
             return Status(folder, (clip_status(folder, ".", ""),))
-        if chunks := _chunks_in(folder):
+        if chunks := sorted(f"{CHUNKS}/{path.name}" for path in (folder / CHUNKS).glob("?????")):
             return Status(folder, tuple(clip_status(folder / name, name, name) for name in chunks), "chunk")
-        named: dict[str, str] = {}
-        for batch in batches(folder):
-            named |= {name: clip for clip, name in batch.clips if name not in named}
+        named = _batches(folder)
         below = folder.iterdir() if folder.is_dir() else ()
         there = sorted(sub.name for sub in below if sub.name not in named and sub.is_dir() and _is_run(sub))
     if not named and not there:
@@ -210,14 +185,6 @@ def chunk_name(chunk: int) -> str:
     return f"{CHUNKS}/{chunk:05d}"
 
 
-def _chunks_in(folder: Path) -> list[str]:
-    """The names of the chunks of a clip that was split; none where there is no plan of them."""
-    try:
-        return [chunk_name(i) for i, _ in enumerate(json.loads(read_bounded(folder / CHUNKS / PLAN))["cuts"])]
-    except (OSError, InputError, ValueError, LookupError, TypeError):
-        return []
-
-
 def _is_run(folder: Path) -> bool:
     return (folder / NAME).is_file() or is_held(folder)
 
@@ -234,11 +201,12 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
         clip = clip or as_text(str(left.get("clip", name)))
         if note is None:  # what is left is of a process that is gone
             return ClipStatus(clip, name, "interrupted" if is_held(folder) else "not begun")
-        frames, of, seconds = (_number(note, key) for key in ("frame", "frames", "seconds"))
-        rate = round(frames / seconds, 2) if frames and seconds else None
-        host, since = str(note.get("host", "")), str(note.get("began", ""))
-        done, total = int(frames or 0), None if of is None else int(of)
-        return ClipStatus(clip, name, "running", done, total, host, since, seconds=seconds, frames_per_s=rate)
+        numbers = (note.get(key) for key in ("frame", "frames", "seconds"))
+        done, of, seconds = (number if isinstance(number, int | float) else None for number in numbers)
+        rate = round(done / seconds, 2) if done and seconds else None
+        host, since = str(note.get("host", "a machine")), str(note.get("began", ""))
+        frames, total = int(done or 0), None if of is None else int(of)
+        return ClipStatus(clip, name, "running", frames, total, host, since, seconds=seconds, frames_per_s=rate)
     state: State = "failed" if run.error is not None else "done" if run.stopped is None else "interrupted"
     tracked, took = run.frames - run.resumed, run.seconds
     lost, look = _worst_part(run)
@@ -271,8 +239,3 @@ def _worst_part(run: Manifest) -> tuple[float | None, str]:
     elif lines and run.look:
         lines.append(f"frames {places(run.look)}")
     return round(frames / run.frames, 4), "; ".join(lines)
-
-
-def _number(note: Any, key: str) -> float | None:
-    value = note.get(key)
-    return float(value) if isinstance(value, int | float) and 0 <= value < 1e12 else None

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -29,8 +28,7 @@ from facetrack_cli.recipe.model import Recipe, seeded, to_dict
 from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.people import cast_in
 from facetrack_cli.runs.plan import Job, check_count, check_smoothing, completed, resolve, silent, with_names
-from facetrack_cli.runs.progress import Bar, Progress, watched
-from facetrack_cli.runs.record import ClipFacts, Recorder, Results, Rows, outputs
+from facetrack_cli.runs.record import ClipFacts, Recorder, Rows, outputs
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import read_init
@@ -73,8 +71,7 @@ def track_video(
     fps : the rate of a folder of images, in frames per second.
     lag : each row takes so many later frames into account.
     faces : "all": everybody, over cuts; each person is a target, and the trajectory's `people` says who is seen when.
-    report : is called with the frames done and the frames in all, or None where that is not known. Without it a bar is
-        shown on a terminal and in Jupyter.
+    report : is called with the frames done and the frames in all, or None where that is not known.
 
     Returns
     -------
@@ -98,11 +95,9 @@ def track_video(
         faces=faces,
     )
     plan = resolve(job, kept=True)
-    with contextlib.closing(Bar() if report is None and watched() else Progress(True)) as shown:
-        shown.begin(job.clip.name)
-        sink = Rows()
-        with Recorder(plan) as into:
-            done = track_clip(into, Stop(), report or shown.update, shown.looked, sink)
+    sink = Rows()
+    with Recorder(plan) as into:
+        done = track_clip(into, Stop(), report or silent, silent, sink)
     if done.failure is not None and not isinstance(done.failure, FacetrackError):
         raise done.failure  # a fault of ours is not the end of a clip
     rows = sink.trajectory(done)
@@ -214,7 +209,7 @@ class Recording:
             if result.start is None:
                 raise InputError(f"{self.job.out}: the first result has no start; write results of track_frames")
             clip = ClipFacts(str(self.job.clip), result.frame.size, self._rate)
-            self._into.begin(Results(clip, result.start, {}), result)
+            self._into.begin(clip, result.start, {}, result)
         self._into.write(result)
 
     def __exit__(self, kind: Any = None, error: BaseException | None = None, trace: Any = None) -> None:

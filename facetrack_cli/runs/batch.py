@@ -29,7 +29,7 @@ import sys
 import threading
 import time
 import warnings
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -62,7 +62,6 @@ from facetrack_cli.trajectory.reader import is_there
 from facetrack_cli.video import images
 from facetrack_cli.video.source import check_local, is_clip, is_image
 
-TRIES: Final = 2  # of a clip whose process a signal ends
 LOOK_S: Final = 0.5  # between two looks whether a clip of somebody else is free
 RETRIES: Final = 2  # of a clip on a cluster that is not itself at fault
 ANSWER_S = 30.0  # for a scheduler to answer
@@ -89,12 +88,10 @@ def folders(clips: Sequence[Path], recipe: str) -> list[str]:
         groups[name.casefold()].append(i)
     for group in (group for group in groups.values() if len(group) > 1):
         places = [absolute(clips[i]) for i in group]
-        levels = zip(*(place.parts[:-2] for place in places), strict=False)
-        above = len([*itertools.takewhile(lambda level: len({*level}) == 1, levels)])
-        beside = Counter(place.parent for place in places)
+        above, beside = os.path.commonpath([place.parent.parent for place in places]), [each.parent for each in places]
         for i, place in zip(group, places, strict=True):
-            last = place.name.replace(".", "-") if beside[place.parent] > 1 else names[i]
-            names[i] = "-".join([*place.parts[max(above, 1) : -1], last])
+            last = place.name.replace(".", "-") if beside.count(place.parent) > 1 else names[i]
+            names[i] = "-".join([*place.parent.relative_to(above).parts, last])
     taken: set[str] = set()
     for i, name in enumerate(names):
         free = (f"{name}-{n}" if n > 1 else name for n in itertools.count(1))
@@ -156,19 +153,14 @@ def run_shared(
             progress.say(f"{clips} being tracked by another facetrack; waiting for {them}")
         free: list[Job] = []
         while busy and not free and not stop():
-            free = [job for job in busy if not _is_busy(job, stop)]
+            for job in busy:
+                if job.out is not None:
+                    recover_interrupted(job.out, stop)  # a claim that is stale is ended
+            free = [job for job in busy if job.out is None or not is_held(job.out)]
             time.sleep(0 if free else LOOK_S)
         busy = [job for job in busy if job not in free]
         decided, left = check_all(free)
         yield from decided
-
-
-def _is_busy(job: Job, stop: Stop) -> bool:
-    """Whether somebody else tracks a clip; a claim that is stale is ended."""
-    if job.out is None:
-        return False
-    recover_interrupted(job.out, stop)
-    return is_held(job.out)
 
 
 def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[tuple[Job, Outcome]]:
@@ -189,7 +181,7 @@ def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> 
     def report(frames: int) -> None:
         progress.update(finished, len(jobs), frames / (time.monotonic() - began))
 
-    results = side_by_side(jobs, attempt, workers, stop, report, threads=jobs[0].threads, tries=TRIES)
+    results = side_by_side(jobs, attempt, workers, stop, report, threads=jobs[0].threads)
     for i, result in results:
         finished += 1
         yield jobs[i], outcome_of_crash(jobs[i], result) if isinstance(result, Exception) else result
@@ -223,35 +215,29 @@ def attempt(job: Job, stop: Stop, report: Report = silent, looked: Report = sile
 # --- on a cluster of Dask --------------------------------------------------------------------------------------------
 
 
-def run_cluster(jobs: Sequence[Job], where: str, stop: Stop, progress: Progress) -> Iterator[Outcome]:
-    """Run `jobs` on the cluster `where`; as `run_shared`.
+def run_cluster(jobs: Sequence[Job], address: str, stop: Stop, progress: Progress) -> Iterator[Outcome]:
+    """Run `jobs` on the workers of the scheduler at an address; as `run_shared`.
 
     Once `stop` says so, the clips at work close their files as far as they can within `STOP_S`. Raises UsageError if no
     scheduler answers.
     """
-    client = _client(where)
-    try:
-        if not client.nthreads():
-            progress.say(f"facetrack: the scheduler of {where} has no worker; waiting for one")
-        yield from run_shared(jobs, partial(_cluster_turn, client, stop, progress), stop, progress)
-    finally:
-        with contextlib.suppress(Exception):
-            client.close(timeout=ANSWER_S)
-
-
-def _client(where: str) -> Any:
-    """A client of the scheduler. Raises UsageError if none answers within `ANSWER_S`."""
     from distributed import Client
 
-    address = address_of(where)
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # our lines say what matters
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return Client(address, timeout=ANSWER_S, set_as_default=False)
+            client = Client(address, timeout=ANSWER_S, set_as_default=False)
     except OSError as e:
         said = f"no scheduler of Dask answers at {address} within {ANSWER_S:.0f} s"
-        raise UsageError(f"--cluster {where}: {said} ({reason(e)}); start one with `dask scheduler`, or take -j") from e
+        raise UsageError(f"--cluster: {said} ({reason(e)}); start one with `dask scheduler`, or take -j") from e
+    try:
+        if not client.nthreads():
+            progress.say(f"facetrack: the scheduler at {address} has no worker; waiting for one")
+        yield from run_shared(jobs, partial(_cluster_turn, client, stop, progress), stop, progress)
+    finally:
+        with contextlib.suppress(Exception):
+            client.close(timeout=ANSWER_S)
 
 
 def _cluster_turn(client: Any, stop: Stop, progress: Progress, jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
@@ -268,7 +254,7 @@ def _cluster_turn(client: Any, stop: Stop, progress: Progress, jobs: Sequence[Jo
     while out and time.monotonic() < deadline and client.status == "running":
         if stop() and deadline == math.inf:
             deadline = time.monotonic() + STOP_S
-            _tell(client, batch)
+            threading.Thread(target=_tell, args=(client, batch), daemon=True).start()  # nobody waits for who hangs
         for future, job in [(future, job) for future, job in out.items() if future.done()]:
             outcome = _outcome(job, future, killed)
             left = outcome is None or (outcome.stopped is not None and outcome.failure is None)  # by its worker
@@ -311,13 +297,9 @@ def _outcome(job: Job, future: Any, killed: set[Path]) -> Outcome | None:
 
 
 def _tell(client: Any, batch: str) -> None:
-    """Let the workers end the clips of this batch; nobody waits for a worker that hangs."""
-
-    def say() -> None:
-        with contextlib.suppress(Exception):
-            client.run(_end, batch, on_error="ignore")
-
-    threading.Thread(target=say, daemon=True).start()
+    """Let the workers end the clips of this batch."""
+    with contextlib.suppress(Exception):
+        client.run(_end, batch, on_error="ignore")
 
 
 # --- on a worker -----------------------------------------------------------------------------------------------------
@@ -362,43 +344,32 @@ def _on_worker(version: str, folder: str, batch: str, sent: bytes) -> Outcome | 
     return outcome
 
 
-def check_cluster(where: str) -> int | None:
-    """N of local:N, the processes of this machine; None for a scheduler, whose workers do the clips.
-
-    Raises UsageError for a value of --cluster that names neither, and where the packages that it takes are missing.
-    """
+def address_of(where: str) -> str:
+    """The address of a scheduler, which may stand in a file. UsageError for what is neither, and without Dask."""
     if os.name != "posix":
         raise UsageError("--cluster is for Linux and macOS; take -j")
-    if found := re.fullmatch(r"local:([1-9]\d{0,3})", where):
-        return int(found[1])
-    address_of(where)
     with needed("workers of --cluster", "distributed", "cluster"):
         import distributed  # noqa: F401
-    return None
-
-
-def address_of(where: str) -> str:
-    """The address of a scheduler, which may stand in a file. UsageError for what is neither."""
     if re.fullmatch(r"(tcp|tls)://[^\s/]+:\d{1,5}", where):
         return where
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
         if isinstance(address := json.loads(read_bounded(Path(where), what="scheduler file"))["address"], str):
             return address
-    forms = "give local:N, tcp://HOST:PORT, or the scheduler file of `dask scheduler --scheduler-file`"
+    forms = "give tcp://HOST:PORT, or the scheduler file of `dask scheduler --scheduler-file`"
     raise UsageError(f"--cluster {where}: names no scheduler; {forms}")
 
 
 # --- what a command line names ----------------------------------------------------------------------------------------
 
 
-def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: None) -> tuple[list[Path], bool]:
-    """The clips of the inputs of a command line, each once, in their order; `note` hears what is left out.
+def expand(inputs: Sequence[Path]) -> tuple[list[Path], bool]:
+    """The clips of the inputs of a command line, each once, in their order.
 
     And whether they are several: more than one, or whatever a folder, glob or list holds. InputError for a list that
     cannot be read, and a folder, glob or list without clips; UsageError for several images.
     """
     listed = [clip for path in inputs for clip in _listed(path)]
-    groups = [_clips(path, note) for path in listed]
+    groups = [_clips(path) for path in listed]
     found = {absolute(clip): clip for group in groups for clip in group}
     clips = list(found.values())
     single = [clip for clip in clips if is_image(clip) and images.listing(clip) is None and images.pages(clip) == 1]
@@ -425,7 +396,7 @@ def _listed(path: Path) -> list[Path]:
     return clips
 
 
-def _clips(path: Path, note: Callable[[str], None]) -> list[Path]:
+def _clips(path: Path) -> list[Path]:
     """The clips that one input is."""
     check_local(path)
     try:
@@ -433,46 +404,28 @@ def _clips(path: Path, note: Callable[[str], None]) -> list[Path]:
             if (path / NAME).exists():
                 raise InputError(f"{path}: is the folder of a run; name the clip that was tracked")
             below = _sorted(sub for sub in path.iterdir() if not sub.name.startswith(".") and sub.is_dir())
-            inside = (clip for folder in below for clip in _of_folder(folder, note))
-            return _of_folder(path, note) or [*inside] or [path]
+            return _of_folder(path) or [clip for folder in below for clip in _of_folder(folder)] or [path]
         if re.search(r"[*?\[]", str(path)) and not is_there(path):
-            return _of_glob(path, note)
+            matches = _sorted(Path(name) for name in glob.glob(str(path), recursive=True))  # noqa: PTH207 -- any parts
+            if not matches:
+                raise InputError(f"{path}: matches no file; check the name")
+            videos = [match for match in matches if not match.is_dir() and not is_image(match)]
+            inside = [match for match in matches if match.is_dir()]
+            return videos + [clip for folder in inside for clip in _of_folder(folder)] if videos or inside else [path]
     except OSError as e:
         raise from_system(e) or InputError(f"{e.filename or path}: {reason(e)}; check the permissions") from e
     return [path]
 
 
-def _of_glob(pattern: Path, note: Callable[[str], None]) -> list[Path]:
-    matches = _sorted(Path(name) for name in glob.glob(str(pattern), recursive=True))  # noqa: PTH207 -- any of its parts
-    if not matches:
-        raise InputError(f"{pattern}: matches no file; check the name")
-    files = [path for path in matches if not path.is_dir()]
-    pictures = {path for path in files if is_image(path)}
-    if len(pictures) == len(matches):
-        return [pattern]
-    _left_out(pattern, len(pictures), note)
-    videos = [path for path in files if path not in pictures]
-    return videos + [clip for folder in matches if folder.is_dir() for clip in _of_folder(folder, note)]
-
-
-def _of_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
-    """The clips right in a folder: it itself, its videos, or none. A run's folder has none."""
+def _of_folder(folder: Path) -> list[Path]:
+    """The clips right in a folder: it itself, its videos without the images beside them, or none, as of a run."""
     if (folder / NAME).exists():
         return []
     names = [name for name in os.listdir(folder) if not name.startswith(".")]  # noqa: PTH208 -- of many, fast
     paths = [folder / name for name in names]
-    videos = sorted(filter(is_clip, paths), key=lambda path: images.natural_key(path.name))
-    pictures = [path for path in {*paths}.difference(videos) if path.suffix.lower() in images.SUFFIXES]
-    if not videos:
-        return [folder] if any(path.is_file() for path in pictures) else []
-    _left_out(folder, len(pictures), note)
-    return videos
-
-
-def _left_out(place: Path, pictures: int, note: Callable[[str], None]) -> None:
-    if pictures:
-        what = "1 image beside the videos is" if pictures == 1 else f"{pictures} images beside the videos are"
-        note(f"facetrack: warning: {place}: {what} left out; give images a folder of their own")
+    if videos := _sorted(filter(is_clip, paths)):
+        return videos
+    return [folder] if any(path.suffix.lower() in images.SUFFIXES and path.is_file() for path in paths) else []
 
 
 def _sorted(paths: Iterable[Path]) -> list[Path]:

@@ -15,9 +15,9 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.files import check_new, temporary_path, write_new
 from facetrack_cli.run_folder.manifest import VIDEO
+from facetrack_cli.runs.finished import repaint
 from facetrack_cli.runs.plan import silent
 from facetrack_cli.runs.signals import never
-from facetrack_cli.runs.smooth import repaint
 from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_MEDIA, load
 from facetrack_cli.trajectory.formats.annotation import add_tiers
 from facetrack_cli.trajectory.formats.tables import Clip

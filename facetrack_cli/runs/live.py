@@ -11,7 +11,6 @@ import json
 import math
 import sys
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -54,7 +53,6 @@ from facetrack_cli.video.source import address_of, is_live, open_source
 OPEN_S, READ_S = 10.0, 10.0  # seconds without a byte, after which an address is given up
 LEAST_WAIT_S, MOST_WAIT_S = 1.0, 30.0  # until an address is opened again
 LEAST_VIEWS: Final = 3  # of a face before it is named
-KEPT: Final = 500  # tracks, the last ones, that the cast at the end is made of
 _PIPE: Final = "standard input"
 _FORMATS: Final = f"{FORMATS},jpeg_pipe"
 _PROTOCOLS: Final = "rtsp,rtsps,rtp,udp,tcp,tls,srt,http,https,crypto"
@@ -86,11 +84,11 @@ def follow(
     cast: LiveCast | None = None,
 ) -> int:
     """Track `images` and write a line for each; the number of lines. Times are those of frames, else seconds since the
-    first image came. With a `cast` everybody is tracked, and a line more says at the end who is who.
+    first image came. With a `cast` everybody is tracked, and a line says who is who.
 
     Raises InputError for images that are none, or no start in the first of them.
     """
-    came: dict[int, float] = {}
+    came, count = dict[int, float](), 0
 
     def dated(coming: Iterator[tuple[float, Image | Frame]]) -> Iterator[tuple[float, Image]]:
         began = None
@@ -99,7 +97,6 @@ def follow(
             own = image.time_s if isinstance(image, Frame) else math.nan
             yield now - began if math.isnan(own) else own, image.bgr if isinstance(image, Frame) else image
 
-    count = 0
     try:
         timed = ((time.monotonic(), image) for image in images)  # as it comes: it waits for those before it
         with decoded_ahead(timed, most=1, stopped=stopped) as coming:
@@ -107,8 +104,7 @@ def follow(
             results = Tracker(recipe, init=init)._follow(frames) if cast is None else cast.follow(frames, recipe)
             for result in results:
                 at = came[result.frame.index]
-                for index in [index for index in came if index <= result.frame.index]:
-                    del came[index]
+                came = {index: now for index, now in came.items() if index > result.frame.index}
                 nobody = f'"frame":{result.frame.index},"time_s":{result.frame.time_s:.4f},"targets":[]'
                 line = [f'"age_s":{time.monotonic() - at:.4f}', next(json_frames(result.rows), nobody)]
                 if cast is not None:
@@ -116,8 +112,6 @@ def follow(
                     line.append(f'"people":{json.dumps({name: cast.names.get(name) for name in there})}')
                 write(f"{{{','.join(line)}}}")
                 count += 1
-            if cast is not None:
-                write(json.dumps({"people": cast.cast()}))
     except InputError:  # also where the images end before the target is found
         if not stopped():
             raise
@@ -214,20 +208,15 @@ class _Followed:
     track: TrackSummary
     looked: int
 
-    @property
-    def seen(self) -> TrackSummary:
-        return self.track._replace(looks=self.reader.looks())
-
 
 class LiveCast:
-    """Who the tracks of a film are of, of `known` people and others; `names` has the last ones that are named."""
+    """Who the tracks of a film are of, of `known` people and others; `names` has those that are there and named."""
 
     def __init__(self, by: DetectorName | None, fps: float, known: Mapping[str, FaceDescriptor]) -> None:
         self.names: dict[str, str] = {}
         self._detector, self._fps = detector(by), fps
-        self._given, self._looks = dict(known), dict(known)  # of each person
+        self._looks = dict(known)  # of each person
         self._now: dict[str, _Followed] = {}
-        self._past = deque[TrackSummary](maxlen=KEPT)
 
     def follow(self, frames: Iterator[Frame], recipe: Recipe) -> Iterator[FrameResult]:
         """A result for each frame, in which every face is a target; no track is carried over a cut."""
@@ -239,18 +228,6 @@ class LiveCast:
             for result in film.follow(chain([first], (frame for _, frame in passed)), at):
                 self._see(result, number)
                 yield result
-
-    def cast(self) -> dict[str, str]:
-        """Who the last tracks are of, by the looks of all of them together; people keep the names that they had."""
-        for name in [*self._now]:
-            self._end(name)
-        tracks, called = [*self._past], dict(enumerate(self._given))
-        persons = cast_of(tracks, [*self._given.values()], self._fps).person.tolist()
-        for person in sorted({*persons} - {UNKNOWN} - {*called}):
-            had = (self.names.get(track.name, "") for track, of in zip(tracks, persons, strict=True) if of == person)
-            kept = next((name for name in had if name and name not in called.values()), "")
-            called[person] = kept or new_name([*self._looks, *called.values()])
-        return {track.name: called[of] for track, of in zip(tracks, persons, strict=True) if of != UNKNOWN}
 
     def _see(self, result: FrameResult, shot: int) -> None:
         """Take in one frame more: where its tracks are, and now and then what they look like."""
@@ -280,7 +257,8 @@ class LiveCast:
         at = next((i for i, now in enumerate(there) if now.track.name == track), None)
         if at is None:
             return
-        cast = cast_of([now.seen for now in there], [*self._looks.values()], self._fps)
+        seen = [now.track._replace(looks=now.reader.looks()) for now in there]
+        cast = cast_of(seen, [*self._looks.values()], self._fps)
         person = int(cast.person[at])
         doubtful = any(doubt.track == at for doubt in cast.doubts)
         if person == UNKNOWN or (doubtful and len(there[at].reader.scores) < VIEWS):
@@ -291,12 +269,7 @@ class LiveCast:
             self._looks.setdefault(name, there[at].reader.looks())
 
     def _end(self, track: str) -> None:
-        ended = self._now.pop(track)
-        if not ended.reader.is_face:
-            return
-        if len(self._past) == KEPT:
-            self.names.pop(self._past[0].name, None)
-        self._past.append(ended.seen)
-        if (name := self.names.get(track)) is not None:
+        ended, name = self._now.pop(track), self.names.pop(track, None)
+        if name is not None and ended.reader.is_face:
             both = together([self._looks[name], ended.reader.looks()])
             self._looks[name] = FaceDescriptor(*(array[-4 * VIEWS :] for array in both))

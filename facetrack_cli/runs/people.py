@@ -17,13 +17,12 @@ from facetrack_cli.core.types import BOX, Frame, Image
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.run_folder.lease import IN_A_COPY, FolderLease
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, other_clip, read_manifest, read_run
+from facetrack_cli.runs.finished import rewrite
 from facetrack_cli.runs.plan import Job, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
-from facetrack_cli.runs.smooth import rewrite
 from facetrack_cli.start.presence import MAX_FACES
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import (
-    AT_ONCE_S,
     SURE,
     UNKNOWN,
     Cast,
@@ -31,7 +30,6 @@ from facetrack_cli.trackers.people.descriptor import (
     TrackSummary,
     cast_of,
     load_people,
-    places,
     save_people,
     still,
     views_of,
@@ -71,33 +69,28 @@ class NamedFilm(NamedTuple):
 
 
 def film_shots(job: Job, stop: Stopped, looked: Report) -> list[Shot]:
-    """The shots of a clip, from the first frame that is asked for; InputError once `stop` says so."""
+    """The shots of a clip, from the first frame that is asked for, until `stop` says so."""
     first = job.first
     with job.open(first) as source:
         frames = frames_of(source, first, "the film", stop)
         total = source.frames_hint
         cuts = list(find_cuts(frames, lambda done: looked(done, total, "finding shots"), float(source.fps)))
-    if stop():
-        raise InputError(f"{job.clip}: stopped before its shots were found")
     return shots_of(cuts, first, job.stop)
 
 
-def looks_in(
-    boxes: Mapping[str, Trajectory], source: Source, report: Callable[[int], None], stop: Stopped
-) -> dict[str, Describer]:
+def looks_in(boxes: Mapping[str, Trajectory], source: Source, looked: Report, stop: Stopped) -> dict[str, Describer]:
     """What the frames of `source` show of each of these boxes. Raises StoppedError once `stop` says so."""
     readers, wanted = {name: Describer(detector()) for name in boxes}, defaultdict(list)
     for name, box in boxes.items():
         for view in views_of(box):
             wanted[view.frame].append((name, view))
-    left = max(wanted, default=-1)
-    for frame in source if wanted else ():
+    for done, frame in enumerate(source if wanted else ()):
         if stop():
             raise StoppedError
         for name, view in wanted.get(frame.index, ()):
             readers[name].see(frame, view)
-        report(frame.index)
-        if frame.index >= left:
+        looked(done, source.frames_hint, "looking at people")
+        if frame.index >= max(wanted):
             break
     return readers
 
@@ -111,10 +104,8 @@ def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop
     where, how = film_of(people, rows, clip)
     if where is None:
         raise InputError(f"{rows.path}: does not name its clip; give it with --clip")
-    first = people.shots[0].first
-    with open_source(where, start=first, **how) as source:
-        total = source.frames_hint
-        readers = looks_in(_boxes(rows), source, lambda at: report(at - first, total, "looking at people"), stop)
+    with open_source(where, start=people.shots[0].first, **how) as source:
+        readers = looks_in(_boxes(rows), source, report, stop)
     names = tuple(name for name in people.names if not name.startswith(NOBODY))
     save_people(path, {name: readers[name].looks() for name in names})
     return names
@@ -140,21 +131,19 @@ def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> NamedF
     first, stored = int(rows.frame.min()), rows.header.get("shots")
     shots = [Shot(*shot) for shot in stored] if stored else film_shots(job, stop, looked)
     gallery = {} if job.gallery is None else load_people(job.gallery)
-    frames, tracks = len(rows.frames), list[TrackSummary]()
-    boxes = {name: box for name, box in _boxes(rows).items() if (~box.unseen).sum() >= min(MIN_FRAMES, frames)}
+    least, tracks = min(MIN_FRAMES, len(rows.frames)), list[TrackSummary]()
+    boxes = {name: box for name, box in _boxes(rows).items() if (~box.unseen).sum() >= least}
     with job.open(first) as source:
-        total, fps = source.frames_hint, float(source.fps)
-        readers = looks_in(boxes, source, lambda at: looked(at - first, total, "looking at people"), stop)
+        fps, readers = float(source.fps), looks_in(boxes, source, looked, stop)
     begins = np.array([shot.first for shot in shots])
     for name, box in sorted(boxes.items(), key=lambda item: int(item[1].frame[0])):
         if readers[name].is_face:
-            start, stop_frame = int(box.frame[0]), int(box.frame[-1]) + 1
+            start, ended = int(box.frame[0]), int(box.frame[-1]) + 1
             ends: Any = [tuple(place) for place in box.take(~box.unseen).boxes[[0, -1]].tolist()]
-            shot = int(np.searchsorted(begins, start, "right"))
-            looks = readers[name].looks(FIRST_VIEWS)
-            tracks.append(TrackSummary(name, start, stop_frame, ends[0], ends[1], shot, looks))
+            shot, looks = int(np.searchsorted(begins, start, "right")), readers[name].looks(FIRST_VIEWS)
+            tracks.append(TrackSummary(name, start, ended, ends[0], ends[1], shot, looks))
     if not tracks:
-        raise InputError(f"{job.clip}: no face is seen in {MIN_FRAMES} frames of {frames}; is this the right film?")
+        raise InputError(f"{job.clip}: no face is seen in {least} frames; is this the right film?")
     cast, names = cast_of(tracks, list(gallery.values()), fps), [*gallery]
     if cast.doubts:
         tracks = [track._replace(looks=readers[track.name].looks()) for track in tracks]
@@ -199,24 +188,10 @@ def _named(
         assert best is not None
         for key in keys:
             pictures[key] = max(pictures.get(key, best), best, key=lambda still: still[0])
-    kept = [ShotRecord(first=shot.first, stop=shot.stop) for shot in _true(shots, tracks, names, clock.fps)]
+    kept = [ShotRecord(first=shot.first, stop=shot.stop) for shot in shots]
     stills = {name: paths[name, False] for name in names}
     people = people_of(clock, kept, records, stills, {*names} - moving)
     return NamedFilm(people, records, {paths[key]: _jpeg(image) for key, (_, image) in pictures.items()})
-
-
-def _true(shots: Sequence[Shot], tracks: Sequence[TrackSummary], names: Sequence[str], fps: float) -> list[Shot]:
-    """The shots without cuts after which the same faces go on in the same places, as after a flash."""
-    kept, goes_on = list(shots[:1]), places(tracks, fps)[1]
-    for shot in shots[1:]:
-        before = [i for i, track in enumerate(tracks) if track.stop == shot.first]
-        after = [j for j, track in enumerate(tracks) if shot.first <= track.first <= shot.first + AT_ONCE_S * fps]
-        pairs = [(i, j) for i in before for j in after if goes_on[i, j] and names[i] == names[j]]
-        if before and len(before) == len(after) == len(pairs):
-            kept[-1] = kept[-1]._replace(stop=shot.stop, until=shot.until)
-        else:
-            kept.append(shot)
-    return kept
 
 
 def crowded(at: TrackState) -> tuple[str, ...]:
@@ -295,7 +270,7 @@ def recast(
         before = {person.name: person.still for person in people.people}
         old = {track.person: track.target for track in reversed(tracks)}  # the target of each one's first track
         named, (where, how) = under_names(rows, tracks), film_of(people, rows, clip)
-        pictures: dict[str, bytes] = {}
+        pictures, end = dict[str, bytes](), int(rows.frame.max()) + 1
 
         def read(index: int) -> Frame:
             if where is None:
@@ -311,7 +286,7 @@ def recast(
         stills = {}
         for name, of in old.items():
             kept = read_still(folder, before.get(of, "")) if name == of or of not in old else b""
-            stills[name] = numbered(kept or still_of(named, name, 0, int(rows.frame.max()) + 1, read))
+            stills[name] = numbered(kept or still_of(named, name, 0, end, read))
         records = [
             track.model_copy(update={"still": numbered(shown) if (shown := read_still(folder, track.still)) else ""})
             for track in tracks
@@ -325,8 +300,6 @@ def recast(
 
 def people_in(folder: Path) -> People:
     """The people of a run. InputError for a run that is of no film."""
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; name the folder of a film, which facetrack run --faces all wrote")
     check_run(folder)
     people = read_people(folder)
     if people is None:

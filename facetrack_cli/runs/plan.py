@@ -8,6 +8,7 @@ import hashlib
 import math
 import os
 import shlex
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, fields, replace
 from fractions import Fraction
@@ -15,12 +16,12 @@ from functools import partial
 from itertools import islice
 from numbers import Integral
 from pathlib import Path
-from typing import Final, NamedTuple, TypeAlias, get_args
+from typing import Any, Final, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
 from facetrack_cli.core import __version__
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS, HANDS, DetectorName
 from facetrack_cli.core.files import check_folder, check_plain
 from facetrack_cli.core.numbers import dumps
@@ -127,24 +128,17 @@ class ClipRequest:
             return completed(recipe, start, lambda: self.frame(at, origin), str(self.clip))
         with self.open(at) as source:
             faces: Faces = "all" if recipe.later else self.faces
-            frames = frames_of(source, at, origin, stopped, looked)
-            try:
-                look, clip = detector(self.by), str(self.clip)
-                complete = partial(with_names, recipe, clip)
-                start = search_start(frames, recipe.points, detector=look, faces=faces, clip=clip, complete=complete)
-            except InputError:
-                if stopped():
-                    raise InputError(f"{self.clip}: stopped before a start was found") from None
-                raise
+            frames, clip = frames_of(source, at, origin, stopped, looked), str(self.clip)
+            how: Any = {"faces": faces, "clip": clip, "complete": partial(with_names, recipe, clip)}
+            start = search_start(frames, recipe.points, detector=detector(self.by), **how)
         return self._signer(recipe, start) if recipe.later else start
 
     def _signer(self, recipe: Recipe, start: Start) -> Start:
         """Of a start with several faces that with the largest, or with one whose hands move far more than its hands."""
-        (first, _), *others = start.targets.items()
-        if not others:
-            return start
+        first, moved = next(iter(start.targets)), list[float]()
         starts = [replace(start, targets={first: face}) for face in start.targets.values()]
-        moved = []
+        if len(starts) == 1:
+            return start
         for candidate in starts:
             with self.open(start.frame) as source:
                 tracker = tracker_for(recipe, candidate, source.size)
@@ -154,7 +148,7 @@ class ClipRequest:
         if moved[best] < MIN_MOVED or moved[best] < MOVES_MORE * moved[0]:
             return replace(starts[0], note=start.note.replace(", and ", "; passed over: ", 1))
         wide = f"begins in frame {start.frame} with a face {box_of(starts[best], first)[2]:.0f} pixels wide"
-        note = f"{wide}, whose hands move most, by {start.origin}; passed over: {len(others)} more"
+        note = f"{wide}, whose hands move most, by {start.origin}; passed over: {len(starts) - 1} more"
         return replace(starts[best], note=note)
 
     def origin(self, start: Start | None) -> str:
@@ -222,7 +216,7 @@ def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
     """The first frame of the ground truth in which its targets' boxes, or all these points of them, are visible."""
     for frame, rows in by_frame(truth):
         boxes: dict[str, Box] = {}
-        places: dict[str, dict[str, Point]] = {}
+        places: dict[str, dict[str, Point]] = defaultdict(dict)
         for i in rows:
             target, part = truth.names[truth.which[i]]
             place = tuple(truth.boxes[i].tolist())
@@ -233,7 +227,7 @@ def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
             if len(place) == 4:
                 boxes[target] = place
             elif part in points:
-                places.setdefault(target, {})[part] = place
+                places[target][part] = place
         whole = {target: {p: at[p] for p in points} for target, at in places.items() if len(at) == len(points)}
         if {*boxes, *whole} >= {*truth.targets}:
             targets = {name or "face": TargetStart(boxes.get(name), whole.get(name, {})) for name in truth.targets}
@@ -312,7 +306,7 @@ class Plan:
 
     @property
     def draws(self) -> bool:
-        """Whether the video is drawn while the clip is tracked: of a film the names are known at the end."""
+        """Whether a video is drawn from rows: of a film the names are known at the end."""
         return self.job.video and self.job.out is not None and not self.everyone
 
     @property
@@ -349,7 +343,14 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
     searched = job.box is None and (job.init is None or job.init in DETECTORS)
     everyone = job.faces == "all" and searched and follows_everyone(job.recipe)
     _check_options(job, everyone, kept)
-    asked = digest_of(job)
+    how = {"clip", "recipe", "out", "overwrite", "threads", "resume", "batch", "retry_failed"}
+    values: dict[str, object] = {each.name: getattr(job, each.name) for each in fields(job) if each.name not in how}
+    if isinstance(job.init, Path):
+        values["init"] = manifest.clip_digest(job.init)
+    elif isinstance(job.init, Start):
+        values["init"] = to_record(job.init)
+    words = [__version__, manifest.recipe_digest(job.recipe), *map(str, values.items())]
+    asked = hashlib.sha256(dumps(words).encode(errors="surrogateescape")).hexdigest()
     if job.out is None:
         return Plan(job, asked, everyone, None)
     if job.chunk:
@@ -369,18 +370,6 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
 def follows_everyone(recipe: Recipe) -> bool:
     """Whether a recipe follows everybody over cuts, where all faces are asked for."""
     return bool(recipe.heads) and not recipe.followed
-
-
-def digest_of(job: Job) -> str:
-    """A digest of all that is asked for but the clip, of a job whose init file is found."""
-    how = {"clip", "recipe", "out", "overwrite", "threads", "resume", "batch", "retry_failed"}
-    asked: dict[str, object] = {each.name: getattr(job, each.name) for each in fields(job) if each.name not in how}
-    if isinstance(job.init, Path):
-        asked["init"] = manifest.clip_digest(job.init)
-    elif isinstance(job.init, Start):
-        asked["init"] = to_record(job.init)
-    words = [__version__, manifest.recipe_digest(job.recipe), *map(str, asked.items())]
-    return hashlib.sha256(dumps(words).encode(errors="surrogateescape")).hexdigest()
 
 
 def check_count(name: str, value: object) -> None:
@@ -443,7 +432,8 @@ class Outcome(manifest.Manifest):
     def of(cls, job: Job, run: manifest.Manifest) -> Outcome:
         """That of a run that its folder holds already."""
         assert job.out is not None
-        paths, failure = [job.out / name for name in run.files], manifest.error_of(run)
+        kind = InputError if run.exit_code == ExitCode.INPUT else FacetrackError
+        paths, failure = [job.out / name for name in run.files], None if run.error is None else kind(run.error)
         if job.strict and not run.complete:
             failure = failure or InputError(run.warnings[-1])
         said = {"warnings": (), "stopped": None, "resumed": 0}

@@ -20,11 +20,6 @@ def progress(quiet: bool) -> contextlib.closing[Progress]:
     return contextlib.closing(Bar() if has_bar else Progress(quiet))
 
 
-def watched() -> bool:
-    """Whether somebody sees a bar: on a terminal, or in Jupyter."""
-    return sys.stderr.isatty() or "ipykernel" in sys.modules
-
-
 class Progress:
     """One task at a time, in `unit`s: frames of a clip, clips of a batch. A line every ten seconds, none if `quiet`.
 

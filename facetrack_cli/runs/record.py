@@ -9,17 +9,15 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import platform
 import shutil
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import cv2
 import numba
@@ -27,18 +25,18 @@ import numpy as np
 
 from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.npz import Arrays, Kind, Stored, flatten, restore
+from facetrack_cli.core.npz import Kind, Stored, flatten, restore
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder import manifest
-from facetrack_cli.run_folder.lease import FolderLease, here, sweep, utc_now
+from facetrack_cli.run_folder.lease import FolderLease, here, utc_now
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.workers import Painter
 from facetrack_cli.trajectory.diagnostics import KNOWN
-from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, to_record
+from facetrack_cli.trajectory.reader import to_record
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, SCHEMA, VERSION, WRITERS, Format, Header
 from facetrack_cli.video.source import Source
@@ -50,6 +48,7 @@ FOLDER: Final = ".checkpoint"
 KIND: Final = Kind("facetrack-checkpoint", 1, "checkpoint of a run", "facetrack run")
 EVERY_S, EVERY_FRAMES = 30.0, 1000  # between two checkpoints, whichever is less
 STATE: Final = "state.npz"
+Results: TypeAlias = Generator[FrameResult, None, None]  # of a clip, of a film, of joined chunks
 _MAX_NOTES: Final = 5  # lines that the tracker has for the user, which are kept
 
 
@@ -79,27 +78,10 @@ class ClipFacts(NamedTuple):
         return {"path": self.path, "size": list(self.size), "fps": round(float(self.fps), 6), **odd}
 
 
-@dataclass(frozen=True)
-class Results:
-    """The results of a clip, of a film, of joined chunks: whatever is written as a run.
-
-    `more` is what JSON says at its beginning beside clip, recipe and start. `frames` raises StoppedError where nothing
-    is to be kept. `ended` adds to the outcome how they ended, and is told whether nothing ended them early; it raises
-    InputError where nothing is to be kept.
-    """
-
-    clip: ClipFacts
-    start: Start
-    more: Header
-    frames: Generator[FrameResult, None, None] | None = None  # of who writes them one by one
-    ended: Callable[[Outcome, bool], None] = lambda done, whole: None
-
-
 class Sink:
     """Takes the results of a run, and writes or counts them. A file is written under the temporary name of `path`."""
 
     path: Path | None = None
-    every = False  # whether it also takes frames without targets, which are none of the run's
     missing: OutputError | None = None  # why there is no file, though all others are whole
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
@@ -109,10 +91,7 @@ class Sink:
         """Take one more frame."""
 
     def mark(self) -> Any:
-        """The state from which `begin` can continue."""
-
-    def sync(self) -> None:
-        """Flush what was written to the disk, before a checkpoint relies on it. Raises OSError."""
+        """The state from which `begin` can continue; what was written until then is on the disk."""
 
     def end(self, done: Outcome) -> None:
         """Called after the last result, before any sink is closed. It may add to the outcome, which tables write."""
@@ -124,67 +103,6 @@ class Sink:
         """Remove the temporary file, if it is still there."""
         if self.path is not None:
             files.discard(self.path)
-
-
-class Checkpoints:
-    """The whole state of the run into `out` that `key` tells from all others, kept now and then by a thread of its own.
-
-    The same run again goes on from there. Its rows are byte for byte those of a run that was never ended; its video is
-    drawn from them at the end. Trackers of OpenCV do not give their state away, and with a lag rows wait in memory:
-    those runs begin from their first frame.
-    """
-
-    def __init__(self, out: Path, key: str) -> None:
-        self.folder, self._key = out / FOLDER, key
-        files.check_plain(self.folder, self.folder / STATE)
-        self._worker = ThreadPoolExecutor(1, "checkpoint")
-        self._ready: tuple[Arrays, Sequence[Callable[[], None]]] | None = None
-        self._last_s, self._last_frames = time.monotonic(), 0
-
-    def find(self) -> Any:
-        """The last state of this very run; None if none can be read."""
-
-        def make(stored: Stored) -> Any:
-            if stored.text("key") != self._key:
-                return None
-            self._last_frames = int(stored.file["frames"])
-            return restore("run", stored.file)
-
-        if (self.folder / STATE).is_file():
-            sweep(self.folder)
-            with contextlib.suppress(InputError):  # a file that is damaged
-                return KIND.read(self.folder / STATE, make)
-        return None
-
-    def is_due(self, frames: int) -> bool:
-        """Whether the run is to be marked after so many frames."""
-        return frames - self._last_frames >= EVERY_FRAMES or time.monotonic() - self._last_s >= EVERY_S
-
-    def mark(self, frames: int, state: Any, steps: Sequence[Callable[[], None]]) -> None:
-        """Keep the `state` after so many frames, once there is one more, since after the last nothing is kept.
-
-        The `steps` come before.
-        """
-        self._last_s, self._last_frames = time.monotonic(), frames
-        self._ready = {"frames": np.array(frames), **flatten("run", state)}, steps
-
-    def release(self) -> None:
-        """Keep what is marked."""
-        if self._ready is not None:
-            self._worker.submit(self._keep, *self._ready)
-            self._ready = None
-
-    def _keep(self, arrays: Arrays, steps: Sequence[Callable[[], None]]) -> None:
-        # whoever writes what could not be finished says so; without a checkpoint the run goes on all the same
-        with contextlib.suppress(OutputError, OSError):
-            self.folder.mkdir(exist_ok=True)
-            for step in steps:
-                step()
-            KIND.write(self.folder / STATE, {"key": np.array(self._key), **arrays})
-
-    def end(self) -> None:
-        """Wait until all is kept."""
-        self._worker.shutdown()
 
 
 @dataclass
@@ -203,15 +121,22 @@ class Recorder:
     Without `close` nothing is left. A run with a folder has its lease, keeps checkpoints, and writes run.json; one
     without is streamed, or stays in memory. Raises OutputError, and BusyError where another process writes there. In a
     batch it notes that its clip failed.
+
+    A checkpoint is the whole state of a run, from which the same run goes on: its rows are byte for byte those of a run
+    that was never ended; its video is drawn from them at the end. Trackers of OpenCV do not give their state away, and
+    with a lag rows wait in memory: those runs begin from their first frame.
     """
 
     def __init__(self, plan: Plan, stopped: Stopped = never) -> None:
         self.plan, self.sinks = plan, list[Sink]()
         job = plan.job
         self.lease = None if job.out is None else FolderLease(job.out, stopped)
-        self.checkpoints: Checkpoints | None = None
         self.state = RunState(0, Outcome(source=job.clip, streamed=job.out is None))
+        self._checkpoint, self._key = Path(), ""  # the last state, which the key tells from those of other runs
+        self._kept_s, self._kept_frames, self._marked = time.monotonic(), 0, dict[str, Any]()
         self.total: int | None = None  # the number of frames that the clip says it has, if it does
+        # adds to the outcome how the results ended, and whether nothing ended them early; InputError to keep nothing
+        self.ended: Callable[[Outcome, bool], None] = silent
 
     @property
     def outcome(self) -> Outcome:
@@ -241,64 +166,74 @@ class Recorder:
         if job.recipe.filters and not job.lag:
             clip = manifest.clip_stat(job.clip)
             same = [self.plan.asked, _versions(), to_record(start), clip and (clip.bytes, clip.changed_ns)]
-            key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
-            self.checkpoints = Checkpoints(job.out, key)
-            last = self.checkpoints.find() if job.resume and not job.overwrite else None
+            self._key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
+            self._checkpoint = job.out / FOLDER / STATE
+            files.check_plain(self._checkpoint.parent, self._checkpoint)
+            with contextlib.suppress(InputError):  # there is none, or it is damaged
+                last = KIND.read(self._checkpoint, self._restored) if job.resume and not job.overwrite else None
         if isinstance(last, RunState):
             with contextlib.suppress(InputError, OSError):  # a table was edited, or is gone
                 for sink in sinks:
                     if isinstance(sink, Table) and sink.path is not None:
                         manifest.check_belongs(sink.path)
                 vars(last.outcome).update(self._about, resumed=last.outcome.frames)
-                self.state = last
+                self.state, self._kept_frames = last, last.outcome.frames
                 return
         shutil.rmtree(job.out / FOLDER, ignore_errors=True)
 
-    def begin(self, results: Results, first: FrameResult) -> None:
-        """Begin the files, before the `first` result is written."""
-        self._results, self._began_s = results, time.perf_counter()  # the rate leaves the start-up out
-        hint = results.clip.frames_hint
-        self.total = hint and hint + self.outcome.resumed
-        self._digest = manifest.ClipDigest(self.plan.job.clip, whole=not self.plan.job.chunk)
+    def _restored(self, stored: Stored) -> Any:
+        return restore("run", stored.file) if stored.text("key") == self._key else None
+
+    def begin(self, clip: ClipFacts, start: Start, more: Header, first: FrameResult) -> None:
+        """Begin the files, before the `first` result is written; `more` is what JSON says beside clip and start."""
+        self._began_s = time.perf_counter()  # the rate leaves the start-up out
+        self.total = clip.frames_hint and clip.frames_hint + self.outcome.resumed
+        self.outcome.clip = manifest.clip_stat(self.plan.job.clip)
         if self.lease is not None:
-            self.outcome.clip = self._digest.clip
             far = {"frame": self.outcome.frames, "frames": self.total}
             self.lease.note({"clip": str(self.plan.job.clip), "run": self.outcome.record(), **far})
-        header = _header(self.plan.job, results, first.rows)
+        header = _header(self.plan.job, clip, start, more, first.rows)
         for sink, mark in zip(self.sinks, self.state.sinks or [None] * len(self.sinks), strict=True):
-            sink.begin(results.clip, header, mark)
+            sink.begin(clip, header, mark)
 
     def write(self, result: FrameResult) -> None:
-        """Write one more frame. Without targets it counts in a film; between joined chunks it is only drawn."""
+        """Write one more frame. Without targets, as between joined chunks, it counts in a film alone."""
+        if self._marked:  # now that there is one frame more: after the last nothing is kept
+            with contextlib.suppress(OutputError, OSError):  # without a checkpoint the run goes on all the same
+                self._checkpoint.parent.mkdir(exist_ok=True)
+                KIND.write(self._checkpoint, self._marked)
+            self._marked = {}
         self.outcome.warnings = (*self.outcome.warnings, *result.notes)[:_MAX_NOTES]
-        counts = bool(result.targets) or self.plan.everyone
-        for sink in self.sinks:
-            if counts or sink.every:
+        if result.targets or self.plan.everyone:
+            for sink in self.sinks:
                 sink.write(result)
-        if counts:
             self.outcome.count(result.rows)
         self.state.frame = result.frame.index + 1
         if self.lease is not None:
             self.lease.progress(self.outcome.frames, self.total)
-        if self.checkpoints is not None:
-            self.checkpoints.release()
-            if self.state.at.states and self.checkpoints.is_due(self.outcome.frames):
-                self.state.sinks = tuple(sink.mark() for sink in self.sinks)
-                self.checkpoints.mark(self.outcome.frames, self.state, [sink.sync for sink in self.sinks])
+        frames, now = self.outcome.frames, time.monotonic()
+        if not self._key or not self.state.at.states:
+            return
+        if frames - self._kept_frames >= EVERY_FRAMES or now - self._kept_s >= EVERY_S:
+            self._kept_s, self._kept_frames = now, frames
+            self.state.sinks = tuple(sink.mark() for sink in self.sinks)
+            self._marked = {"key": np.array(self._key), **flatten("run", self.state)}
 
-    def record(self, results: Results, stop: Stop, report: Report = silent) -> Outcome:
-        """Write the results until they end, also because `stop` says so, or an error.
+    def record(
+        self, clip: ClipFacts, start: Start, more: Header, results: Results, stop: Stop, report: Report = silent
+    ) -> Outcome:
+        """Write the results until they end, also because `stop` says so, or an error. They raise StoppedError where
+        nothing is to be kept.
 
         `report` hears how many frames are written, and how many there are, None if that is not known. An error after
         the first frame is in the outcome, beside what was kept; before it, it is raised, and no file is left.
         """
-        assert results.frames is not None
         begun, error = False, None
-        with contextlib.closing(results.frames):
+        with contextlib.closing(results):
             try:
-                for result in results.frames:
+                for result in results:
                     if not begun:
-                        self.begin(results, result)
+                        self.begin(clip, start, more, result)
                         begun = True
                     self.write(result)
                     report(self.outcome.frames, self.total)
@@ -320,15 +255,16 @@ class Recorder:
         `stopped` says why the run ended early, `error` goes into the outcome.
         """
         done, job = self.outcome, self.plan.job
-        self._results.ended(done, stopped is None and error is None)
+        self.ended(done, stopped is None and error is None)
         error = error or done.failure
         done.stopped = stopped or (None if error is None else str(error))
         done.complete = done.complete and done.stopped is None
-        done.clip = self._digest.end(whole=done.stopped is None)
-        done.source_sha256 = done.clip.sha256 if done.clip else ""
+        if done.stopped is None and done.clip is not None and not job.chunk:  # the clip of a chunk is the same for all
+            done.source_sha256 = manifest.clip_digest(job.clip)
+            done.clip = replace(done.clip, sha256=done.source_sha256)
         errors: list[Exception] = []
         steps: list[Callable[[Outcome], None]] = [sink.end for sink in reversed(self.sinks)]
-        for step in (*steps, self._end_checkpoints, *(sink.close for sink in self.sinks)):
+        for step in (*steps, *(sink.close for sink in self.sinks)):
             try:
                 step(done)
             except Exception as e:
@@ -338,8 +274,16 @@ class Recorder:
             # a text file that a full disk cut short is kept, a video is not
             paths = [sink.path for sink in self.sinks if sink.path is not None]
             done.paths = [path for path in paths if files.temporary_path(path).is_file()]
+            done.ended, done.seconds = utc_now(), round(time.monotonic() - self._entered_s, 3)
+            unwritten = next((str(e) for e in errors), None)
+            run: manifest.Manifest = replace(
+                done, stopped=done.stopped or unwritten, complete=done.complete and not errors
+            )
+            if job.batch and error is not None and not isinstance(error, OutputError):
+                run = manifest.failed(run, error)
             try:
-                self._commit(self.lease, job.out, error, next((str(e) for e in errors), None))
+                manifest.commit(self.lease, job.out, done.paths, run)
+                done.warnings += (*manifest.outdated(job.out, job.init if isinstance(job.init, Path) else None),)
             except (OutputError, OSError) as e:  # the lease is lost, or the disk is full
                 errors.append(files.cannot_write(Path(e.filename or job.out), e) if isinstance(e, OSError) else e)
                 done.paths = ()
@@ -355,54 +299,31 @@ class Recorder:
         done.frames_per_s = (done.frames - done.resumed - 1) / max(time.perf_counter() - self._began_s, 1e-9)
         return done
 
-    def _commit(self, lease: FolderLease, out: Path, error: Exception | None, unwritten: str | None) -> None:
-        """Let the finished files replace the old ones; `error` ended the run, `unwritten` says what cannot be written.
-
-        What is left in the folder of an earlier track is warned of. Raises OutputError and OSError.
-        """
-        done, job = self.outcome, self.plan.job
-        done.ended, done.seconds = utc_now(), round(time.monotonic() - self._entered_s, 3)
-        complete = done.complete and unwritten is None
-        run: manifest.Manifest = replace(done, stopped=done.stopped or unwritten, complete=complete)
-        if job.batch and error is not None and not isinstance(error, OutputError):
-            run = manifest.failed(run, error)
-        manifest.commit(lease, out, done.paths, run)
-        init = os.path.realpath(job.init) if isinstance(job.init, Path) else ""
-        said = "holds corrections that this track does not have; take them with --init"
-        kept = [path for path in (out / CORRECTED, out / UNSAVED) if path.is_file() and os.path.realpath(path) != init]
-        done.warnings += (*manifest.outdated(out), *(f"{path}: {said} {path}" for path in kept))
-
-    def _end_checkpoints(self, *_: object) -> None:
-        """Wait until every checkpoint is written."""
-        if self.checkpoints is not None:
-            self.checkpoints.end()
-
     def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
         """Drop what was not closed."""
         with self._opened:
             for sink in self.sinks:
                 with contextlib.suppress(Exception):
                     sink.discard()
-            self._end_checkpoints()
             job = self.plan.job
             if self.lease is not None and job.out is not None and job.batch and isinstance(error, Exception):
                 manifest.note_failure(self.lease, job.out, manifest.Manifest(**self._about), job.clip, error)
 
 
-def _header(job: Job, results: Results, rows: Trajectory) -> Header:
+def _header(job: Job, clip: ClipFacts, start: Start, more: Header, rows: Trajectory) -> Header:
     """What JSON says at its beginning; `rows` are those of the first frame."""
     # those that every facetrack knows are not declared
     kinds = [kind for reported in rows.diagnostics.values() for kind in reported.declared if kind.name not in KNOWN]
     declared = {kind.name: kind for kind in kinds}
     return {
         "versions": _versions(),
-        "source": results.clip.record(),
+        "source": clip.record(),
         "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
         "seed": job.recipe.seed,
-        "init": {"from": results.start.origin, **to_record(results.start)},
+        "init": {"from": start.origin, **to_record(start)},
         **({"smoothed": {"lag": job.lag}} if job.lag else {}),
         **({"diagnostics": [kind.record() for kind in declared.values()]} if declared else {}),
-        **results.more,
+        **more,
     }
 
 
@@ -415,7 +336,8 @@ def _versions() -> Mapping[str, str]:
 def outputs(into: Recorder) -> list[Sink]:
     """The video, if one is drawn, and a table of each format that was asked for."""
     job = into.plan.job
-    video = [Video(job, job.out)] if job.out is not None and into.plan.draws else []
+    # of chunks that are joined it is drawn from their rows
+    video = [Video(job, job.out)] if job.out is not None and into.plan.draws and job.split is None else []
     return [*video, *(Table(job.out, form) for form in job.formats)]
 
 
@@ -442,11 +364,9 @@ class Table(Sink):
 
     def mark(self) -> files.Place:
         assert isinstance(self._sink, files.FileSink)
+        with contextlib.suppress(OSError):
+            self._sink.sync()
         return self._sink.place()
-
-    def sync(self) -> None:
-        assert isinstance(self._sink, files.FileSink)
-        self._sink.sync()
 
     def close(self, done: Outcome) -> None:
         self._writer.close(done)
@@ -468,12 +388,10 @@ class Rows(Sink):
     def write(self, result: FrameResult) -> None:
         self._collected.add(result.rows)
 
-    def close(self, done: Outcome) -> None:
-        self._halted = done.stopped
-
     def trajectory(self, done: Outcome) -> Trajectory:
         """The rows, whose header says what a JSON file says of its run."""
-        header = {**self._header, **{name: getattr(done, name) for name in FOOTER}, "stopped": self._halted}
+        stopped = done.stopped if done.failure is None else str(done.failure)
+        header = {**self._header, **{name: getattr(done, name) for name in FOOTER}, "stopped": stopped}
         return self._collected.trajectory(header=header, path=done.source)
 
 
@@ -484,12 +402,9 @@ class Video(Sink):
     from all rows.
     """
 
-    every = True
-
     def __init__(self, job: Job, out: Path) -> None:
         self._job, self._target = job, out / manifest.VIDEO
-        self._video: VideoWriter | None = None
-        self._painter: Painter | None = None
+        self._into: tuple[Painter, VideoWriter] | None = None
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
         from facetrack_cli.video.overlay import Overlay
@@ -498,43 +413,42 @@ class Video(Sink):
         if mark is not None:
             return
         self.path = self._target
-        self._overlay = Overlay(clip.size, fps=float(clip.fps), title=self._job.recipe.name)
-        self._video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, audio_from=clip.sound, replace=False)
-        self._painter = Painter(self._paint, threaded=self._job.threads > 1)
+        overlay = Overlay(clip.size, fps=float(clip.fps), title=self._job.recipe.name)
+        video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, audio_from=clip.sound, replace=False)
+
+        def paint(result: FrameResult) -> None:
+            if self.missing is None:
+                image = overlay.draw(result)
+                try:
+                    video.write(image, result.frame.time_s)
+                except OutputError as e:
+                    self.missing = e
+
+        self._into = Painter(paint, threaded=self._job.threads > 1), video
 
     def write(self, result: FrameResult) -> None:
-        if self._painter is not None and all(result.frame.size):  # of joined chunks a frame may be gone
-            self._painter.put(result)
-
-    def _paint(self, result: FrameResult) -> None:
-        assert self._video is not None
-        if self.missing is not None:
-            return
-        image = self._overlay.draw(result)
-        try:
-            self._video.write(image, result.frame.time_s)
-        except OutputError as e:
-            self.missing = e
+        if self._into is not None:
+            self._into[0].put(result)
 
     def mark(self) -> bool:
         return True
 
     def end(self, done: Outcome) -> None:
         """The video ends before the tables, so that they can say what was wrong with it."""
-        if self._video is None or self._painter is None:
+        if self._into is None:
             return
+        painter, video = self._into
         try:
-            self._painter.end()
+            painter.end()
         finally:
             try:
-                self._video.close()
+                video.close()
             except OutputError as e:
                 self.missing = self.missing or e
-            done.warnings += (*self._video.warnings, *(() if self.missing is None else (str(self.missing),)))
+            done.warnings += (*video.warnings, *(() if self.missing is None else (str(self.missing),)))
 
     def discard(self) -> None:
-        if self._painter is not None:
+        if self._into is not None:
             with contextlib.suppress(BaseException):
-                self._painter.end()
-        if self._video is not None:
-            self._video.discard()
+                self._into[0].end()
+            self._into[1].discard()

@@ -108,7 +108,8 @@ def run_plans(
     Once `stopped` says so, nothing more is yielded.
     """
     stopped = stopped or Stop()
-    total = _total(plans)
+    each = [len(plan.seeds) * _length(plan.clip, plan.fps, plan.start.frame, plan.stop) for plan in plans]
+    total = sum(each) if all(each) else 0  # of the frames, if all clips state how many they have
     pieces = -(-workers // max(len(plans), 1))  # of each plan, so that no process is idle
     shares = [
         (number, tuple(share.tolist()))
@@ -167,16 +168,9 @@ def _work(task: tuple[SeedPlan, tuple[int, ...]], stop: Stop, report: Callable[[
     ]
 
 
-def _total(plans: Sequence[SeedPlan]) -> int:
-    """Frames to track over all seeds, by the lengths that the clips state; 0 if one states none."""
-
-    @cache
-    def length(clip: Path, fps: Fraction | None, first: int, stop: int | None) -> int:
-        try:
-            with open_source(clip, fps=fps, start=first, stop=stop) as source:
-                return source.frames_hint or 0
-        except FacetrackError:  # reported when its plan runs
-            return 0
-
-    each = [len(plan.seeds) * length(plan.clip, plan.fps, plan.start.frame, plan.stop) for plan in plans]
-    return sum(each) if all(each) else 0
+@cache
+def _length(clip: Path, fps: Fraction | None, first: int, stop: int | None) -> int:
+    """The frames of a clip to track, as it states; else 0, as if it cannot be opened, which its plan reports."""
+    with contextlib.suppress(FacetrackError), open_source(clip, fps=fps, start=first, stop=stop) as source:
+        return source.frames_hint or 0
+    return 0

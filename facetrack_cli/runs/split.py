@@ -9,47 +9,40 @@ agree if every target does, in `SHARE` of the frames that both have. None of thi
 
 from __future__ import annotations
 
-import hashlib
 import shutil
-from collections.abc import Collection, Generator, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import chain, count
+from itertools import chain, count, product
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, OutputError, UsageError
+from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS
-from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
+from facetrack_cli.core.files import check_plain, make_folder
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import Array, Frame, Mask, Start
-from facetrack_cli.run_folder.manifest import clip_stat, read_manifest, read_run
-from facetrack_cli.run_folder.status import CHUNKS, PLAN, chunk_name
+from facetrack_cli.core.types import Frame, Mask, Start
+from facetrack_cli.run_folder.manifest import read_manifest, read_run
+from facetrack_cli.run_folder.status import CHUNKS, chunk_name
 from facetrack_cli.runs.batch import check_all, run_batch
+from facetrack_cli.runs.clip import RunMonitor
 from facetrack_cli.runs.people import ORIGIN
-from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, digest_of, resolve
+from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, resolve, silent
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.record import ClipFacts, Recorder, Results, outputs
 from facetrack_cli.runs.signals import Stop, StoppedError
-from facetrack_cli.runs.verdict import RunMonitor
-from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.trackers.face.detectors import check_parts, detector
-from facetrack_cli.trajectory.reader import InitHeader, to_record
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
 from facetrack_cli.trajectory.views import choose, enclose
-from facetrack_cli.video.decode import read_index
-from facetrack_cli.video.source import FolderSource
 
 OVERLAP_S: Final = 5.0  # of two chunks
 OVERLAP: Final = 0.5  # of the boxes around a target's parts
 SHARE: Final = 0.8  # of the frames that both have, in which they must agree
 TABLE: Final = "trajectory.json"
 _SAME: Final = 0.5  # of those frames, in which tracks of several faces agree if they are of one face
-_NOTHING: Final = np.zeros((0, 0, 3), np.uint8)  # the pixels of a frame that nobody draws
+Cuts: TypeAlias = list[tuple[int, int | None]]
+_NOTHING: Final = np.zeros((0, 0, 3), np.uint8)  # the pixels of a frame; the video is drawn at the end
 
 
 def run_chunks(
@@ -64,7 +57,8 @@ def run_chunks(
     if (ended := whole.ended()) is not None:
         yield "", ended
         return
-    chunks = chunks_of(whole, _planned(whole, stop, progress))
+    progress.begin(f"{job.clip.name}: looking where it can be cut")
+    chunks = _chunks_of(whole, *_cut(whole, stop, progress.looked))
     decided, left = check_all(chunks[shard[0] - 1 :: shard[1]])
     yield from ((CHUNKS, outcome) for outcome in chain(decided, run_batch(left, workers, stop, progress)))
     if stop():
@@ -78,130 +72,60 @@ def run_chunks(
     yield from (("", outcome) for outcome in run_batch([job], 1, stop, progress))
 
 
-def chunks_of(whole: Plan, plan: ChunkPlan) -> list[Job]:
-    """What is asked of each chunk."""
+def _chunks_of(whole: Plan, start: Start, cuts: Cuts) -> list[Job]:
+    """What is asked of each chunk; their folders are made. OutputError where the chunks of another split are there."""
     job, out = whole.job, whole.job.out
     assert out is not None
-    by = next((name for name in DETECTORS if name in (job.init, plan.start.origin)), None) or detector().name
+    by = next((name for name in DETECTORS if name in (job.init, start.origin)), None) or detector().name
     apart: dict[str, Any] = {"split": None, "formats": ("json",), "video": False, "strict": False, "batch": True}
-    job = replace(job, box=None, init_frame=None, chunk=True, **apart)
+    each = replace(job, box=None, init_frame=None, chunk=True, **apart)
+    check_plain(out / CHUNKS)
+    if job.overwrite:
+        shutil.rmtree(out / CHUNKS, ignore_errors=True)
     chunks = []
-    for i, (first, stop) in enumerate(plan.cuts):
+    for i, (first, stop) in enumerate(cuts):
         searched = whole.everyone or i > 0
-        where = {"init": by, "start": first} if searched else {"init": plan.start, "start": plan.start.frame}
-        chunks.append(replace(job, out=out / chunk_name(i), stop=stop, **where))
+        where = {"init": by, "start": first} if searched else {"init": start, "start": start.frame}
+        chunks.append(replace(each, out=out / chunk_name(i), stop=stop, **where))
+        resolve(chunks[-1])
+        make_folder(out / chunk_name(i))
     return chunks
 
 
-def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
-    """How the clip is cut: as the file beside its chunks says, which is written if there is none."""
+def _cut(whole: Plan, stop: Stop, looked: Report) -> tuple[Start, Cuts]:
+    """The start of a clip, and the frames [first, stop) of each chunk; the last stop may be None: the end."""
     job = whole.job
-    assert job.out is not None and job.split is not None
-    clip, folder = clip_stat(job.clip), job.out / CHUNKS
-    check_plain(folder)
-    # the chunks are the same whatever is made of them
-    of_chunks = digest_of(replace(job, formats=(), video=False, strict=False))
-    key = hashlib.sha256(dumps([of_chunks, clip and (clip.bytes, clip.changed_ns)]).encode()).hexdigest()
-    if clip is not None and folder.is_dir():
-        with suppress(InputError):
-            if (plan := read_plan(job.out)).key == key:
-                return plan
-        if not job.overwrite:
-            other = "holds chunks of another --split, recipe, start or clip"
-            raise OutputError(f"{folder}: {other}; replace them with --overwrite, or name another --out")
-        shutil.rmtree(folder, ignore_errors=True)
-    progress.begin(f"{job.clip.name}: looking where it can be cut")
+    assert job.split is not None
     if whole.everyone:
         start = Start(job.first, {}, ORIGIN)
     else:
-        start = job.find(job.recipe, stopped=stop, looked=progress.looked)
+        start = job.find(job.recipe, stopped=stop, looked=looked)
         _check_detector(job, start)
-    cuts = cut_by_length(start.frame, _times(job, start, stop, progress), job.split, str(job.clip))
-    made = {"key": key, "init": {"from": start.origin, **to_record(start)}, "note": start.note}
-    make_folder(folder)
-    text = dumps({**made, "cuts": [*cuts[:-1], (cuts[-1][0], job.stop)]})
-    write_new(folder / PLAN, text.encode(), overwrite=True)
-    return read_plan(job.out)  # as others read it
+    with job.open(start.frame) as source:
+        if source.frames_hint is None:
+            raise UsageError(f"{job.clip}: does not say how long it is; convert it to MP4, or leave --split out")
+        cuts = cut_by_length(start.frame, start.frame + source.frames_hint, float(source.fps), job.split)
+    return start, [*cuts[:-1], (cuts[-1][0], job.stop)]
 
 
 def _check_detector(job: Job, start: Start) -> None:
     """UsageError where a detector cannot begin what the clip's start begins."""
-    fix = "or leave --split out"
     if start.corrections:
         raise UsageError(f"{start.origin}: has corrections, which --split does not follow; leave --split out")
     if not job.recipe.points and not job.recipe.followed and start.origin not in DETECTORS:
-        what = f"{job.recipe.name} follows what is in the box of {start.origin}"
-        raise UsageError(f"{job.clip}: {what}, which no detector finds again; begin with --init haar, {fix}")
-    if len(start.targets) > 1 and not job.recipe.followed and job.faces != "all":
-        raise UsageError(f"{start.origin}: has {len(start.targets)} targets, and the search takes one; add --faces all")
-    try:
-        check_parts(job.recipe.points)
-    except InputError as e:
-        raise UsageError(f"{job.clip}: --split: {e}; {fix}") from None
+        what = f"{job.recipe.name} follows what is in the box of {start.origin}, which no detector finds again"
+        raise UsageError(f"{job.clip}: {what}; begin with --init haar, or leave --split out")
+    check_parts(job.recipe.points)
 
 
-def _times(job: Job, start: Start, stop: Stop, progress: Progress) -> Array:
-    """The times (T,) of the clip's frames up to --stop, in s."""
-    with job.open(start.frame) as source:
-        claimed = None if source.frames_hint is None else start.frame + source.frames_hint
-        count, fps = len(source.files) if isinstance(source, FolderSource) else claimed, float(source.fps)
-    if not isinstance(source, FolderSource):
-        index = read_index(job.clip, stop, job.stream)
-        if stop():
-            raise InputError(f"{job.clip}: stopped before it was cut")
-        if index is not None:
-            return index.times[: job.stop]
-        progress.say(f"{job.clip}: its frames cannot be sought: every chunk decodes the clip from its start")
-    if count is None:
-        raise UsageError(f"{job.clip}: does not say how long it is; convert it to MP4, or leave --split out")
-    return np.arange(count)[: job.stop] / fps
-
-
-def cut_by_length(first: int, times: Array, split: Split, clip: str) -> list[tuple[int, int]]:
-    """[first, stop) of chunks of the frames from `first` to the last of `times` (T,), in s; each overlaps the next."""
-    end, steps = len(times), np.diff(times[first:])
-    overlap = OVERLAP_S
-    if split.frames and len(steps):
-        overlap /= float(np.median(steps))
-    if split.length < 2 * overlap:
-        least = f"{round(2 * overlap)}f" if split.frames else f"{2 * overlap:g}s"
-        raise UsageError(f"{clip}: chunks overlap by {OVERLAP_S:g} s; give --split {least} or more")
-    clock = np.arange(end, dtype=np.float64) if split.frames else times
-    begins = [first]
-    while True:
-        wished = clock[begins[-1]] + split.length
-        at = int(np.searchsorted(clock, wished))
-        if at >= end or clock[-1] - wished < 2 * overlap:
-            break
-        begins.append(at)
-    stops = [min(int(np.searchsorted(times, times[begin] + OVERLAP_S)), end) for begin in begins[1:]]
-    return list(zip(begins, [*stops, end], strict=True))
-
-
-class ChunkPlan(BaseModel):
-    """The start of a clip, and its `cuts`, the frames [first, stop) of each chunk; the last stop may be None: the end.
-
-    `key` tells what was asked.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    key: str
-    init: InitHeader
-    note: str
-    cuts: tuple[tuple[int, int | None], ...]
-
-    @property
-    def start(self) -> Start:
-        return replace(self.init.start, note=self.note)
-
-
-def read_plan(out: Path) -> ChunkPlan:
-    """The plan of a run's folder. Raises InputError."""
-    path = out / CHUNKS / PLAN
-    try:
-        return ChunkPlan.model_validate_json(read_bounded(path))
-    except (OSError, ValidationError) as e:
-        raise InputError(f"{path}: is not as facetrack run --split writes it; give --overwrite") from e
+def cut_by_length(first: int, end: int, fps: float, split: Split) -> list[tuple[int, int]]:
+    """[first, stop) of chunks of the frames from `first` to before the `end`; each overlaps the next. UsageError."""
+    length, overlap = round(split.length if split.frames else split.length * fps), round(OVERLAP_S * fps)
+    least = split._replace(length=2 * overlap if split.frames else 2 * OVERLAP_S)
+    if split.length < least.length:
+        raise UsageError(f"chunks overlap by {OVERLAP_S:g} s; give --split {least.record()['length']} or more")
+    begins = [first, *range(first + length, end - 2 * overlap + 1, length)]
+    return list(zip(begins, [*(begin + overlap for begin in begins[1:]), end], strict=True))
 
 
 class Seam(NamedTuple):
@@ -212,31 +136,24 @@ class Seam(NamedTuple):
     agrees: bool
 
 
-class Stitch(NamedTuple):
-    """A seam; `names` are those that targets of the later chunk take, `begun` the targets that begin there."""
-
-    seam: Seam
-    names: dict[str, str]
-    begun: frozenset[str]
-
-
-def stitch(earlier: Trajectory, later: Trajectory, taken: Collection[str], *, matched: bool) -> Stitch:
+def stitch(
+    earlier: Trajectory, later: Trajectory, taken: Collection[str], *, matched: bool
+) -> tuple[Seam, dict[str, str], frozenset[str]]:
     """How the rows of two chunks are stitched, in the middle of the frames that both have.
 
+    With the seam come the names that targets of the later chunk take, and the names of those that begin there.
     `matched`: targets have the names of those that they agree with, others a name that is not `taken`; else names stay.
     """
     both = np.intersect1d(earlier.frames, later.frames)
     if not len(both):
         names = _named(later, {}, taken) if matched else {name: name for name in later.targets}
-        return Stitch(Seam(int(later.frames[0]), None, False), names, frozenset(names.values()))
-    first, stop = int(both[0]), int(both[-1]) + 1
-    a, b = earlier.between(first, stop), later.between(first, stop)
+        return Seam(int(later.frames[0]), None, False), names, frozenset(names.values())
+    a, b = (rows.between(int(both[0]), int(both[-1]) + 1) for rows in (earlier, later))
     shares: dict[tuple[str, str], float] = {}
-    for ours in a.targets:
-        for theirs in b.targets:
-            if matched or ours == theirs:
-                fine = agreeing(choose(a, ours), choose(b, theirs))
-                shares[ours, theirs] = float(fine.mean()) if len(fine) else 0.0
+    for ours, theirs in product(a.targets, b.targets):
+        if matched or ours == theirs:
+            fine = agreeing(choose(a, ours), choose(b, theirs))
+            shares[ours, theirs] = float(fine.mean()) if len(fine) else 0.0
     pairs: dict[str, str] = {}
     for (ours, theirs), share in sorted(shares.items(), key=lambda pair: -pair[1]):
         if ours not in pairs.values() and theirs not in pairs and (share >= _SAME or not matched):
@@ -247,7 +164,7 @@ def stitch(earlier: Trajectory, later: Trajectory, taken: Collection[str], *, ma
     agreement = min((agreements.get(name, 0.0) for name in there), default=0.0)
     names = _named(later, pairs, taken)
     seam = Seam(int(both[len(both) // 2]), round(agreement, 4), agreement >= SHARE)
-    return Stitch(seam, names, frozenset(names[name] for name in later.targets if name not in pairs))
+    return seam, names, frozenset(names[name] for name in later.targets if name not in pairs)
 
 
 def renamed(rows: Trajectory, names: Mapping[str, str]) -> Trajectory:
@@ -315,20 +232,20 @@ class _Survey:
     complete: bool = True
 
 
-def _survey(whole: Plan, plan: ChunkPlan) -> _Survey:
+def _survey(whole: Plan, begins_at: int, cuts: Cuts) -> _Survey:
     """What the chunks hold; at most two of them are in memory at a time. Raises InputError if none has rows."""
-    job, everyone, stop = whole.job, whole.everyone, plan.start.frame  # up to which there are rows so far
+    job, everyone, stop = whole.job, whole.everyone, begins_at  # up to which there are rows so far
     assert job.out is not None
-    survey = _Survey(stop, None if plan.cuts[-1][1] else False)
+    survey = _Survey(stop, None if cuts[-1][1] else False)
     matched, taken = job.faces == "all" and not job.recipe.followed, set[str]()
-    before, why, said = None, "", list[str]()
+    before, why = None, ""
 
     def note_gap(begin: int | None) -> None:
         if not everyone and (begin is None or stop < begin):  # of a film a frame may show nobody
             survey.complete, until = False, "on" if begin is None else f"to {begin - 1}"
-            said.append(f"{job.clip}: no rows of frames {stop} {until}{f' ({why})' if why else ''}")
+            survey.warnings[f"{job.clip}: no rows of frames {stop} {until}{f' ({why})' if why else ''}"] = None
 
-    for i, (first, _) in enumerate(plan.cuts):
+    for i, (first, _) in enumerate(cuts):
         run = read_manifest(folder := job.out / chunk_name(i))
         ended = "was not tracked" if run is None else run.error or run.stopped
         if run is None or (ended is not None and (run.files or run.exit_code != ExitCode.INPUT)):
@@ -358,7 +275,8 @@ def _survey(whole: Plan, plan: ChunkPlan) -> _Survey:
                 marked = frozenset(names.values())
                 if seam.agreement is not None:
                     share = f"they agree in {100 * seam.agreement:.0f} % of the frames that both have"
-                    said.append(f"{job.clip}: two chunks differ where they meet at frame {seam.frame}: {share}")
+                    differ = f"{job.clip}: two chunks differ where they meet at frame {seam.frame}: {share}"
+                    survey.warnings[differ] = None
             survey.seams.append(seam)
             stop = min(stop, begins)
             survey.parts[-1] = survey.parts[-1]._replace(stop=stop)
@@ -367,12 +285,11 @@ def _survey(whole: Plan, plan: ChunkPlan) -> _Survey:
         survey.parts.append(_Part(folder / TABLE, begins, stop, names, marked))
         taken |= {*names.values()}
         # what a chunk after one that failed may still have in common
-        before = renamed(rows.between(plan.cuts[min(i + 1, len(plan.cuts) - 1)][0], stop), names)
+        before = renamed(rows.between(cuts[min(i + 1, len(cuts) - 1)][0], stop), names)
     if not survey.parts:
         raise InputError(f"{job.clip}: no chunk has rows: {why}")
     if why:
-        note_gap(plan.cuts[-1][1])
-    survey.warnings |= dict.fromkeys(said)
+        note_gap(cuts[-1][1])
     return survey
 
 
@@ -383,48 +300,37 @@ def join_chunks(into: Recorder, stop: Stop, report: Report) -> Outcome:
     """
     plan, job = into.plan, into.plan.job
     assert job.out is not None and job.split is not None
-    chunks = read_plan(job.out)
-    survey, start, error = _survey(plan, chunks), chunks.start, None
+    start, cuts = _cut(plan, stop, silent)
+    survey, error = _survey(plan, start.frame, cuts), None
     if survey.failed:
         more = f" (and {len(survey.failed) - 1} more chunks failed)" if len(survey.failed) > 1 else ""
         again = "the same command with --retry-failed tries again"
         error = FacetrackError(f"{job.clip}: {survey.failed[0]}{more}; {again}")
-    with replace(job, stop=survey.parts[-1].stop).open(start.frame) as source:
-        first, clip = survey.parts[0].rows(), ClipFacts.of(job.clip, source)._replace(frames_hint=None)
-        about = {name: first.header[name] for name in ("diagnostics",) if name in first.header}
-        about |= {"split": job.split.record(), "chunks": survey.chunks}
-        about |= {"seams": [seam._asdict() for seam in survey.seams]} if survey.seams else {}
+    first = survey.parts[0].rows()
+    about = {name: first.header[name] for name in ("diagnostics",) if name in first.header}
+    about |= {"split": job.split.record(), "chunks": survey.chunks}
+    about |= {"seams": [seam._asdict() for seam in survey.seams]} if survey.seams else {}
+    with job.open(start.frame) as source:
+        clip = ClipFacts.of(job.clip, source)._replace(frames_hint=None)
 
-        def frames() -> Iterator[Frame]:
-            """Those of the clip, if they are drawn; then, up to the end of the rows, frames without pixels."""
-            index = start.frame
-            if plan.draws:
-                with decoded_ahead(iter(source), threaded=job.threads > 1, stopped=stop) as decoded:
-                    for frame in decoded:
-                        yield frame
-                        index = frame.index + 1
-            for missing in range(index, survey.end):
-                yield Frame(missing, 0.0, _NOTHING)
-
-        def joined() -> Generator[FrameResult, None, None]:
-            rows, later = first, iter(survey.parts[1:])
-            for frame in frames():
-                if stop():
-                    break
-                while frame.index > rows.frames[-1] and (part := next(later, None)) is not None:
-                    rows = part.rows()
-                yield FrameResult(frame, recorded(frame.index, rows.at(frame.index)))
+    def joined() -> Results:
+        rows, later = first, iter(survey.parts[1:])
+        for index in range(start.frame, survey.end):
             if stop():
                 raise StoppedError
+            while index > rows.frames[-1] and (part := next(later, None)) is not None:
+                rows = part.rows()
+            yield FrameResult(Frame(index, 0.0, _NOTHING), recorded(index, rows.at(index)))
 
-        def ended(done: Outcome, whole: bool) -> None:
-            done.complete, done.variable_fps, done.failure = survey.complete, survey.variable, error
-            done.warnings = tuple(survey.warnings)
+    def ended(done: Outcome, whole: bool) -> None:
+        done.complete, done.variable_fps, done.failure = survey.complete, survey.variable, error
+        done.warnings = tuple(survey.warnings)
 
-        monitor = RunMonitor.of(job.recipe, start)
-        monitor.detector = None  # it has looked at the chunks as they were tracked
-        into.open([*outputs(into), monitor])
-        into.outcome.note = start.note
-        done = into.record(Results(clip, start, about, joined(), ended), stop, report)
+    monitor = RunMonitor.of(job.recipe, start)
+    monitor.detector = None  # it has looked at the chunks as they were tracked
+    into.open([*outputs(into), monitor])
+    into.outcome.note = start.note
+    into.ended = ended
+    done = into.record(clip, start, about, joined(), stop, report)
     done.frames_per_s = 0.0  # rows were joined, not tracked
     return done

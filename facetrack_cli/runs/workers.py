@@ -23,6 +23,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from itertools import takewhile
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
@@ -118,7 +119,8 @@ class Painter:
             self._paint(result)
             return
         self._waiting.append(self._thread.submit(self._next, result))
-        self.wait(_room(result.frame))
+        while len(self._waiting) > _room(result.frame):
+            self._waiting.popleft().result()
 
     def _next(self, result: FrameResult) -> None:
         if not self._failed:
@@ -126,15 +128,11 @@ class Painter:
             self._paint(result)
             self._failed = False
 
-    def wait(self, room: int = 0) -> None:
-        """Wait until no more than `room` results are left to be painted."""
-        while len(self._waiting) > room:
-            self._waiting.popleft().result()
-
     def end(self) -> None:
         """Wait until all is painted."""
         try:
-            self.wait()
+            while self._waiting:
+                self._waiting.popleft().result()
         finally:
             if self._thread is not None:
                 self._thread.shutdown(cancel_futures=True)
@@ -156,22 +154,30 @@ def side_by_side(
     report: Callable[[int], None] = lambda frames: None,
     *,
     threads: int = 1,
-    tries: int = 1,
 ) -> Generator[tuple[int, Any], None, None]:
     """Do `tasks`, `workers` at a time; yield the index and the result of each as it ends, or the exception.
 
     `report` hears how many frames are done in all. Once `stop` says so, the tasks at work are told, and the others are
     not begun. Each process does one task after another, and holds OpenCV to `threads` threads. If a signal ends a
-    process, its task is tried `tries` times. With one worker the tasks are done in this process.
+    process, its task is tried again, once. With one worker the tasks are done in this process.
     """
     if workers == 1 or not tasks:
-        yield from _here(tasks, work, stop, report)
+        done = [0] * len(tasks)
+
+        def add(index: int, frames: int, total: int | None = None) -> None:
+            done[index] = frames
+            report(sum(done))
+
+        for index, task in enumerate(tasks):
+            if stop():
+                return
+            yield index, _result(work, task, stop, partial(add, index))
         return
-    waiting = deque((index, 1) for index in range(len(tasks)))
-    running: dict[Any, tuple[int, int, BaseProcess]] = {}
+    waiting = deque((index, True) for index in range(len(tasks)))
+    running: dict[Any, tuple[int, bool, BaseProcess]] = {}
     idle: list[tuple[Any, BaseProcess]] = []
     with _starting():
-        context = worker_context()
+        context: Any = worker_context()
         # without locks: a process that is killed while it holds a lock would stop all others
         ending, frames = context.RawValue("i", 0), context.RawArray("q", len(tasks))
     try:
@@ -180,22 +186,28 @@ def side_by_side(
                 waiting.clear()
                 ending.value = stop.code or ExitCode.INTERRUPTED
             while waiting and len(running) < workers:
-                with _starting():
-                    pipe, process = idle.pop() if idle else _process(context, work, ending, frames, threads)
+                if idle:
+                    pipe, process = idle.pop()
+                else:
+                    with _starting():
+                        pipe, theirs = context.Pipe()
+                        process = context.Process(target=_do, args=(theirs, work, ending, frames, threads), daemon=True)
+                        process.start()
+                        theirs.close()
                 with contextlib.suppress(OSError):  # it has died while it had no task
                     pipe.send((waiting[0][0], tasks[waiting[0][0]]))
                     running[pipe] = *waiting.popleft(), process
             ready: list[Any] = wait([*running], LOOK_S)
             for pipe in ready:
-                index, turn, process = running.pop(pipe)
+                index, first, process = running.pop(pipe)
                 try:
                     result = pipe.recv()
                     idle.append((pipe, process))
                 except (EOFError, OSError):
                     process.join()
                     code = process.exitcode or 0
-                    if code < 0 and turn < tries and not stop():
-                        waiting.appendleft((index, turn + 1))
+                    if code < 0 and first and not stop():
+                        waiting.appendleft((index, False))
                         continue
                     memory = " (too little memory?)" * (code == -9)
                     result = FacetrackError(f"its process ended with code {code}{memory}")
@@ -211,33 +223,11 @@ def side_by_side(
             process.join()
 
 
-def _here(tasks: Sequence[Any], work: Work, stop: Stop, report: Callable[[int], None]) -> Iterator[tuple[int, Any]]:
-    done = [0] * len(tasks)
-    for index, task in enumerate(tasks):
-        if stop():
-            return
-
-        def add(frames: int, total: int | None = None, index: int = index) -> None:
-            done[index] = frames
-            report(sum(done))
-
-        yield index, _result(work, task, stop, add)
-
-
 def _result(work: Work, task: object, stop: Stop, report: Callable[..., None]) -> object:
     try:
         return work(task, stop, report)
     except Exception as e:  # it goes on where the tasks come from
         return e
-
-
-def _process(context: BaseContext, *shared: Any) -> tuple[Any, BaseProcess]:
-    """A process that does tasks, and the pipe on which it takes them and gives results."""
-    ours, theirs = context.Pipe()
-    process: BaseProcess = context.Process(target=_do, args=(theirs, *shared), daemon=True)  # type: ignore[attr-defined]
-    process.start()
-    theirs.close()
-    return ours, process
 
 
 # --- in the processes ------------------------------------------------------------------------------------------------

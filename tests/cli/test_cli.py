@@ -74,7 +74,7 @@ def test_nothing_heavy_is_imported_for_help(arguments):
 def test_a_run_imports_nothing_that_it_does_not_use(tmp_path):
     run = "run", str(FOLDER / "occlusion.mp4"), "--stop", "3", "--no-video", "-o", str(tmp_path / "out"), "--overwrite"
     unused = (
-        "runs.people runs.smooth runs.live runs.api start.presence trackers.smoothed trackers.opencv video.overlay "
+        "runs.people runs.finished runs.live runs.api start.presence trackers.smoothed trackers.opencv video.overlay "
         "trackers.hands.target trackers.skin.likelihoods trackers.appearance.appearance trajectory.people video.writer"
     )
     others = {"PIL", "imageio", "scipy.linalg", *(f"facetrack_cli.{name}" for name in unused.split())}

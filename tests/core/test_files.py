@@ -23,7 +23,7 @@ from facetrack_cli.core.files import FileSink, check_new, check_readable, publis
 from facetrack_cli.core.npz import STORED, flatten, restore
 from facetrack_cli.core.types import Frame, Particles, Planes, TargetStart
 from facetrack_cli.engine.confidence import load_calibration
-from facetrack_cli.runs.smooth import KIND
+from facetrack_cli.runs.finished import KIND
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.appearance.gallery import load_gallery, name_problem
 from facetrack_cli.trajectory.formats.boxes import read_truth

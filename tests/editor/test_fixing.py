@@ -19,7 +19,7 @@ from facetrack_cli.editor import history
 from facetrack_cli.editor.fix_session import overview
 from facetrack_cli.editor.history import Fixer, corrections_of
 from facetrack_cli.editor.save import keep, save
-from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.runs.finished import open_run
 from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.face.detectors import detector

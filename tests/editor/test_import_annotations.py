@@ -13,7 +13,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor.import_annotations import imported_corrections, renames
-from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.runs.finished import open_run
 from facetrack_cli.trajectory.reader import CORRECTED, read_trajectory
 from tests.support.samples import FOLDER
 

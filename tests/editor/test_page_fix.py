@@ -16,8 +16,8 @@ from facetrack_cli.core.types import Correction
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.fix_session import doubtful, overview
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.run_folder.manifest import write_rows
+from facetrack_cli.runs.finished import open_run
 from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED

@@ -107,7 +107,7 @@ def test_a_recovery_that_is_killed_is_made_again(torn, tmp_path, monkeypatch, mo
     with pytest.raises((SystemExit, TypeError)):
         recover_interrupted(tmp_path)
     monkeypatch.undo()
-    assert recover_interrupted(tmp_path) >= 19
+    recover_interrupted(tmp_path)
     assert len(read_run(tmp_path).frames) == read_manifest(tmp_path).frames >= 19
 
 
@@ -128,8 +128,9 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
         out.mkdir()
         leave_here(out, note, 999_999_999)
         (out / f".trajectory-{note['mark']}.part.{form}").write_bytes(text[:at])
-        frames = recover_interrupted(out)
-        seen.add(frames)
+        recover_interrupted(out)
+        done = read_manifest(out)
+        seen.add(frames := 0 if done is None else done.frames)
         if frames:
             assert records(out, form) == expected[: frames * (ROWS if form == "csv" else 1)]
             assert len(read_run(out).frames) == frames

@@ -10,7 +10,7 @@ import pytest
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError
 from facetrack_cli.core.npz import Kind
 from facetrack_cli.run_folder.manifest import NAME, VIDEO, read_manifest
-from facetrack_cli.runs import clip, record, smooth
+from facetrack_cli.runs import clip, finished, record
 from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.record import FOLDER
 from facetrack_cli.runs.seeds import load_recipes
@@ -86,7 +86,7 @@ def test_rows_are_those_of_a_run_that_was_not_ended(tmp_path, recipe):
 
 @pytest.mark.parametrize("threads", [pytest.param(1, marks=pytest.mark.nightly), 2])
 def test_so_are_the_frames_of_the_video_and_smoothed_rows(tmp_path, threads, monkeypatch):
-    monkeypatch.setattr(smooth, "_BLOCK_FRAMES", 5)
+    monkeypatch.setattr(finished, "_BLOCK_FRAMES", 5)
     more = {"video": True, "threads": threads, "smooth": True, "formats": ("csv", "json", "jsonl")}
     out, whole = ended_twice(tmp_path, "face", **more)
     assert same(out, whole)
@@ -172,7 +172,7 @@ def interrupted(tmp_path_factory):
     """The folder of a run that was interrupted; nobody may change it."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(record, "EVERY_FRAMES", EVERY)
-        patched.setattr(smooth, "_BLOCK_FRAMES", 5)
+        patched.setattr(finished, "_BLOCK_FRAMES", 5)
         asked = job("factorized", tmp_path_factory.mktemp("interrupted") / "out", smooth=True)
         run(asked, 11)
     return asked.out
@@ -180,7 +180,7 @@ def interrupted(tmp_path_factory):
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_checkpoint_that_does_not_fit_is_left_out(interrupted, tmp_path, monkeypatch, change):
-    monkeypatch.setattr(smooth, "_BLOCK_FRAMES", 5)
+    monkeypatch.setattr(finished, "_BLOCK_FRAMES", 5)
     out = shutil.copytree(interrupted, tmp_path / "out")
     CHANGES[change](out)
     if change == "another numpy":

@@ -1,6 +1,6 @@
 """What comes from a pipe or a camera: a line a frame, with its age; bounded, and refused in one line.
 
-Of everybody in a film that is still shown: names when looks allow them, and the cast at the end.
+Of everybody in a film that is still shown: names when looks allow them.
 """
 
 import contextlib
@@ -32,10 +32,9 @@ from facetrack_cli.runs import live
 from facetrack_cli.runs.live import LiveCast, follow, piped, received
 from facetrack_cli.trackers.face.detectors import check_cascades
 from facetrack_cli.trajectory.formats.boxes import read_truth
-from facetrack_cli.trajectory.people import read_people
 from facetrack_cli.video.shots import find_cuts, passing_shots
 from facetrack_cli.video.source import open_source
-from tests.support.film_run import FILM, film_run
+from tests.support.film_run import FILM
 from tests.support.samples import FOLDER
 from tests.test_docs import ROOT, blocks
 
@@ -330,9 +329,8 @@ def told(tmp_path_factory):
     lines = []
     with open_source(FILM, stop=STOP) as source:
         count = follow(iter(source), load_recipe("face"), None, lines.append, cast=LiveCast(None, 25.0, {}))
-    *frames, last = map(json.loads, lines)
-    assert count == len(frames) and all(len(line) > 1 for line in frames)
-    return frames, last["people"]
+    assert count == len(lines)
+    return [json.loads(line) for line in lines]
 
 
 def seen(frames):
@@ -352,23 +350,19 @@ def seen(frames):
 
 
 def test_each_frame_has_its_line_and_each_face_of_it_its_track(told):
-    frames, _ = told
-    assert [line["frame"] for line in frames] == list(range(len(frames)))
+    assert [line["frame"] for line in told] == list(range(len(told)))
     truth = read_truth(FOLDER / "film.truth.csv")
-    assert len([*seen(frames)]) > 0.95 * (truth.between(0, STOP).status == "visible").sum()
+    assert len([*seen(told)]) > 0.95 * (truth.between(0, STOP).status == "visible").sum()
 
 
-def test_a_name_that_was_told_is_right_and_comes_soon(told, tmp_path_factory):
-    frames, cast = told
-    rows = [*seen(frames)]
+def test_a_name_that_was_told_is_right_and_comes_soon(told):
+    rows = [*seen(told)]
     who = Counter((name, true) for _, _, name, true in rows if name)
     assert len({name for name, _ in who}) == len({true for _, true in who}) == len(who) == 2, who
     assert sum(who.values()) > 0.7 * len(rows)
     begun = {track: frame for frame, track, _, _ in reversed(rows)}
     named = {track: frame for frame, track, name, _ in reversed(rows) if name}
     assert all(named[track] - begun[track] <= 20 for track in named)
-    assert {(cast[track], true) for _, track, _, true in rows} == set(who), "the cast at the end is of the same people"
-    assert {*cast.values()} == {*read_people(film_run(tmp_path_factory)).names}, "as in a run of a file"
 
 
 def test_a_cut_is_known_when_its_first_frame_comes_out():
@@ -380,14 +374,6 @@ def test_a_cut_is_known_when_its_first_frame_comes_out():
     assert [frame for _, frame in shots] == list(range(len(shots))) and cuts and {*cuts} <= {*begins.values()}
 
 
-def test_a_film_that_is_stopped_tells_its_cast():
-    lines = []
-    with open_source(FILM, stop=60) as source:
-        cast = LiveCast(None, 25.0, {})
-        follow(iter(source), load_recipe("face"), None, lines.append, lambda: len(lines) > 20, cast)
-    assert 20 < len(lines) < 40 and json.loads(lines[-1]) == {"people": cast.cast()} and cast.names
-
-
 def test_tracks_that_end_together_end_in_their_order(monkeypatch):
     cast, ended = LiveCast(None, 25.0, {}), []
     cast._now = dict.fromkeys([f"track_{n}" for n in range(20)])
@@ -396,9 +382,8 @@ def test_tracks_that_end_together_end_in_their_order(monkeypatch):
     assert ended == [*cast._now], "not in that of a set, which each process has of its own"
 
 
-def test_what_is_kept_of_a_stream_is_bounded(monkeypatch):
-    monkeypatch.setattr(live, "KEPT", 1)
+def test_what_is_kept_of_a_stream_is_bounded():
     cast = LiveCast(None, 25.0, {})
     with open_source(FILM, stop=100) as source:
         for _ in cast.follow(iter(source), load_recipe("face")):
-            assert len(cast.names) <= 3 and len(cast._past) <= 1, "those that are there, and the one that was"
+            assert len(cast.names) <= 2, "those that are there"

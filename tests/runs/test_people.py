@@ -312,7 +312,7 @@ def test_a_kill_between_two_files_of_a_correction(copy, monkeypatch, after):
         return replace(self, to)
 
     monkeypatch.setattr(Path, "replace", killed)
-    monkeypatch.setattr("facetrack_cli.runs.smooth.discard", lambda path: None)
+    monkeypatch.setattr("facetrack_cli.runs.finished.discard", lambda path: None)
     with pytest.raises(Killed):
         recast(copy, [("a", lambda tracks: rename(tracks, "person_1", "Ann"))], video=False)
     monkeypatch.undo()
@@ -403,7 +403,7 @@ def test_a_run_of_one_face_has_no_cast(tmp_path, capsys):
     assert main(["people", str(tmp_path)]) == ExitCode.INPUT
     assert "has no people.json; facetrack run --faces all writes it" in capsys.readouterr().err
     assert main(["people", str(tmp_path / "none")]) == ExitCode.INPUT
-    assert "none: no such folder; name the folder of a film" in capsys.readouterr().err
+    assert "none: has no people.json; facetrack run --faces all writes" in capsys.readouterr().err
 
 
 def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(named, tmp_path, monkeypatch):
@@ -481,20 +481,6 @@ def seen(name, first, stop, x=100.0, side=50.0, shot=1):
 
 
 SHOTS = [Shot(0, 40, 0, 40), Shot(40, 90, 40, 90)]
-
-
-def test_a_cut_after_which_the_same_faces_go_on_in_the_same_places_was_none():
-    before = [seen("a", 0, 40), seen("b", 5, 40, x=300)]
-    after = [seen("c", 40, 90, shot=2), seen("d", 48, 90, 303, shot=2)]
-    assert runs_people._true(SHOTS, [*before, *after], ["Ann", "Bob", "Ann", "Bob"], 25.0) == [Shot(0, 90, 0, 90)]
-    for tracks, names in (
-        ([*before, *after], ["Ann", "Bob", "Cleo", "Bob"]),
-        ([*before, after[0]], ["Ann", "Bob", "Ann"]),
-        ([before[0], after[1]], ["Ann", "Ann"]),
-        ([before[0], seen("c", 60, 90, shot=2)], ["Ann", "Ann"]),
-        ([], []),
-    ):
-        assert runs_people._true(SHOTS, tracks, names, 25.0) == SHOTS
 
 
 def test_faces_that_cannot_be_told_again_are_unknown_and_those_of_one_frame_have_two_names():

@@ -23,8 +23,8 @@ from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.files import FileSink, cannot_write
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.runs.batch import folders, variant_name
+from facetrack_cli.runs.clip import RunMonitor
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
@@ -436,14 +436,6 @@ def test_a_part_that_is_lost_at_the_end(run, tmp_path):
     assert code == 4 and footer("covered-face")["lost_frames"]
     assert "lost: " in err.splitlines()[0] and "; look at frames " in err.splitlines()[1]
     assert run(path, *SMALL, "--no-video", "--fail-on-lost", "-o", "early", "--stop", 8)[0] == 0
-
-
-def test_a_lag_of_more_frames_than_memory_holds(run, clip, monkeypatch):
-    monkeypatch.setattr("facetrack_cli.runs.clip.MAX_LAG_BYTES", 128 * 96 * 3 * 5)
-    code, _, err = run(clip, *SMALL, "--lag", 6)
-    assert code == ExitCode.USAGE and "at most --lag 5 at 128x96" in one_line(err)
-    assert not Path("sway-face").exists()
-    assert run(clip, *SMALL, "--lag", 5)[0] == 0
 
 
 def test_folder_names_are_told_apart_by_where_the_clips_lie(tmp_path):

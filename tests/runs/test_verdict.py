@@ -9,8 +9,8 @@ import pytest
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.clip import EVERY_FRAMES, RunMonitor
 from facetrack_cli.runs.plan import Outcome
-from facetrack_cli.runs.verdict import EVERY_FRAMES, RunMonitor
 from facetrack_cli.trackers.face.detectors import Detection
 from tests.support.results import part, result, target
 from tests.support.samples import FOLDER

@@ -18,7 +18,7 @@ from facetrack_cli.editor import server
 from facetrack_cli.editor.fix_session import FixSession
 from facetrack_cli.editor.pick_session import PickSession
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.runs.finished import open_run
 
 
 @contextlib.contextmanager

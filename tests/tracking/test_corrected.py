@@ -20,7 +20,7 @@ from facetrack_cli.engine.corrected import CorrectedTarget, is_complete
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.target import FrameModel
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.runs.finished import open_run
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.reader import CORRECTED

@@ -13,7 +13,6 @@ from facetrack_cli.core.face_points import GROUPS, POINTS
 from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.run_folder.manifest import Manifest
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trackers.face import assembly as targets
 from facetrack_cli.trackers.face.mesh import CROPS, NAMES
@@ -199,20 +198,13 @@ def test_a_network_that_takes_something_else_for_a_lip_does_not_move_it_and_is_s
     assert (column(results, "status", PARTS)[1:] == "tracked").all()
 
 
-@pytest.mark.parametrize(("share", "said"), [(None, ""), (0.99, ""), (0.8, ", but for 20% of its points, which the")])
-def test_a_run_says_which_network_it_used_and_what_of_it_did_not_count(share, said):
-    found = Manifest(networks=("/models/mesh",), borne_out=share).network
-    assert found == f"with the network mesh{said and f'{said} other senses contradict'}"
-    assert Manifest().network == ""
-
-
 def test_a_smoothed_run_of_a_clip_and_its_report_name_the_network(file, tmp_path, monkeypatch):
     monkeypatch.setattr(targets, "Mesh", lambda path: FakeMesh([IN_CLIP] * 9, noise=0.6))
     sets = ("--set", f"head.landmarks.network={file}", "--set", "filter.particles=100", "--stop", "9", "--no-video")
     out = tmp_path / "run"
     output = called("run", FOLDER / "expressions.mp4", "--config", "face", *sets, "--smooth", "-o", out)
     record = json.loads((out / "run.json").read_text())
-    assert record["networks"] == [str(file)] and 0.9 < record["borne_out"] <= 1
+    assert record["networks"] == [str(file)]
     assert "with the network a.tflite" in output
     table = read_trajectory(out / "trajectory.csv")
     assert [part for _, part in table.names] == [*PARTS, BOX, *FEATURES] and len(table.frames) == 9

@@ -15,8 +15,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import temporary_path
 from facetrack_cli.core.types import Frame
 from facetrack_cli.report.make import command
-from facetrack_cli.run_folder.finished import open_run
-from facetrack_cli.runs.smooth import repaint
+from facetrack_cli.runs.finished import open_run, repaint
 from facetrack_cli.trajectory.measures import measures_of
 from facetrack_cli.trajectory.trajectory import Trajectory, of_frame, one_part
 from facetrack_cli.video.decode import pixels

@@ -82,8 +82,8 @@ def fix_command(
     from facetrack_cli.editor.fix_session import FixSession
     from facetrack_cli.editor.history import fixing
     from facetrack_cli.editor.save import open_track
-    from facetrack_cli.run_folder.finished import open_run
     from facetrack_cli.run_folder.manifest import read_run
+    from facetrack_cli.runs.finished import open_run
     from facetrack_cli.runs.people import people_in
     from facetrack_cli.trajectory.reader import PEOPLE
     from facetrack_cli.trajectory.views import Clock

@@ -104,7 +104,7 @@ def _formats(value: str) -> tuple[Format, ...]:
 @flag("--retry-failed", help="Try clips again that have failed before.")
 @option(
     "--cluster", type=Text("WHERE"),
-    help="Workers of Dask: local:N, tcp://HOST:PORT, or a scheduler file; see docs/pipelines.md.",
+    help="Workers of Dask: tcp://HOST:PORT, or a scheduler file; see docs/pipelines.md.",
 )  # fmt: skip
 def run_command(
     inputs: tuple[Path, ...], extent: Extent, faces: Literal["one", "all"], init_frame: int | None, stream: int | None,
@@ -181,13 +181,11 @@ def run_command(
         (smooth and csv_alone, "--smooth reads the rows from JSON; give --format csv,json"),
         (out == "-" and formats and len(formats) > 1, "-o - streams one format; give one with --format"),
     )
-    local = None
     if cluster is not None:
-        from facetrack_cli.runs.batch import check_cluster, run_cluster
+        from facetrack_cli.runs.batch import address_of, run_cluster
 
-        local = check_cluster(cluster)  # the processes of local:N
-    with progress(quiet) as shown:
-        clips, several = expand(inputs, shown.say)
+        cluster = address_of(cluster)
+    clips, several = expand(inputs)
     extent.check(*clips)
     several = several or (shard is not None and split is None)
     blind = f"{recipe.name} has correlation alone, which cannot tell when it is lost"
@@ -207,7 +205,7 @@ def run_command(
             write_batch(Path(out), recipe.name, clips, names)
     first, step = (1, 1) if split else shard or (1, 1)
     clips, places = clips[first - 1 :: step], places[first - 1 :: step]
-    workers = jobs if split else max(1, min(local or jobs, len(clips)))
+    workers = jobs if split else max(1, min(jobs, len(clips)))
     with Stop().listening() as stop, progress(quiet) as shown:
         cache.tell(shown.hint)
         todo = [
@@ -239,9 +237,9 @@ def run_command(
 
             with about(clips[0].name):
                 code = _one(run_chunks(todo[0], workers, stop, shown, shard or (1, 1)), stop, shown)
-        elif cluster is not None and local is None:
-            code = _several(todo, partial(run_cluster, where=cluster), stop, shown)
-        elif several or remote:
+        elif cluster is not None:
+            code = _several(todo, partial(run_cluster, address=cluster), stop, shown)
+        elif several:
             code = _several(todo, partial(run_batch, workers=workers), stop, shown)
         else:
             share_threads(todo[0].threads)
