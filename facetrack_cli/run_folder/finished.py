@@ -121,13 +121,6 @@ def read_files(files: Mapping[Format, Path]) -> Trajectory:
     return rows
 
 
-def check_size(run: Run, size: tuple[int, int]) -> None:
-    """InputError if a clip of this (width, height) is not the run's."""
-    if size != run.header.source.size:
-        actual, expected = (f"{width}x{height}" for width, height in (size, run.header.source.size))
-        raise InputError(f"{run.clip}: is {actual}, not {expected} pixels as in the run; name its clip with --clip")
-
-
 def stamp(path: Path) -> object:
     """What changes when a file is written again."""
     try:

@@ -19,7 +19,7 @@ from facetrack_cli.editor.save import keep, save
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder import manifest
-from facetrack_cli.run_folder.finished import check_size, open_run, read_files, recipe_of
+from facetrack_cli.run_folder.finished import open_run, read_files, recipe_of
 from facetrack_cli.run_folder.lease import NOTE, FolderLease
 from facetrack_cli.runs import smooth
 from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED
@@ -238,14 +238,12 @@ def test_a_file_that_was_edited_is_refused(out, form, change, said):
     assert said is None or re.match(re.escape(str(files[form])) + said, str(refused.value))
 
 
-def test_what_is_no_run_and_a_clip_of_another_size_are_refused(out, tmp_path):
+def test_what_is_no_run_and_another_clip_are_refused(out, tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match="file: is no folder; name the folder of a run"):
         open_run(tmp_path / "file")
     (tmp_path / "trajectory.csv").write_text("x")
     with pytest.raises(InputError, match=r"has no trajectory.json, with recipe and clip"):
         open_run(tmp_path)
-    with pytest.raises(InputError, match="is 64x48, not 320x240 pixels as in the run; name its clip with --clip"):
-        check_size(open_run(out), (64, 48))
     with pytest.raises(InputError, match=r"lamp.mp4: is not the clip .*SHA-256 differs.*; name its clip with --clip"):
         open_run(out, FOLDER / "lamp.mp4")
