@@ -19,7 +19,7 @@ from pydantic_core import to_jsonable_python
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, Correction, TargetStart
+from facetrack_cli.core.types import BOX, Correction
 from facetrack_cli.editor.history import corrections_of, fixing, merged
 from facetrack_cli.editor.pick_session import requirement
 from facetrack_cli.editor.save import is_tracked_again, keep, save
@@ -102,8 +102,9 @@ class FixSession(Session):
         """Make the draft a correction of its frame. `learn` as of Correction."""
         frame, parts = self.draft.frame, self._parts
         new = [
-            Correction(frame, name, target.rounded(), absent=target.absent)
+            Correction(frame, name, start.box, start.points, absent=target.absent)
             for name, target in self.draft.targets.items()
+            for start in [target.rounded()]
             if name in parts and not target.empty
         ]
         if not new:
@@ -126,11 +127,10 @@ class FixSession(Session):
         """From a frame on each of two hands is where the other is: a correction of both."""
         hands, rows = [name for name in HANDS if name in self._parts], self.fixer.rows.at(frame)
         boxes = {name: choose(rows, other).boxes[0].round(2) for name, other in zip(hands, hands[::-1], strict=True)}
-        seen = {name: TargetStart(tuple(box.tolist())) for name, box in boxes.items() if np.isfinite(box).all()}
+        seen = {name: tuple(box.tolist()) for name, box in boxes.items() if np.isfinite(box).all()}
         if len(hands) < 2 or not seen:
             raise UsageError(f"there are no two hands in frame {frame}")
-        none = TargetStart()
-        both = [Correction(frame, hand, seen.get(hand, none), absent=hand not in seen or ()) for hand in hands]
+        both = [Correction(frame, hand, seen.get(hand), absent=hand not in seen or ()) for hand in hands]
         return self._begin(f"tracking {', '.join(hands)}", partial(self.fixer.put, both))
 
     def post_confirm(self, frame: FrameNumber, target: str, part: str, stretch: StrictBool = False) -> Json:

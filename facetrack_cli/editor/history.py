@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, TypeAlias
 
 from facetrack_cli.core.errors import InputError, OutputError, reason
-from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
+from facetrack_cli.core.types import BOX, Correction, Frame, Start
 from facetrack_cli.editor.pick_session import fitted
 from facetrack_cli.engine.corrected import CorrectedTarget, all_or, completed, is_complete, with_confirmed
 from facetrack_cli.engine.loop import Target, stream
@@ -260,20 +260,20 @@ def completed_by(correction: Correction, rows: Trajectory) -> Correction:
 
 def merged(new: Correction, before: Correction | None, parts: tuple[str, ...]) -> Correction:
     """A `new` correction merged with the correction `before` it of the same frame and target, if there is one."""
-    frame, target, points = new.frame, new.target, new.given.points
+    frame, target, points = new.frame, new.target, new.points
     if new.absent is True or (parts == (BOX,) and new.absent):
         return Correction(frame, target, absent=True)
     gone = set(new.absent)
-    if new.given.box is not None and (parts == (BOX,) or not points):
-        return replace(new, given=TargetStart(box=new.given.box))
+    if new.box is not None and (parts == (BOX,) or not points):
+        return replace(new, points={})
     if new.confirmed:
         lists = [parts if fix.confirmed is True else fix.confirmed for fix in (new, before) if fix is not None]
         return replace(new, confirmed=all_or([part for part in parts if part in chain(*lists)], parts))
     old = Correction(frame, target) if before is None or before.confirmed else before
-    by_hand = {part: at for part, at in {**old.given.points, **points}.items() if part not in gone or part in points}
+    by_hand = {part: at for part, at in {**old.points, **points}.items() if part not in gone or part in points}
     kept = {part: at for part, at in old.kept.items() if part not in by_hand and part not in gone}
     hidden = [part for part in parts if part in {*gone, *old.hidden(parts)} and part not in by_hand]
-    return Correction(frame, target, TargetStart(points=by_hand), kept, all_or(hidden, parts), old.learn)
+    return Correction(frame, target, None, by_hand, kept, all_or(hidden, parts), old.learn)
 
 
 def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, Array, Correction, Mask, TargetStart
+from facetrack_cli.core.types import BOX, Array, Correction, Mask
 from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.run_folder.manifest import read_run
@@ -194,4 +194,4 @@ def _correction(frame: int, target: str, parts: Mapping[str, Place], run: Run) -
         return Correction(frame, target, absent=True)
     box: Any = parts.get(BOX)
     points = {part: (place[0], place[1]) for part, place in parts.items() if place is not None and part != BOX}
-    return Correction(frame, target, TargetStart(box=box, points=points), absent=absent)
+    return Correction(frame, target, box, points, absent=absent)

@@ -152,7 +152,7 @@ def _by_hand(rows: Trajectory, person: str) -> Iterator[Correction]:
         points = {part: place for part, (status, place) in hand.items() if status == "init" and part != BOX}
         absent = [part for part, (status, _) in hand.items() if status == "absent"]
         if points or absent:
-            yield Correction(frame, person, TargetStart(points=points), absent=all_or(absent, parts))
+            yield Correction(frame, person, points=points, absent=all_or(absent, parts))
         else:
             yield Correction(frame, person, confirmed=all_or([*hand], correctable_parts(parts)))
 

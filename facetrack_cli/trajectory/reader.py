@@ -272,10 +272,6 @@ class CorrectedTarget(_Target):
     learn: Annotated[bool, Field(strict=True)] | None = None
     confirmed: _Parts = ()
 
-    def correction(self, frame: int, target: str) -> Correction:
-        start = TargetStart(self.box, self.points)
-        return Correction(frame, target, start, self.kept, self.absent, self.learn, self.confirmed)
-
 
 class CorrectionRecord(CorrectedTarget):
     """The same with its frame and its target: a member of a list of corrections."""
@@ -296,7 +292,7 @@ class StartRecord(BaseModel):
 
     def start_from(self, origin: str) -> Start:
         """The start; `origin` is what said so."""
-        corrections = tuple(record.correction(record.frame, record.target) for record in self.corrections)
+        corrections = tuple(Correction(**dict(record)) for record in self.corrections)
         targets = {name: record.target() for name, record in self.targets.items()}
         return Start(self.frame, targets, origin, corrections, detector=self.detector, placed=self.placed)
 
@@ -318,10 +314,10 @@ def corrections_record(corrections: Sequence[Correction]) -> dict[str, Any]:
 
 def corrected(correction: Correction) -> dict[str, Any]:
     """What `CorrectedTarget` reads, for JSON: whole numbers without a fraction, and only members with a value."""
-    start, learn = correction.given, correction.learn
+    learn, box = correction.learn, correction.box and list(map(whole, correction.box))
     absent, sure = (names is True or list(names) for names in (correction.absent, correction.confirmed))
-    box = start.box and list(map(whole, start.box))
-    points, kept = ({k: list(map(whole, xy)) for k, xy in places.items()} for places in (start.points, correction.kept))
+    both = correction.points, correction.kept
+    points, kept = ({k: list(map(whole, xy)) for k, xy in places.items()} for places in both)
     members = _members(box=box, points=points, kept=kept, absent=absent, confirmed=sure)
     return members if learn is None else {**members, "learn": learn}
 

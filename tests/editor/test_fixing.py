@@ -14,7 +14,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.types import Correction, TargetStart
+from facetrack_cli.core.types import Correction
 from facetrack_cli.editor import history
 from facetrack_cli.editor.fix_session import overview
 from facetrack_cli.editor.history import Fixer, corrections_of
@@ -117,11 +117,11 @@ def fixed(runs, tmp_path):
 
 
 def points(target, frame, **given):
-    return Correction(frame, target, TargetStart(points=given))
+    return Correction(frame, target, points=given)
 
 
 def box(target, frame, *sides):
-    return Correction(frame, target, TargetStart(box=tuple(map(float, sides))))
+    return Correction(frame, target, box=tuple(map(float, sides)))
 
 
 def nose(frame, x, y):
@@ -200,7 +200,7 @@ def test_what_is_not_given_stays_where_the_rows_have_it(fixed):
     before = places()
     one.put(NOSE)
     [done] = one.fixer.corrections
-    assert done.given.points == {"nose": (150.0, 130.5)}
+    assert done.points == {"nose": (150.0, 130.5)}
     assert done.kept == {part: at for part, at in before.items() if part != "nose"}
     assert places() == {**before, "nose": (150.0, 130.5)}
     one.put(Correction(12, "face", absent=("nose", "lip_lower")), nose(16, 150.0, 130.0))
@@ -314,7 +314,7 @@ def test_what_is_stopped_or_fails_leaves_the_rows_as_they_were(fixed):
 def test_a_frame_has_one_correction_and_a_full_disk_leaves_the_rows_as_they_were(fixed, monkeypatch):
     one = fixed("late")
     one.put(*(nose(8, x, 140) for x in (157, 159, 159)))
-    given = [(c.frame, c.given.points) for c in one.fixer.corrections]
+    given = [(c.frame, c.points) for c in one.fixer.corrections]
     assert given == [(5, {"nose": (158, 140)}), (8, {"nose": (159, 140)}), (31, {"nose": (150, 140)})]
     before = one.text()
 
@@ -368,7 +368,7 @@ def test_the_init_file_of_the_run_itself_changes_nothing(fixed):
     assert one.read == [*range(6), 0, *range(5, 12)]
     recorded, corrected = ([*csv_frames(rows.between(0, 5))] for rows in (one.run.rows, one.fixer.rows))
     assert corrected == recorded
-    assert kept.given != one.fixer.corrections[0].given and one.fixer.find(5, "face").kept["lip_lower"][1] > 160
+    assert kept.points != one.fixer.corrections[0].points and one.fixer.find(5, "face").kept["lip_lower"][1] > 160
     one.fixer.apply(())
     assert one.fixer.changed and one.fixer.corrections == ()
     one.fixer.undo()
@@ -401,11 +401,11 @@ def test_an_init_file_means_the_targets_that_a_run_takes_it_for(tmp_path):
 
 def test_what_is_dragged_goes_over_what_its_frame_has():
     parts, gone = ("a", "b", "c"), Correction(5, "t", absent=True)
-    old = Correction(5, "t", TargetStart(points={"a": (1, 1)}), kept={"b": (2, 2)}, absent=("c",))
-    whole = Correction(5, "t", TargetStart(box=(1, 2, 9, 9)))
+    old = Correction(5, "t", points={"a": (1, 1)}, kept={"b": (2, 2)}, absent=("c",))
+    whole = Correction(5, "t", box=(1, 2, 9, 9))
 
     def merged(box, points, absent, before=old, parts=parts):
-        return history.merged(Correction(5, "t", TargetStart(box, points), absent=absent), before, parts)
+        return history.merged(Correction(5, "t", box, points, absent=absent), before, parts)
 
     for given, expected in (
         ((None, {"b": (3, 3)}, ()), ({"a": (1, 1), "b": (3, 3)}, {}, ("c",))),
@@ -415,7 +415,7 @@ def test_what_is_dragged_goes_over_what_its_frame_has():
         (((1, 2, 9, 9), {"b": (3, 3)}, ()), ({"a": (1, 1), "b": (3, 3)}, {}, ("c",))),  # beside points it says nothing
     ):
         new = merged(*given)
-        assert (new.given.points, new.kept, new.absent) == expected, given
+        assert (new.points, new.kept, new.absent) == expected, given
     for given, expected in (
         ((None, {}, ("a", "b")), gone),
         ((None, {}, True), gone),

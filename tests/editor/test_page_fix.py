@@ -142,7 +142,7 @@ def test_what_is_dragged_is_tracked_undone_and_removed(page):
     assert (corner[:2], corner[7]) == (before[8][1][:2], False)
     [correction] = one.get("api/overview").json["corrections"]
     assert (correction["frame"], correction["target"]) == (8, "face")
-    assert correction["given"]["points"] == {"nose": [150.0, 130.5]} and correction["absent"] == []
+    assert correction["points"] == {"nose": [150.0, 130.5]} and correction["absent"] == []
     assert one.track(8, face={"absent": ["lip_upper"]}).status == 200  # over what is there
     hidden = one.rows(8, 8)[0]
     assert hidden[0][:2] == [150.0, 130.5] and hidden[3] == [None] * 6 + ["absent", True, None]
@@ -274,7 +274,7 @@ def test_what_is_called_lost_and_lies_right_is_confirmed(page, out):
     # what is confirmed is corrected instead, and the other way round refused
     one.track(7, face=NOSE)
     found = one.fixer.find(7, "face")
-    assert found.given.points == {"nose": (150.0, 130.5)} and not found.confirmed
+    assert found.points == {"nose": (150.0, 130.5)} and not found.confirmed
     for part, why in (("lip_upper", "corrected in frame 7 already"), ("ear", "has no place")):
         got = one.post("confirm", frame=7, target="face", part=part)
         assert got.status == 422 and why in got.json["error"]

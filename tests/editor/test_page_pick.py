@@ -201,11 +201,11 @@ def test_a_file_that_appears_meanwhile_is_not_replaced(clips, tmp_path):
 
 
 def test_windows_and_corrections_of_the_file_before_are_kept(clips, tmp_path):
-    given = TargetStart(points={"nose": (5, 5)})
+    given = {"nose": (5, 5)}
     points = {part: tuple(at) for part, at in POINTS.items()}
     begun = Start(
         0, {"face": TargetStart(points=points, windows={"nose": (25, 25)})}, "old.yaml",
-        tuple(Correction(frame, name, given) for frame, name in ((1, "face"), (2, "face"))),
+        tuple(Correction(frame, name, points=given) for frame, name in ((1, "face"), (2, "face"))),
     )  # fmt: skip
     out = tmp_path / "a.init.yaml"
     with picking(clips / "face", out, previous=begun) as (client, _):
