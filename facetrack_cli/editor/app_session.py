@@ -192,10 +192,9 @@ class AppSession(Page):
 
     def find(self, clip: int) -> Clip:
         """InputError for a clip that is not there any more."""
-        with self.lock:
-            if clip not in self.clips:
-                raise InputError("this clip is not in the list any more")
-            return self.clips[clip]
+        if (known := self.clips.get(clip)) is None:
+            raise InputError("this clip is not in the list any more")
+        return known
 
     def place(self, clip: Clip) -> Path:
         return self.folder / clip.path

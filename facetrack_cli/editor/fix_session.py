@@ -82,7 +82,7 @@ class FixSession(Session):
             self._begin("tracking the corrections of the last session", partial(self._resume, last))
 
     def post_save(self) -> Json:
-        if not self.draft.empty:
+        if not all(target.empty for target in self.draft.targets.values()):
             frame = self.draft.frame
             raise UsageError(f"what was moved in frame {frame} is not tracked yet; track it, or discard it")
         return self.start_job("saving", self._write)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, count
 from pathlib import Path
-from typing import Final, TypeAlias
 
 from facetrack_cli.core.errors import InputError, OutputError, reason
 from facetrack_cli.core.types import BOX, Correction, Frame, Start
@@ -29,9 +28,6 @@ from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successiv
 from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import as_written
 from facetrack_cli.video.seek import Frames
-
-MAX_STEPS: Final = 1000  # steps that can be undone
-Read: TypeAlias = Callable[[int], Frame]
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,7 @@ class Fixer:
     Rows that were tracked are in a temporary folder: undo over many corrections takes no memory.
     """
 
-    def __init__(self, run: Run, read: Read) -> None:
+    def __init__(self, run: Run, read: Callable[[int], Frame]) -> None:
         self.run, self._read = run, read
         with _writing():
             self._folder = tempfile.TemporaryDirectory(prefix="facetrack-fix-")
@@ -153,7 +149,7 @@ class Fixer:
 
         now = self._followed(corrections, step)
         if now[0] != self.corrections:
-            self._past = [*self._past, self.corrections][-MAX_STEPS:]
+            self._past.append(self.corrections)
             self.now = now
 
     def _followed(

@@ -170,7 +170,7 @@ def _save_track(run: Run, rows: Trajectory, *, video: bool, report: Report, stop
         pieces[at : at + 1] = [piece for piece in (before, rows, after) if len(piece)]
         film = replace(successive(pieces), header=whole.header, path=whole.path)
         people = people.model_copy(update={"corrections": (*people.corrections, f"fix {person}@{run.first}f")})
-        names = {record.still for record in people.people} | {record.still for record in people.tracks}
+        names = [*(record.still for record in people.people), *(record.still for record in people.tracks)]
         stills = {name: read_still(folder, name) for name in names if name}
         clip = run.clip if video and run.video is not None else None
         notes = write_people(folder, film, people, stills, clip, report, stop, lease)

@@ -57,11 +57,10 @@ _BODY = TypeAdapter(dict[str, Any])
 @lru_cache(maxsize=1)
 def assets() -> Mapping[str, Answer]:
     """The files of the page by name; no other file is ever served."""
-    kinds = [(file, KINDS.get(file.suffix)) for file in Path(__file__).with_name("assets").iterdir()]
     return {
-        file.name: Answer(file.read_bytes().replace(b"<head>", HEAD), kind=f"{kind}; charset=utf-8")
-        for file, kind in kinds
-        if kind
+        file.name: Answer(file.read_bytes().replace(b"<head>", HEAD), kind=f"{KINDS[file.suffix]}; charset=utf-8")
+        for file in Path(__file__).with_name("assets").iterdir()
+        if file.suffix in KINDS
     }
 
 

@@ -24,8 +24,6 @@ from facetrack_cli.video.seek import Frames
 
 LINGER_S: Final = 3.0  # the server goes on so long after the end: each page asks for the state once a second
 JPEG_QUALITY: Final = 90
-MAX_TARGETS: Final = 20
-MAX_POINTS: Final = 500
 Json: TypeAlias = dict[str, Any]
 Name: TypeAlias = Annotated[str, Field(pattern=f"^(?:{NAME.pattern})$")]
 
@@ -36,8 +34,8 @@ class DraftTarget:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
     box: tuple[Pixels, Pixels, Side, Side] | None = None
-    points: Annotated[Mapping[Name, tuple[Pixels, Pixels]], Field(max_length=MAX_POINTS)] = field(default_factory=dict)
-    absent: Annotated[tuple[Name, ...], Field(max_length=MAX_POINTS)] | Literal[True] = ()
+    points: Mapping[Name, tuple[Pixels, Pixels]] = field(default_factory=dict)
+    absent: tuple[Name, ...] | Literal[True] = ()
 
     @property
     def empty(self) -> bool:
@@ -55,11 +53,7 @@ class Draft:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
     frame: FrameNumber
-    targets: Annotated[Mapping[Name, DraftTarget], Field(max_length=MAX_TARGETS)]
-
-    @property
-    def empty(self) -> bool:
-        return all(target.empty for target in self.targets.values())
+    targets: Mapping[Name, DraftTarget]
 
     def placed(self) -> dict[str, TargetStart]:
         """The targets that have a box or points, to 0.01 px."""

@@ -142,7 +142,10 @@ def key_images(
 
 def _drawn(frame: Frame, seconds: float, rows: Trajectory, header: Header) -> Image:
     """The image of a frame of the clip: cut out, scaled, with the overlay of `facetrack run` but for the trail."""
-    (left, top, width, height), out = view, _ = _layout(rows, header)
+    left, top, width, height = view = _view(rows, header)
+    least, most = (min(limit[0] / width, limit[1] / height) for limit in (MIN_SIZE, MAX_SIZE))
+    enlarged = min(max(least, 1.0), most)
+    out = max(round(width * enlarged), 1), max(round(height * enlarged), 1)
     part = np.ascontiguousarray(frame.bgr[top : top + height, left : left + width])
     whole = cv2.resize(part, out, interpolation=cv2.INTER_AREA if out[0] < width else cv2.INTER_CUBIC)
     scaled, zoom = Frame(frame.index, seconds, np.asarray(whole, np.uint8), aspect=frame.aspect), out[0] / width
@@ -156,8 +159,8 @@ def _drawn(frame: Frame, seconds: float, rows: Trajectory, header: Header) -> Im
     return Image(_jpeg(Overlay(out, title=header.recipe_name, trail_s=0).draw(result)), out, view=view)
 
 
-def _layout(rows: Trajectory, header: Header) -> tuple[View, tuple[int, int]]:
-    """The part of the clip to show of a frame with these rows, and the size of its image."""
+def _view(rows: Trajectory, header: Header) -> View:
+    """The part of the clip to show of a frame with these rows."""
     width, height = header.source.size
     targets = header.init.targets.values()
     sides = [side for target in targets for side in (target.box or ())[2:]]
@@ -166,21 +169,14 @@ def _layout(rows: Trajectory, header: Header) -> tuple[View, tuple[int, int]]:
     rows = rows.take((rows.x >= 0) & (rows.x < width) & (rows.y >= 0) & (rows.y < height))  # nan is not
     shown = 1.25 * _VIEW * unit  # a little less than the whole is not worth a cut
     if max(width, height) <= shown or not len(rows):
-        return (0, 0, width, height), _fit((width, height))
+        return 0, 0, width, height
     x, y, half_w, half_h = rows.x, rows.y, np.nan_to_num(rows.w) / 2, np.nan_to_num(rows.h) / 2
     across, down = (x + half_w).max() - (x - half_w).min(), (y + half_h).max() - (y - half_h).min()
     wide = max(_VIEW * unit, 1.4 * across, 1.9 * down)
     w, h = min(width, math.ceil(wide)), min(height, math.ceil(0.75 * wide))
     left = round(min(max((x.min() + x.max() - w) / 2, 0), width - w))
     top = round(min(max((y.min() + y.max() - h) / 2, 0), height - h))
-    return (left, top, w, h), _fit((w, h))
-
-
-def _fit(size: tuple[int, int]) -> tuple[int, int]:
-    """The size of an image: enlarged to `MIN_SIZE`, or reduced to `MAX_SIZE`, keeping its shape."""
-    least, most = (min(limit[0] / size[0], limit[1] / size[1]) for limit in (MIN_SIZE, MAX_SIZE))
-    zoom = min(max(least, 1.0), most)
-    return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
+    return left, top, w, h
 
 
 def _jpeg(image: Pixels, quality: int = 85) -> bytes:
@@ -223,10 +219,9 @@ def make_report(
     table = read_run(trajectory_of(run))
     header, people, manifest = read_header(table), read_people(run), read_manifest(run)
     clock = Clock(table, header.source.fps)
-    followed = table
-    if people is not None:  # the points of a film's people come and go with the box
-        boxes = [part for part in table.parts if part.part == BOX]
-        followed = joined(boxes, header=table.header, path=table.path)
+    # the points of a film's people come and go with the box
+    boxes = [part for part in table.parts if part.part == BOX]
+    followed = table if people is None else joined(boxes, header=table.header, path=table.path)
     history = history_of(followed, clock, header.seams)
     pairs, measured = ([], None) if truth is None else _measured(table, header, *truth)
     title = f"{header.clip_name}, {header.recipe_name}"
@@ -285,8 +280,7 @@ def make_batch_report(batch: Path, to: Path, report: Report = silent) -> ReportP
     Raises InputError for a folder without runs, UsageError without Jinja2.
     """
     template, progress = page_template("batch.html.j2"), survey(batch)
-    notes: list[str] = []
-    rows = []
+    notes, rows = list[str](), list[dict[str, Any]]()
     for n, clip in enumerate(sorted(progress.clips, key=badness)):
         report(n, len(progress.clips))
         folder, still = batch / clip.folder, None

@@ -248,13 +248,13 @@ def test_a_body_that_is_no_draft_is_refused_in_one_line(client):
         {"box": [1, 2, 3]}, {"box": [1, 2, 0, 4]}, {"box": [1, 2, 3, True]}, {"box": "1234"},
         {"box": [1e300, 2, 3, 4]}, {"box": [10**400, 2, 3, 4]}, {"box": [math.nan, 2, 3, 4]}, {"size": 1},
         {"points": {"nose": [1, None]}}, {"points": [1]}, {"points": {"": [1, 2]}}, {"points": {"nose": [-1e7, 2]}},
-        {"points": {f"p{k}": [1, 2] for k in range(501)}}, {"absent": "nose"}, {"absent": ["a/b"]},
+        {"absent": "nose"}, {"absent": ["a/b"]},
         {"absent": ["nose\n"]},
     ]  # fmt: skip
     for draft in [
         None, {"frame": -1, "targets": {}}, {"frame": True, "targets": {}}, {"frame": 0},
         {"frame": 10**30, "targets": {}}, {"frame": 0, "targets": {}, "more": 1},
-        {"frame": 0, "targets": {"\ud800": {}}}, {"frame": 0, "targets": {f"t{k}": {} for k in range(21)}},
+        {"frame": 0, "targets": {"\ud800": {}}},
         *({"frame": 0, "targets": {"face": target}} for target in targets),
     ]:  # fmt: skip
         got = client.ask("POST", "api/draft", {"draft": draft})

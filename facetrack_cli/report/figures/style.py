@@ -37,7 +37,6 @@ BINS: Final = 1000  # about the pixels across a panel
 COLOURS: Final = ("#30A2DC", "#C49500", "#00795A", "#BE5CA6", "#2B3FC0", "#222222")
 INK: Final = "#222222"
 FAINT: Final = "#6B6B6B"
-PALE: Final = "#C8C8C8"
 # vermilion is never a line's colour
 STATUS: Final = {"tracked": "#D5E4EE", "lost": "#E0480A", "hidden": "#8A8A8A", "absent": "#4A4A4A"}
 # where colours run out: solid, dashed, dotted, dash-dotted
@@ -54,15 +53,10 @@ _STYLE: Final = Path(__file__).with_name("facetrack.mplstyle")
 
 @cache
 def need_matplotlib() -> None:
-    """UsageError where matplotlib is missing or broken. What it logs on its first import changes no figure."""
-    log = logging.getLogger("matplotlib")
-    before = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        with needed("figures", "matplotlib"):
-            import matplotlib.font_manager  # noqa: F401 -- builds the cache
-    finally:
-        log.setLevel(before)
+    """UsageError where matplotlib is missing or broken."""
+    logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)  # that it builds its cache
+    with needed("figures", "matplotlib"):
+        import matplotlib.font_manager  # noqa: F401 -- builds the cache
 
 
 @contextmanager
