@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.core.types import BOX, Array, Correction, Frame, Mask, Start, TargetStart
+from facetrack_cli.core.types import BOX, Array, Correction, Frame, Mask, Start
 from facetrack_cli.engine.corrected import CorrectedTarget, completed
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.start.assembly import build_tracker
@@ -125,11 +125,11 @@ class Work:
         if truth.parts == (BOX,):
             x, y, w, h = truth.places[t, 0].tolist()
             box = (x - (w - 1) / 2, y - (h - 1) / 2, w, h)
-            return Correction(frame, truth.target, TargetStart(box=box), learn=learn)
+            return Correction(frame, truth.target, box=box, learn=learn)
         given = {}
         for k in np.flatnonzero(wrong & (found.rows.status != "absent")).tolist():
             given[truth.parts[k]] = (float(truth.places[t, k, 0]), float(truth.places[t, k, 1]))
-        return completed(Correction(frame, truth.target, TargetStart(points=given), learn=learn), found.rows)
+        return completed(Correction(frame, truth.target, points=given, learn=learn), found.rows)
 
 
 def _places(result: TargetResult) -> Array:

@@ -296,14 +296,14 @@ class Correction:
 
     Parameters
     ----------
-    given
-        Its box, or some of its points, without windows.
+    box, points
+        Its box, or some of its points, by hand.
     kept
-        Where its other points were. A point that is neither given nor kept stays where the tracker has it.
+        Where its other points were. A point that is in neither stays where the tracker has it.
     absent
         Parts that cannot be seen from there on; True for all.
     learn
-        Whether to relearn the appearance at this frame. None: that of the given parts. Always None if all is absent.
+        Whether to relearn the appearance at this frame. None: that of the parts by hand. Always None if all is absent.
     confirmed
         Parts that lie right in that frame, whatever the tracker calls them; True for all. Then nothing begins again,
         and nothing else is said.
@@ -311,7 +311,8 @@ class Correction:
 
     frame: int
     target: str
-    given: TargetStart = field(default_factory=TargetStart)
+    box: Box | None = None
+    points: Mapping[str, Point] = field(default_factory=dict)
     kept: Mapping[str, Point] = field(default_factory=dict)
     absent: tuple[str, ...] | Literal[True] = ()
     learn: bool | None = None

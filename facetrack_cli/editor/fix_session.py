@@ -16,10 +16,10 @@ import numpy as np
 from pydantic import Field, StrictBool, StrictInt
 from pydantic_core import to_jsonable_python
 
-from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError, flat
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, Correction, TargetStart
+from facetrack_cli.core.types import BOX, Correction
 from facetrack_cli.editor.history import corrections_of, fixing, merged
 from facetrack_cli.editor.pick_session import requirement
 from facetrack_cli.editor.save import is_tracked_again, keep, save
@@ -71,26 +71,26 @@ class FixSession(Session):
             self.fixer, frames = stack.enter_context(fixing(run))
             super().__init__(frames, Draft(run.first, {}), about, first=run.first, last=run.last)
             self.resources = stack.pop_all()
-        self._resumed: Sequence[Correction] = ()  # until they are applied
+        self._kept: Path | None = None  # the file with which the next session goes on
+        unsaved = run.folder / UNSAVED
         try:
-            self._resumed = corrections_of(run.folder / UNSAVED, run) if (run.folder / UNSAVED).is_file() else ()
+            last = corrections_of(unsaved, run) if unsaved.is_file() else ()
         except FacetrackError as e:  # they are not of this run any more
-            self.message = f"{flat(str(e))}; the page begins without it"
-        if self._resumed:
-            self._begin("tracking the corrections of the last session", self._resume)
+            last, self.message = (), f"{flat(str(e))}; the page begins without it"
+        if last:
+            self._kept = unsaved
+            self._begin("tracking the corrections of the last session", partial(self._resume, last))
 
     def post_save(self) -> Json:
-        if not self.draft.empty:
+        if not all(target.empty for target in self.draft.targets.values()):
             frame = self.draft.frame
             raise UsageError(f"what was moved in frame {frame} is not tracked yet; track it, or discard it")
         return self.start_job("saving", self._write)
 
     def get_rows(self, first: int, last: int) -> Json:
-        """The rows of frames `first` to `last`, both included."""
-        run = self.fixer.run
-        first, last = max(first, run.first), min(last, run.last)
-        if last - first > MAX_ROWS:
-            raise UsageError(f"{last - first + 1} frames are too many; at most {MAX_ROWS} are sent")
+        """The rows of frames `first` to `last`, both included, of so many as are sent at a time."""
+        first = max(first, self.fixer.run.first)
+        last = min(last, self.fixer.run.last, first + MAX_ROWS)
         parts = [(name, part) for name, parts in self._parts.items() for part in parts]
         return {"first": first, "parts": parts, "frames": cells(self.fixer.rows, first, last + 1)}
 
@@ -98,41 +98,25 @@ class FixSession(Session):
         corrections, rows = self.fixer.now
         return overview(rows, bins, corrections, self._about["lost_below"])
 
-    def post_track(self, learn: StrictBool | Literal["keep"] | None = "keep") -> Json:
-        """Make the draft a correction of its frame. `learn` as of Correction; "keep" leaves that as it is."""
-        frame, corrections = self.draft.frame, self._drafted(self.draft)
-        if not corrections:
+    def post_track(self, learn: StrictBool | None = None) -> Json:
+        """Make the draft a correction of its frame. `learn` as of Correction."""
+        frame, parts = self.draft.frame, self._parts
+        new = [
+            Correction(frame, name, start.box, start.points, absent=target.absent)
+            for name, target in self.draft.targets.items()
+            for start in [target.rounded()]
+            if name in parts and not target.empty
+        ]
+        if not new:
             raise UsageError(f"nothing is corrected in frame {frame}; move a part, or mark it as absent")
-        if learn != "keep":
-            corrections = [replace(correction, learn=learn) for correction in corrections]
-        for correction in corrections:
-            self.fixer.check(correction)
+        both = [merged(fix, self.fixer.find(frame, fix.target), parts[fix.target]) for fix in new]
+        corrections = [replace(correction, learn=learn) for correction in both]
 
         def work(**options: Any) -> None:
             self.fixer.put(corrections, **options)
             self.draft = Draft(frame, {})  # it is a correction now
 
         return self._begin(f"tracking {', '.join(correction.target for correction in corrections)}", work)
-
-    def _drafted(self, draft: Draft) -> list[Correction]:
-        """What the draft says, over what is corrected there already."""
-        frame, each = draft.frame, [(name, target) for name, target in draft.targets.items() if not target.empty]
-        new = [Correction(frame, name, target.rounded(), absent=target.absent) for name, target in each]
-        return [merged(later, self.fixer.find(frame, later.target), self._parts[later.target]) for later in new]
-
-    def change(self, draft: Draft) -> None:
-        """Also keeps what it says, as if it were tracked already."""
-        for name, target in draft.targets.items():
-            if name not in self._parts:
-                raise UsageError(f"the run has no {name}; it has {', '.join(self._parts)}")
-            named = [*target.points, *(() if target.absent is True else target.absent)]
-            if unknown := [part for part in named if part not in self._parts[name]]:
-                raise UsageError(f"{name} has no {unknown[0]}; it has {', '.join(self._parts[name])}")
-        super().change(draft)
-        try:
-            keep(self.fixer, self._drafted(draft))
-        except OutputError as e:
-            self.message = flat(str(e))
 
     def post_remove(self, frame: FrameNumber, target: str) -> Json:
         if self.fixer.find(frame, target) is None:
@@ -142,14 +126,11 @@ class FixSession(Session):
     def post_exchange(self, frame: FrameNumber) -> Json:
         """From a frame on each of two hands is where the other is: a correction of both."""
         hands, rows = [name for name in HANDS if name in self._parts], self.fixer.rows.at(frame)
-        boxes = {name: choose(rows, other).boxes[0] for name, other in zip(hands, hands[::-1], strict=True)}
-        seen = {
-            name: TargetStart(tuple(box.round(2).tolist())) for name, box in boxes.items() if np.isfinite(box).all()
-        }
+        boxes = {name: choose(rows, other).boxes[0].round(2) for name, other in zip(hands, hands[::-1], strict=True)}
+        seen = {name: tuple(box.tolist()) for name, box in boxes.items() if np.isfinite(box).all()}
         if len(hands) < 2 or not seen:
             raise UsageError(f"there are no two hands in frame {frame}")
-        none = TargetStart()
-        both = [Correction(frame, hand, seen.get(hand, none), absent=hand not in seen or ()) for hand in hands]
+        both = [Correction(frame, hand, seen.get(hand), absent=hand not in seen or ()) for hand in hands]
         return self._begin(f"tracking {', '.join(hands)}", partial(self.fixer.put, both))
 
     def post_confirm(self, frame: FrameNumber, target: str, part: str, stretch: StrictBool = False) -> Json:
@@ -168,13 +149,6 @@ class FixSession(Session):
             new = Correction(index, target, confirmed=(part,))
             corrections.append(merged(new, before, self._parts[target]))
         return self._begin(f"confirming {target}", partial(self.fixer.put, corrections))
-
-    @property
-    def _kept(self) -> Path | None:
-        """The file with which the next session goes on, if there is something in it."""
-        kept = self.fixer.run.folder / UNSAVED
-        some = self.fixer.changed or self._resumed or not self.draft.empty
-        return kept if some and kept.is_file() else None
 
     def post_done(self) -> Json:
         """End the session; what is not saved is kept for the next one."""
@@ -202,25 +176,25 @@ class FixSession(Session):
             work(report=report, stop=self.stopping.is_set)
             with self.lock:
                 self.rows_revision += 1
-                keep(self.fixer, self._drafted(self.draft))
+                self._kept = keep(self.fixer)
 
         return self.start_job(what, job)
 
-    def _resume(self, **options: Any) -> None:
+    def _resume(self, corrections: Sequence[Correction], **options: Any) -> None:
         """Apply the corrections that the last session did not save."""
         try:
-            self.fixer.apply(self._resumed, **options)
+            self.fixer.apply(corrections, **options)
         except FacetrackError as e:
-            self._resumed = ()
+            self._kept = None
             raise InputError(f"the corrections of the last session were left out: {e}") from e
         with self.lock:
-            self._resumed = ()
             self.message = "the corrections of the last session, which were not saved, are applied; undo removes them"
 
     def _write(self, report: Report) -> None:
         messages = save(self.fixer, video=self.video, report=report, stop=self.stopping.is_set)
         with self.lock:
             self.saved, self.saves, self.rows_revision = messages, self.saves + 1, self.rows_revision + 1
+            self._kept = None
 
     def get_state(self) -> Json:
         with self.lock:
@@ -231,10 +205,8 @@ class FixSession(Session):
 
 def _requirement(target: str, parts: tuple[str, ...]) -> Json:
     """What may be corrected of a target. With the box of points, all of them are placed again in the image."""
-    if parts == (BOX,):
-        return requirement(target, [], "needed")
-    parts = correctable_parts(parts)
-    return requirement(target, parts, "optional" if set(parts) <= set(PARTS) else "no")
+    points = () if parts == (BOX,) else correctable_parts(parts)
+    return requirement(target, points, "" if set(points) <= set(PARTS) else "no")
 
 
 def overview(rows: Trajectory, bins: int, corrections: Sequence[Correction], lost_below: Mapping[str, float]) -> Json:
@@ -323,11 +295,9 @@ class CastSession(Page):
                 **super().get_state(),
                 "clip": self.clip.name,
                 "folder": str(self.folder),
-                "people": [person.model_dump(mode="json") for person in people.people],
-                "tracks": [track.model_dump(mode="json") for track in people.tracks],
+                **people.model_dump(mode="json", include={"people", "tracks", "fps"}),
                 "doubts": [doubt.model_dump(mode="json") for doubt in people.doubts],
                 "cuts": [shot.first for shot in people.shots[1:]],
-                "fps": people.fps,
                 "clock": self._clock.points(),
                 "first": people.shots[0].first,
                 "last": max(int(self._rows.frame.max()), *(track.stop - 1 for track in people.tracks)),

@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, count
 from pathlib import Path
-from typing import Final, TypeAlias
 
 from facetrack_cli.core.errors import InputError, OutputError, reason
-from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
+from facetrack_cli.core.types import BOX, Correction, Frame, Start
 from facetrack_cli.editor.pick_session import fitted
 from facetrack_cli.engine.corrected import CorrectedTarget, all_or, completed, is_complete, with_confirmed
 from facetrack_cli.engine.loop import Target, stream
@@ -30,23 +29,19 @@ from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import as_written
 from facetrack_cli.video.seek import Frames
 
-MAX_STEPS: Final = 1000  # steps that can be undone
-MAX_TIME_OFF_S: Final = 0.002  # a frame whose time differs more from the run's is of another clip
-Read: TypeAlias = Callable[[int], Frame]
-
 
 @dataclass(frozen=True)
 class Track:
     """One target in the frames [first, stop) from a correction, `begin`, or from the run's start (None).
 
-    `place` is the file of its rows; None of the recorded rows of the run.
+    `file` has its rows; None of the recorded rows of the run.
     """
 
     target: str
     begin: Correction | None
     first: int
     stop: int
-    place: Path | None = None
+    file: Path | None = None
 
 
 class Fixer:
@@ -56,8 +51,8 @@ class Fixer:
     Rows that were tracked are in a temporary folder: undo over many corrections takes no memory.
     """
 
-    def __init__(self, run: Run, read: Read) -> None:
-        self.run, self._read, self._numbers = run, read, count()
+    def __init__(self, run: Run, read: Callable[[int], Frame]) -> None:
+        self.run, self._read = run, read
         with _writing():
             self._folder = tempfile.TemporaryDirectory(prefix="facetrack-fix-")
         # the rows complete a correction that does not place all parts; a correction past the end stays as it is
@@ -97,19 +92,19 @@ class Fixer:
         for correction in corrections:
             self.check(correction)
         new = {(fix.frame, fix.target): completed_by(fix, self.rows) for fix in corrections}
-        others = [correction for correction in self.corrections if (correction.frame, correction.target) not in new]
+        others = [fix for fix in self.corrections if (fix.frame, fix.target) not in new]
         self._become([*others, *new.values()], report, stop)
 
     def remove(self, frame: int, target: str, *, report: Report = silent, stop: Stopped = never) -> None:
         """Remove a correction. The target is tracked from the correction before, if these rows are not known yet."""
         if (removed := self.find(frame, target)) is None:
             raise InputError(f"{target} has no correction at frame {frame}")
-        self._become([correction for correction in self.corrections if correction is not removed], report, stop)
+        self._become([fix for fix in self.corrections if fix is not removed], report, stop)
 
     def undo(self) -> None:
         """Undo the last step; nothing is tracked for it."""
         if self._past:
-            self.now = self._followed(self._past.pop())
+            self.now = self._followed(self._past.pop(), lambda: None)
 
     def apply(self, corrections: Sequence[Correction], *, report: Report = silent, stop: Stopped = never) -> None:
         """Replace all corrections by these, which may lie past the run's end. The track before a correction places
@@ -144,8 +139,7 @@ class Fixer:
         """Take these corrections, and track the stretches of which no track is known."""
         corrections = self._ordered(corrections)
         plans = chain(*(self._plan(name, corrections) for name in self._known))
-        unknown = [track for track in plans if self._find(track) is None]
-        frames, total = count(1), sum(track.stop - track.first for track in unknown)
+        frames, total = count(1), sum(track.stop - track.first for track in plans if self._find(track) is None)
 
         def step() -> None:
             if stop():
@@ -155,18 +149,21 @@ class Fixer:
 
         now = self._followed(corrections, step)
         if now[0] != self.corrections:
-            self._past = [*self._past, self.corrections][-MAX_STEPS:]
+            self._past.append(self.corrections)
             self.now = now
 
     def _followed(
-        self, corrections: tuple[Correction, ...], step: Callable[[], None] = lambda: None
+        self, corrections: tuple[Correction, ...], step: Callable[[], None]
     ) -> tuple[tuple[Correction, ...], Trajectory]:
         """The corrections with all parts placed, and their rows; `step` is called before each frame that is tracked."""
-        tracks = [[*self._tracks(self._plan(name, corrections), step)] for name in self._known]
-        placed = [track.begin for each in tracks for track in each if track.begin is not None]
-        others = (correction for correction in corrections if correction.frame > self.run.last or correction.confirmed)
-        became = self._ordered([*placed, *others])
-        return became, with_confirmed(self._spliced(tracks), became)
+        tracks = [track for name in self._known for track in self._tracks(self._plan(name, corrections), step)]
+        placed = [track.begin for track, _ in tracks if track.begin is not None]
+        became = self._ordered([*placed, *(fix for fix in corrections if fix.frame > self.run.last or fix.confirmed)])
+        rows = self.run.rows
+        if any(track.file is not None for track, _ in tracks):
+            pieces = [self._rows(track).between(track.first, stop) for track, stop in tracks]
+            rows = successive(pieces, self.run.rows)
+        return became, with_confirmed(rows, became)
 
     def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
         order = self.run.rows.targets.index
@@ -180,9 +177,9 @@ class Fixer:
         spans = zip([None, *begins], firsts, [*firsts[1:], last + 1], strict=True)
         return [Track(target, *span) for span in spans]
 
-    def _tracks(self, plan: Sequence[Track], step: Callable[[], None]) -> Iterator[Track]:
-        """The tracks of a plan, those that are known or new ones. A track goes one frame further where the next
-        correction does not place all parts: its rows place the others.
+    def _tracks(self, plan: Sequence[Track], step: Callable[[], None]) -> Iterator[tuple[Track, int]]:
+        """The tracks of a plan, those that are known or new ones, and the frame at which each ends. A track goes one
+        frame further where the next correction does not place all parts: its rows place the others.
         """
         before: Track | None = None
         for track, after in zip(plan, [*(track.begin for track in plan[1:]), None], strict=True):
@@ -192,7 +189,8 @@ class Fixer:
             longer = replace(track, stop=track.stop + more)
             longer = self._find(longer) or self._track(longer, step)
             before = longer if more else None
-            yield self._find(track) or longer  # rows stay, although they were tracked again to get one frame more
+            # rows stay, although they were tracked again to get one frame more
+            yield self._find(track) or longer, track.stop
 
     def _find(self, track: Track) -> Track | None:
         """The track that is known, or a longer one."""
@@ -200,7 +198,7 @@ class Fixer:
         return next((each for each in known if each.begin == track.begin and each.stop >= track.stop), None)
 
     def _track(self, track: Track, step: Callable[[], None]) -> Track:
-        """Track a target alone; `step` is called before each frame. Raises InputError if the clip is not the run's."""
+        """Track a target alone; `step` is called before each frame."""
         run, place, begin = self.run, self.run.rows.targets.index(track.target), track.begin
         start = replace(run.start, corrections=() if begin is None else (begin,))
         target: Target = build_tracker(run.recipe, start)[place]
@@ -212,43 +210,26 @@ class Fixer:
         rng, state, collected = stream(run.recipe.seed, place), None, Collector()
         for index in range(track.first, track.stop):
             step()
-            frame = self._frame(index)
+            frame = self._read(index)
             state, result = target.begin(rng, frame) if index == track.first else target.advance(rng, state, frame, ())
             collected.add(result.rows)
-        file = Path(self._folder.name, str(next(self._numbers)))
+        known = self._known[track.target]
+        file = Path(self._folder.name, f"{place}-{len(known)}")
         with _writing():
             file.write_bytes(pickle.dumps(as_written(collected.trajectory())))
-        self._known[track.target].append(replace(track, place=file))
-        return self._known[track.target][-1]
+        known.append(replace(track, file=file))
+        return known[-1]
 
     def _rows(self, track: Track) -> Trajectory:
         """The rows of its target, from its first frame on."""
-        if track.place is None:
+        if track.file is None:
             return choose(self.run.rows, track.target)
-        rows: Trajectory = pickle.loads(track.place.read_bytes())
+        rows: Trajectory = pickle.loads(track.file.read_bytes())
         return rows
-
-    def _spliced(self, tracks: Sequence[Sequence[Track]]) -> Trajectory:
-        """The rows of the run with these tracks of each target, each up to the next."""
-        if all(track.place is None for each in tracks for track in each):
-            return self.run.rows
-        pieces = []
-        for each in tracks:
-            stops = [*(track.first for track in each[1:]), each[-1].stop]
-            pieces += [self._rows(track).between(track.first, stop) for track, stop in zip(each, stops, strict=True)]
-        return successive(pieces, self.run.rows)
 
     @cached_property
     def _first(self) -> Frame:
         return self._read(self.run.start.frame)
-
-    def _frame(self, index: int) -> Frame:
-        frame = self._read(index)
-        then = float(self.run.rows.parts[0].time_s[index - self.run.first])
-        if abs(frame.time_s - then) > MAX_TIME_OFF_S:
-            times = f"is at {frame.time_s:.4f} s, and in the run at {then:.4f} s"
-            raise InputError(f"{self.run.clip}: frame {index} {times}; name the run's clip with --clip")
-        return frame
 
 
 @contextlib.contextmanager
@@ -263,10 +244,8 @@ def _writing() -> Iterator[None]:
 @contextlib.contextmanager
 def fixing(run: Run) -> Iterator[tuple[Fixer, Frames]]:
     """A run with its corrections, and the frames of its clip."""
-    with (
-        Frames(run.clip, fps=run.fps, stream=run.header.source.stream) as frames,
-        contextlib.closing(Fixer(run, frames.read)) as fixer,
-    ):
+    clip = Frames(run.clip, fps=run.fps, stream=run.header.source.stream)
+    with clip as frames, contextlib.closing(Fixer(run, frames.read)) as fixer:
         yield fixer, frames
 
 
@@ -277,20 +256,20 @@ def completed_by(correction: Correction, rows: Trajectory) -> Correction:
 
 def merged(new: Correction, before: Correction | None, parts: tuple[str, ...]) -> Correction:
     """A `new` correction merged with the correction `before` it of the same frame and target, if there is one."""
-    frame, target, points = new.frame, new.target, new.given.points
+    frame, target, points = new.frame, new.target, new.points
     if new.absent is True or (parts == (BOX,) and new.absent):
         return Correction(frame, target, absent=True)
     gone = set(new.absent)
-    if new.given.box is not None and (parts == (BOX,) or not points):
-        return replace(new, given=TargetStart(box=new.given.box))
+    if new.box is not None and (parts == (BOX,) or not points):
+        return replace(new, points={})
     if new.confirmed:
         lists = [parts if fix.confirmed is True else fix.confirmed for fix in (new, before) if fix is not None]
         return replace(new, confirmed=all_or([part for part in parts if part in chain(*lists)], parts))
     old = Correction(frame, target) if before is None or before.confirmed else before
-    by_hand = {part: at for part, at in {**old.given.points, **points}.items() if part not in gone or part in points}
+    by_hand = {part: at for part, at in {**old.points, **points}.items() if part not in gone or part in points}
     kept = {part: at for part, at in old.kept.items() if part not in by_hand and part not in gone}
     hidden = [part for part in parts if part in {*gone, *old.hidden(parts)} and part not in by_hand]
-    return Correction(frame, target, TargetStart(points=by_hand), kept, all_or(hidden, parts), old.learn)
+    return Correction(frame, target, None, by_hand, kept, all_or(hidden, parts), old.learn)
 
 
 def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
@@ -299,12 +278,9 @@ def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
     start = fitted(whole, run.recipe)
     if len(start.corrections) < len(whole.corrections):
         raise InputError(f"{path}: corrects what the run does not follow, which is {', '.join(run.parts)}")
-    if start.frame != run.start.frame:
-        begins = f"begins at frame {start.frame}, and the run at {run.start.frame}"
-        raise InputError(f"{path}: {begins}; run the clip again with it")
+    began = {name: run.start.targets.get(name, target) for name, target in start.targets.items()}
     for name, target in start.targets.items():
-        theirs = run.start.targets.get(name, target)
-        points = {part: theirs.points.get(part) for part in target.points}
-        if target.box not in (None, theirs.box) or points != target.points:
+        points = {part: began[name].points.get(part) for part in target.points}
+        if start.frame != run.start.frame or target.box not in (None, began[name].box) or points != target.points:
             raise InputError(f"{path}: {name} does not begin where it does in the run; run the clip again with it")
     return start.corrections

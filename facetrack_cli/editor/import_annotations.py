@@ -13,7 +13,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, Array, Correction, Mask, TargetStart
+from facetrack_cli.core.types import BOX, Array, Correction, Mask
 from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.run_folder.manifest import read_run
 from facetrack_cli.runs.finished import Run
@@ -37,44 +37,45 @@ def imported_corrections(
     a film only that person in those frames counts. InputError for a file that cannot be read, for a part that the run
     lacks, and for a film's person who is not in the file.
     """
-    changes: Changes = defaultdict(dict)
-    beside: dict[str, None] = {}  # names of parts that were changed in vain
     if path.suffix.lower() == ".eaf":
-        changes = _presence(path, run, rows, beside)
+        changes = _presence(path, run, rows)
     else:
-        annotated, rows = read_annotations(path, run, rows), hide_outside(rows, run.header.source.size)
-        ours = [part for part in annotated.parts if part.target in run.parts or not run.film]
-        if not ours:
-            whose = ", ".join(annotated.targets[:10])
-            raise InputError(f"{path}: has no track of {rows.targets[0]}, but of {whose}; correct the labels")
-        for part in ours:
-            row = rows.find(part.target, part.part)
-            if row is None:
-                there = ", ".join("/".join(pair) if pair[1] != BOX else pair[0] for pair in rows.names)
-                raise InputError(f"{path}: {part.name} is not in the run, which has {there}; correct the label")
-            # the box of a head that carries points is not absent by itself
-            carries = part.part == BOX and len(run.parts[part.target]) > 1
-            kept = part.take(part.status != "absent") if carries else part
-            if run.film:
-                kept = kept.between(run.first, run.last + 1)
-            can = correctable_parts(run.parts[part.target])
-            for frame, place, moved in _moves(kept, row):
-                if part.part in (*can, BOX):
-                    changes[frame, part.target][part.part] = place
-                # no correction places it: it is told of, unless it comes back, or is absent with the whole target
-                elif moved and (
-                    place is not None or not all(_is_absent(annotated.find(part.target, name), frame) for name in can)
-                ):
-                    beside[part.name] = None
-    if beside:
-        note(f"{path}: {', '.join(beside)}: no correction places {'these' if len(beside) > 1 else 'this'}; left out")
-    return tuple(_correction(*key, parts, run) for key, parts in sorted(changes.items()))
+        changes = _places(path, run, hide_outside(rows, run.header.source.size), read_annotations(path, run, rows))
+    corrections, gone, vain = list[Correction](), set[str](), dict[str, None]()
+    for (frame, target), parts in sorted(changes.items()):
+        can = (*correctable_parts(run.parts[target]), BOX)
+        if placed := {part: place for part, place in parts.items() if part in can}:
+            corrections.append(_correction(frame, target, placed, run))
+            gone = gone | {target} if corrections[-1].absent is True else gone - {target}
+        if target not in gone:  # all of it is absent
+            vain |= dict.fromkeys(f"{target}/{part}" for part in parts if part not in can)
+    if vain:
+        note(f"{path}: {', '.join(vain)}: no correction places {'these' if len(vain) > 1 else 'this'}; left out")
+    return tuple(corrections)
 
 
-def _is_absent(part: Trajectory | None, frame: int) -> bool:
-    """Whether a part is absent in a frame, by its last row up to there."""
-    at = -1 if part is None else int(np.searchsorted(part.frame, frame, "right")) - 1
-    return part is not None and at >= 0 and bool(part.status[at] == "absent")
+def _places(path: Path, run: Run, rows: Trajectory, annotated: Trajectory) -> Changes:
+    """Where parts are by keyframes that differ from the rows."""
+    changes: Changes = defaultdict(dict)
+    ours = [part for part in annotated.parts if part.target in run.parts or not run.film]
+    if not ours:
+        whose = ", ".join(annotated.targets[:10])
+        raise InputError(f"{path}: has no track of {rows.targets[0]}, but of {whose}; correct the labels")
+    for part in ours:
+        row = rows.find(part.target, part.part)
+        if row is None:
+            there = ", ".join("/".join(pair) if pair[1] != BOX else pair[0] for pair in rows.names)
+            raise InputError(f"{path}: {part.name} is not in the run, which has {there}; correct the label")
+        # the box of a head that carries points is not absent by itself
+        carries = part.part == BOX and len(run.parts[part.target]) > 1
+        kept = part.take(part.status != "absent") if carries else part
+        if run.film:
+            kept = kept.between(run.first, run.last + 1)
+        can = (*correctable_parts(run.parts[part.target]), BOX)
+        for frame, place, moved in _moves(kept, row):
+            if moved or part.part in can:
+                changes[frame, part.target][part.part] = place
+    return changes
 
 
 def renames(path: Path, names: Sequence[str], clip: str) -> dict[str, str]:
@@ -89,11 +90,8 @@ def renames(path: Path, names: Sequence[str], clip: str) -> dict[str, str]:
     return new
 
 
-def _presence(path: Path, run: Run, rows: Trajectory, beside: dict[str, None]) -> Changes:
-    """What comes and goes by the tiers `seen` and `absent` of targets. A second tier has a number at its end.
-
-    `beside` gets the names of parts that no correction places, and that come or go without their target.
-    """
+def _presence(path: Path, run: Run, rows: Trajectory) -> Changes:
+    """What comes and goes by the tiers `seen` and `absent` of targets. A second tier has a number at its end."""
     tiers: dict[tuple[str, str], list[Tier]] = defaultdict(list)
     for tier in read_tiers(path, run.clip.name):
         kind, _, name = tier.name.partition("@")
@@ -121,17 +119,15 @@ def _presence(path: Path, run: Run, rows: Trajectory, beside: dict[str, None]) -
                     changed = mask != ours[name]
                     then[name][changed] = mask[changed] if kind == "absent" else ~mask[changed]
         can = correctable_parts(run.parts[target])
-        whole = np.all([then[name] != now[name] for name in can], axis=0)
-        for name in parts:
-            if name not in (*can, BOX) and ((then[name] != now[name]) & ~whole).any():
-                beside[f"{target}/{name}"] = None
-        for name in can:
+        for name in run.parts[target]:
             off, gone = then[name] != now[name], then[name]
             # where it differs, and where it is as before again
             for at in sorted({at for span in spans(off) for at in span if at < len(frames)}):
-                if off[at] or gone[at] != gone[at - 1]:
-                    frame = int(frames[at])
+                frame = int(frames[at])
+                if name in can and (off[at] or gone[at] != gone[at - 1]):
                     changes[frame, target][name] = None if gone[at] else _place(path, parts[name], frame)
+                elif off[at] and name != BOX:
+                    changes[frame, target][name] = None
     return changes
 
 
@@ -197,4 +193,4 @@ def _correction(frame: int, target: str, parts: Mapping[str, Place], run: Run) -
         return Correction(frame, target, absent=True)
     box: Any = parts.get(BOX)
     points = {part: (place[0], place[1]) for part, place in parts.items() if place is not None and part != BOX}
-    return Correction(frame, target, TargetStart(box=box, points=points), absent=absent)
+    return Correction(frame, target, box, points, absent=absent)

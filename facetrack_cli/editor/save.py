@@ -5,13 +5,13 @@ and its corrections are what its rows say is by hand. Saved, its rows take their
 """
 
 import contextlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
+from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.engine.corrected import all_or, correctable_parts
@@ -43,12 +43,12 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     """
     run, rows, folder = fixer.run, fixer.rows, fixer.run.folder
     if not fixer.changed:
-        forget(run)
+        keep(fixer)
         return [f"{folder}: nothing was corrected, all is as it was"]
     if run.film:
         lines = _save_track(run, rows, video=video, report=report, stop=stop)
-        forget(run)
         fixer.saved(rows)
+        keep(fixer)
         return lines
     files: dict[Path, Write] = {}
     if is_tracked_again(run):
@@ -110,29 +110,15 @@ def _check(run: Run) -> None:
         raise OutputError(f"{run.folder / CORRECTED}: is a folder, where a file is to be; move it away, and save again")
 
 
-def keep(fixer: Fixer, drafted: Iterable[Correction] = ()) -> Path | None:
-    """Write the corrections that are not saved, so that the next session goes on with them. None if there are none.
-
-    Those that are `drafted` are not tracked yet; of them those are written that fit the run.
-    """
-    path, new = fixer.run.folder / UNSAVED, dict[tuple[int, str], Correction]()
-    for one in drafted:
-        with contextlib.suppress(FacetrackError):
-            fixer.check(one, beyond=True)
-            new[one.frame, one.target] = one
-    if not (fixer.changed or new):
-        forget(fixer.run)
-        return None
-    others = (one for one in fixer.corrections if (one.frame, one.target) not in new)
-    start = replace(fixer.start, corrections=(*others, *new.values()))
-    write_init(path, start, clip=fixer.run.clip.name, overwrite=True)
-    return path
-
-
-def forget(run: Run) -> None:
-    """Remove the file that `keep` wrote."""
+def keep(fixer: Fixer) -> Path | None:
+    """Write the corrections that are not saved, so that the next session goes on with them. None if there are none."""
+    path = fixer.run.folder / UNSAVED
+    if fixer.changed:
+        write_init(path, fixer.start, clip=fixer.run.clip.name, overwrite=True)
+        return path
     with contextlib.suppress(OSError):
-        (run.folder / UNSAVED).unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
+    return None
 
 
 def open_track(folder: Path, person: str, frame: int, clip: Path | None = None) -> Run:
@@ -168,7 +154,7 @@ def _by_hand(rows: Trajectory, person: str) -> Iterator[Correction]:
         points = {part: place for part, (status, place) in hand.items() if status == "init" and part != BOX}
         absent = [part for part, (status, _) in hand.items() if status == "absent"]
         if points or absent:
-            yield Correction(frame, person, TargetStart(points=points), absent=all_or(absent, parts))
+            yield Correction(frame, person, points=points, absent=all_or(absent, parts))
         else:
             yield Correction(frame, person, confirmed=all_or([*hand], correctable_parts(parts)))
 
@@ -186,7 +172,7 @@ def _save_track(run: Run, rows: Trajectory, *, video: bool, report: Report, stop
         pieces[at : at + 1] = [piece for piece in (before, rows, after) if len(piece)]
         film = replace(successive(pieces), header=whole.header, path=whole.path)
         people = people.model_copy(update={"corrections": (*people.corrections, f"fix {person}@{run.first}f")})
-        names = {record.still for record in people.people} | {record.still for record in people.tracks}
+        names = [*(record.still for record in people.people), *(record.still for record in people.tracks)]
         stills = {name: read_still(folder, name) for name in names if name}
         clip = run.clip if video and run.video is not None else None
         notes = write_people(folder, film, people, stills, clip, report, stop, lease)

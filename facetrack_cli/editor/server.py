@@ -24,13 +24,13 @@ from urllib.parse import parse_qs
 from pydantic import TypeAdapter, ValidationError
 
 from facetrack_cli.core.errors import FacetrackError, UsageError, flat
-from facetrack_cli.editor.session import Answer, Page, internal_error
+from facetrack_cli.editor.session import Answer, Page
 
 ADDRESS: Final = "127.0.0.1"
 MAX_BODY_BYTES: Final = 1024 * 1024  # the largest draft has fewer, and so has a piece of a file that is dropped
 IDLE_S: Final = 60.0  # until a connection without requests is closed
 POLL_S: Final = 0.1
-PIECE_BYTES: Final = 1 << 18  # of a file that is sent
+PIECE_BYTES: Final = 1 << 20  # of a video that are sent at a time, at most
 KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 HEAD: Final = b"""<head>
     <meta charset="utf-8">
@@ -57,11 +57,10 @@ _BODY = TypeAdapter(dict[str, Any])
 @lru_cache(maxsize=1)
 def assets() -> Mapping[str, Answer]:
     """The files of the page by name; no other file is ever served."""
-    kinds = [(file, KINDS.get(file.suffix)) for file in Path(__file__).with_name("assets").iterdir()]
     return {
-        file.name: Answer(file.read_bytes().replace(b"<head>", HEAD), kind=f"{kind}; charset=utf-8")
-        for file, kind in kinds
-        if kind
+        file.name: Answer(file.read_bytes().replace(b"<head>", HEAD), kind=f"{KINDS[file.suffix]}; charset=utf-8")
+        for file in Path(__file__).with_name("assets").iterdir()
+        if file.suffix in KINDS
     }
 
 
@@ -123,8 +122,8 @@ def run_page(
                 threading.Thread(target=_browse, args=(file.as_uri(), say), daemon=True).start()
             while not (session.over() or stop()):
                 time.sleep(POLL_S)
-    if session.first_error is not None:
-        say(f"facetrack: warning: while the page was open: {internal_error(session.first_error)}")
+    if session.fault is not None:
+        say(f"facetrack: warning: while the page was open: {session.fault}")
 
 
 @contextlib.contextmanager
@@ -135,13 +134,13 @@ def _redirect(url: str) -> Iterator[Path]:
     """
     home = Path.home()
     folder = home if os.access(home, os.W_OK) else None
-    place, name = tempfile.mkstemp(prefix="facetrack-page-", suffix=".html", dir=folder)  # mode 0600
+    kind: Any = {"prefix": "facetrack-page-", "suffix": ".html", "dir": folder, "encoding": "utf-8"}
+    with tempfile.NamedTemporaryFile("w", delete=False, **kind) as file:  # mode 0600
+        file.write(f'<meta http-equiv="refresh" content="0;url={url}">\n')
     try:
-        with os.fdopen(place, "w", encoding="utf-8") as file:
-            file.write(f'<meta http-equiv="refresh" content="0;url={url}">\n')
-        yield Path(name)
+        yield Path(file.name)
     finally:
-        Path(name).unlink(missing_ok=True)
+        Path(file.name).unlink(missing_ok=True)
 
 
 def _browse(url: str, say: Callable[[str], None]) -> None:
@@ -159,10 +158,10 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:
         pass
 
-    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """What http.server refuses by itself, as JSON."""
-        self.close_connection = True
-        self._send(_refusal(int(code), (message or "refused")[:200]))
+    def end_headers(self) -> None:
+        for header in HEADERS.items():
+            self.send_header(*header)
+        super().end_headers()
 
     def do_GET(self) -> None:
         self._page = self.server.session
@@ -180,9 +179,15 @@ class _Handler(BaseHTTPRequestHandler):
                 raise ConnectionAbortedError from e
             answer = _refusal(500, self.server.session.record(e))
         if isinstance(answer.body, Path):
-            self._send_file(answer.body, answer)
-        else:
-            self._send(answer)
+            answer = _of_file(answer, self.headers.get("Range", ""))
+        self.send_response(answer.code)
+        headers = {"Content-Type": answer.kind, "Content-Length": str(len(answer.body)), **answer.headers}
+        for header in headers.items():
+            self.send_header(*header)
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        self.end_headers()
+        self.wfile.write(answer.body)
 
     do_PUT = do_POST = do_GET  # noqa: N815
 
@@ -230,45 +235,25 @@ class _Handler(BaseHTTPRequestHandler):
         hidden = origins == ["null"] and self.headers.get_all("Sec-Fetch-Site") == ["same-origin"]
         return hidden or origins in ([], [f"http://{host}"])
 
-    def _send(self, answer: Answer) -> None:
-        self._send_head(answer, len(answer.body))
-        self.wfile.write(answer.body)
 
-    def _send_head(self, answer: Answer, length: int) -> None:
-        self.send_response(answer.code)
-        self.send_header("Content-Type", answer.kind)
-        self.send_header("Content-Length", str(length))
-        for name, value in (*HEADERS.items(), *answer.headers):
-            self.send_header(name, value)
-        if self.close_connection:
-            self.send_header("Connection", "close")
-        self.end_headers()
-
-    def _send_file(self, path: Path, answer: Answer) -> None:
-        """A file, or the bytes of it that are asked for: a browser goes to any time of a video only so."""
-        try:
-            file = path.open("rb")
-        except OSError as e:
-            self._send(_refusal(404, f"{path}: {e.strerror or e}"))
-            return
-        with file:
-            size = os.fstat(file.fileno()).st_size
-            first, stop, part = 0, size, ()  # type: int, int, tuple[tuple[str, str], ...]
-            if asked := _RANGE.fullmatch(self.headers.get("Range", "")):
-                begin, end = asked.groups()
-                first = int(begin) if begin else max(size - int(end), 0)
-                stop = min(int(end) + 1, size) if begin and end else size
-                if first >= stop:
-                    self._send(Answer(b"", 416, headers=(("Content-Range", f"bytes */{size}"),)))
-                    return
-                part = (("Content-Range", f"bytes {first}-{stop - 1}/{size}"),)
-            headers = (*answer.headers, ("Accept-Ranges", "bytes"), *part)
-            self._send_head(answer._replace(code=206 if part else answer.code, headers=headers), stop - first)
+def _of_file(answer: Answer, asked: str) -> Answer:
+    """The bytes of a file, or some of those that are asked for: a browser goes to any time of a video only so."""
+    try:
+        with answer.body.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            match = _RANGE.fullmatch(asked)
+            begin, end = match.groups() if match else ("0", "")
+            first = int(begin) if begin else max(size - int(end), 0)
+            stop = min(int(end) + 1, size) if begin and end else size
+            if match and first >= stop:
+                return Answer(b"", 416, headers={"Content-Range": f"bytes */{size}"})
             file.seek(first)
-            while first < stop and (data := file.read(min(stop - first, PIECE_BYTES))):
-                self.wfile.write(data)
-                first += len(data)
-            self.close_connection = self.close_connection or first < stop  # it was cut short meanwhile
+            data = file.read(min(stop - first, PIECE_BYTES) if match else size)
+    except OSError as e:
+        return _refusal(404, f"{answer.body}: {e.strerror or e}")
+    part = {"Content-Range": f"bytes {first}-{first + len(data) - 1}/{size}"} if match else {}
+    headers = {**answer.headers, "Accept-Ranges": "bytes", **part}
+    return answer._replace(body=data, code=206 if match else answer.code, headers=headers)
 
 
 def _encoded(answer: Any) -> Answer:

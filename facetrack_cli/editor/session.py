@@ -24,8 +24,6 @@ from facetrack_cli.video.seek import Frames
 
 LINGER_S: Final = 3.0  # the server goes on so long after the end: each page asks for the state once a second
 JPEG_QUALITY: Final = 90
-MAX_TARGETS: Final = 20
-MAX_POINTS: Final = 500
 Json: TypeAlias = dict[str, Any]
 Name: TypeAlias = Annotated[str, Field(pattern=f"^(?:{NAME.pattern})$")]
 
@@ -36,8 +34,8 @@ class DraftTarget:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
     box: tuple[Pixels, Pixels, Side, Side] | None = None
-    points: Annotated[Mapping[Name, tuple[Pixels, Pixels]], Field(max_length=MAX_POINTS)] = field(default_factory=dict)
-    absent: Annotated[tuple[Name, ...], Field(max_length=MAX_POINTS)] | Literal[True] = ()
+    points: Mapping[Name, tuple[Pixels, Pixels]] = field(default_factory=dict)
+    absent: tuple[Name, ...] | Literal[True] = ()
 
     @property
     def empty(self) -> bool:
@@ -55,11 +53,7 @@ class Draft:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
     frame: FrameNumber
-    targets: Annotated[Mapping[Name, DraftTarget], Field(max_length=MAX_TARGETS)]
-
-    @property
-    def empty(self) -> bool:
-        return all(target.empty for target in self.targets.values())
+    targets: Mapping[Name, DraftTarget]
 
     def placed(self) -> dict[str, TargetStart]:
         """The targets that have a box or points, to 0.01 px."""
@@ -89,7 +83,7 @@ class Answer(NamedTuple):
     body: Any
     code: int = 200
     kind: str = "application/json"
-    headers: tuple[tuple[str, str], ...] = ()
+    headers: Mapping[str, str] = {}
 
 
 class Page:
@@ -107,7 +101,7 @@ class Page:
         self.stopping = threading.Event()  # a job looks at it regularly
         self.message: str | None = None
         self.ended: Json | None = None
-        self.first_error: Exception | None = None  # of the program itself
+        self.fault: str | None = None  # the first error of the program itself, a line
         self.opened: dict[str, Page] = {}  # the pages below this one, by the first part of their addresses
         self.resources = ExitStack()  # what is closed with the page
         self._handlers: dict[str, Callable[..., Any]] = {}
@@ -174,10 +168,11 @@ class Page:
         self.resources.close()
 
     def record(self, error: Exception) -> str:
-        """The line that reports an internal error; the first one is remembered for the end."""
+        """The line that reports an error of the program itself; the first one is remembered for the end."""
+        line = flat(f"internal error; please report it: {type(error).__name__}: {error}")
         with self.lock:
-            self.first_error = self.first_error or error
-        return internal_error(error)
+            self.fault = self.fault or line
+        return line
 
     def _run(self, work: Callable[[Report], None]) -> None:
         def report(done: int, total: int | None) -> None:
@@ -213,10 +208,6 @@ class Session(Page):
         self.frames, self.draft, self.first, self.last = frames, draft, first, last
         self._about = about
 
-    def change(self, draft: Draft) -> None:
-        """Replace the draft. Raises UsageError for one that this session cannot hold."""
-        self.draft = draft
-
     def get_session(self) -> Json:
         """What does not change while the page is open, but that the clip's last frame may become known later."""
         clip = {"size": self.frames.size, "fps": float(self.frames.fps), "frames": self._range()}
@@ -239,15 +230,9 @@ class Session(Page):
         with self.lock:
             self.refuse_if_busy()
             self._check_frame(draft.frame)
-            self.message = None
-            self.change(draft)
+            self.message, self.draft = None, draft
             return {}
 
     def get_frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         self._check_frame(frame)
         return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")
-
-
-def internal_error(error: Exception) -> str:
-    """The line that reports an error of the program itself."""
-    return flat(f"internal error; please report it: {type(error).__name__}: {error}")

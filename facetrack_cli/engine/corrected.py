@@ -104,7 +104,7 @@ class CorrectedTarget:
 
     def correct(self, state: State, frame: Frame, correction: Correction) -> tuple[State, TargetResult]:
         """The state after `frame`, in which a `complete` correction says where the target is."""
-        target_start, absent = correction.given, correction.hidden(self.parts)
+        absent, target_start = correction.hidden(self.parts), TargetStart(correction.box, correction.points)
         if set(absent) >= set(correctable_parts(self.parts)):
             result = self._absent(frame)
             rows = replace(result.rows, by_hand=np.isin(self.parts, absent))
@@ -174,14 +174,10 @@ def with_confirmed(rows: Trajectory, corrections: Iterable[Correction]) -> Traje
 
 def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
     """Whether it says of all `parts` of its target where they are, or that they are absent; a box alone does."""
-    placed = correction.given
-    if (
-        correction.confirmed
-        or correction.absent is True
-        or (placed.box is not None and (not placed.points or tuple(parts) == (BOX,)))
-    ):
+    by_box = correction.box is not None and (not correction.points or tuple(parts) == (BOX,))
+    if correction.confirmed or correction.absent is True or by_box:
         return True
-    return {*placed.points, *correction.kept, *correction.absent} >= set(correctable_parts(parts))
+    return {*correction.points, *correction.kept, *correction.absent} >= set(correctable_parts(parts))
 
 
 def correctable_parts(parts: Sequence[str]) -> tuple[str, ...]:
@@ -197,7 +193,7 @@ def completed(correction: Correction, rows: Trajectory) -> Correction:
     assert correction.absent is not True
     kept, absent = dict(correction.kept), list(correction.absent)
     for (_, part), x, y in zip(rows.names, rows.x.tolist(), rows.y.tolist(), strict=True):
-        if part not in (*correction.given.points, *kept, *absent) and part in correctable_parts(parts):
+        if part not in (*correction.points, *kept, *absent) and part in correctable_parts(parts):
             if math.isnan(x) or math.isnan(y):
                 absent.append(part)
             else:

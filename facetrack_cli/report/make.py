@@ -71,11 +71,6 @@ def recipe_yaml(recipe: Mapping[str, Any]) -> str:
     return text.getvalue()
 
 
-def init_yaml(header: Header) -> str:
-    """The start and the corrections of a run, as an init file."""
-    return as_yaml(header.init.start, header.clip_name)
-
-
 def command(header: Header, last: int) -> str:
     """The command that makes the run again, up to the frame `last`, with the start of the page as NAME.init.yaml, and
     with its recipe as NAME.yaml, where that is not the shipped one.
@@ -124,8 +119,10 @@ def key_images(
 
     Raises InputError if `clip` is not the run's.
     """
-    source, maker, done, notes = header.source, _Maker(table, header), dict[int, Image](), list[str]()
-    path = clip or Path(source.path)
+    source, done, notes, path = header.source, dict[int, Image](), list[str](), clip or Path(header.source.path)
+    marked = [replace(part, by_hand=part.corrected) for part in table.parts]
+    table = joined(marked, header=table.header, path=table.path, diagnostics=table.diagnostics)
+    clock = Clock(table, source.fps)
     try:
         if (other := other_clip(table, path)) is not None:
             raise InputError(other)
@@ -134,7 +131,7 @@ def key_images(
                 is_, was = (f"{width}x{height}" for width, height in (frames.size, source.size))
                 raise InputError(f"{path}: is {is_}, not {was} pixels as in the run")
             for index in sorted(wanted):
-                done[index] = maker.image(frames.read(index))
+                done[index] = _drawn(frames.read(index), clock.at(index), table.at(index), header)
                 report(len(done), len(wanted))
     except InputError as e:
         notes.append(str(e) if "--clip" in str(e) else f"{e}; name its clip with --clip")
@@ -143,62 +140,43 @@ def key_images(
     return done, notes
 
 
-class _Maker:
-    """Makes images of frames: cut out, scaled, drawn on, encoded."""
-
-    def __init__(self, table: Trajectory, header: Header) -> None:
-        self._table, self._clip, self._title = table, header.source, header.recipe_name
-        marked = [replace(part, by_hand=part.corrected) for part in table.parts]
-        self._marked = joined(marked, diagnostics=table.diagnostics)
-        self._clock = Clock(table, header.source.fps)
-        targets = header.init.targets.values()
-        sides = [side for target in targets for side in (target.box or ())[2:]]
-        sides += [2 * float(np.ptp([*target.points.values()], axis=0).max()) for target in targets if target.points]
-        self._unit = max(sides, default=0.0) or max(self._clip.size)
-
-    def image(self, frame: Frame) -> Image:
-        """The image of a frame of the clip, with the overlay of `facetrack run` but for the trail."""
-        (left, top, width, height), out = view, _ = self._layout(frame.index)
-        part = np.ascontiguousarray(frame.bgr[top : top + height, left : left + width])
-        whole = cv2.resize(part, out, interpolation=cv2.INTER_AREA if out[0] < width else cv2.INTER_CUBIC)
-        seconds = self._clock.at(frame.index)
-        scaled = Frame(frame.index, seconds, np.asarray(whole, np.uint8), aspect=frame.aspect)
-        drawn = Overlay(out, title=self._title, trail_s=0).draw(self._result(scaled, view, out[0] / width))
-        return Image(_jpeg(drawn), out, view=view)
-
-    def _result(self, frame: Frame, view: View, zoom: float) -> FrameResult:
-        """The rows of one frame, in the pixels of a view enlarged by `zoom`."""
-        rows = self._marked.at(frame.index)
-        columns = {name: getattr(rows, name) * zoom for name in ("std_x", "std_y")}
-        columns |= {name: np.nan_to_num(getattr(rows, name)) * zoom for name in "wh"}
-        columns |= {name: (getattr(rows, name) - at + 0.5) * zoom - 0.5 for name, at in zip("xy", view, strict=False)}
-        shown = replace(rows, **columns, status=np.where(rows.status == "", "tracked", rows.status))
-        # without diagnostics: their numbers stand in the plots
-        targets = (each._replace(rows=replace(each.rows, diagnostics={})) for each in recorded(frame.index, shown))
-        return FrameResult(frame, tuple(targets))
-
-    def _layout(self, frame: int) -> tuple[View, tuple[int, int]]:
-        """The part of the clip to show, and the size of its image."""
-        width, height = self._clip.size
-        rows = self._table.at(frame)
-        rows = rows.take((rows.x >= 0) & (rows.x < width) & (rows.y >= 0) & (rows.y < height))  # nan is not
-        shown = 1.25 * _VIEW * self._unit  # a little less than the whole is not worth a cut
-        if max(width, height) <= shown or not len(rows):
-            return (0, 0, width, height), _fit((width, height))
-        x, y, half_w, half_h = rows.x, rows.y, np.nan_to_num(rows.w) / 2, np.nan_to_num(rows.h) / 2
-        across, down = (x + half_w).max() - (x - half_w).min(), (y + half_h).max() - (y - half_h).min()
-        wide = max(_VIEW * self._unit, 1.4 * across, 1.9 * down)
-        w, h = min(width, math.ceil(wide)), min(height, math.ceil(0.75 * wide))
-        left = round(min(max((x.min() + x.max() - w) / 2, 0), width - w))
-        top = round(min(max((y.min() + y.max() - h) / 2, 0), height - h))
-        return (left, top, w, h), _fit((w, h))
+def _drawn(frame: Frame, seconds: float, rows: Trajectory, header: Header) -> Image:
+    """The image of a frame of the clip: cut out, scaled, with the overlay of `facetrack run` but for the trail."""
+    left, top, width, height = view = _view(rows, header)
+    least, most = (min(limit[0] / width, limit[1] / height) for limit in (MIN_SIZE, MAX_SIZE))
+    enlarged = min(max(least, 1.0), most)
+    out = max(round(width * enlarged), 1), max(round(height * enlarged), 1)
+    part = np.ascontiguousarray(frame.bgr[top : top + height, left : left + width])
+    whole = cv2.resize(part, out, interpolation=cv2.INTER_AREA if out[0] < width else cv2.INTER_CUBIC)
+    scaled, zoom = Frame(frame.index, seconds, np.asarray(whole, np.uint8), aspect=frame.aspect), out[0] / width
+    columns = {name: getattr(rows, name) * zoom for name in ("std_x", "std_y")}
+    columns |= {name: np.nan_to_num(getattr(rows, name)) * zoom for name in "wh"}
+    columns |= {name: (getattr(rows, name) - at + 0.5) * zoom - 0.5 for name, at in zip("xy", view, strict=False)}
+    shown = replace(rows, **columns, status=np.where(rows.status == "", "tracked", rows.status))
+    # without diagnostics: their numbers stand in the plots
+    targets = (each._replace(rows=replace(each.rows, diagnostics={})) for each in recorded(frame.index, shown))
+    result = FrameResult(scaled, tuple(targets))
+    return Image(_jpeg(Overlay(out, title=header.recipe_name, trail_s=0).draw(result)), out, view=view)
 
 
-def _fit(size: tuple[int, int]) -> tuple[int, int]:
-    """The size of an image: enlarged to `MIN_SIZE`, or reduced to `MAX_SIZE`, keeping its shape."""
-    least, most = (min(limit[0] / size[0], limit[1] / size[1]) for limit in (MIN_SIZE, MAX_SIZE))
-    zoom = min(max(least, 1.0), most)
-    return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
+def _view(rows: Trajectory, header: Header) -> View:
+    """The part of the clip to show of a frame with these rows."""
+    width, height = header.source.size
+    targets = header.init.targets.values()
+    sides = [side for target in targets for side in (target.box or ())[2:]]
+    sides += [2 * float(np.ptp([*target.points.values()], axis=0).max()) for target in targets if target.points]
+    unit = max(sides, default=0.0) or max(width, height)
+    rows = rows.take((rows.x >= 0) & (rows.x < width) & (rows.y >= 0) & (rows.y < height))  # nan is not
+    shown = 1.25 * _VIEW * unit  # a little less than the whole is not worth a cut
+    if max(width, height) <= shown or not len(rows):
+        return 0, 0, width, height
+    x, y, half_w, half_h = rows.x, rows.y, np.nan_to_num(rows.w) / 2, np.nan_to_num(rows.h) / 2
+    across, down = (x + half_w).max() - (x - half_w).min(), (y + half_h).max() - (y - half_h).min()
+    wide = max(_VIEW * unit, 1.4 * across, 1.9 * down)
+    w, h = min(width, math.ceil(wide)), min(height, math.ceil(0.75 * wide))
+    left = round(min(max((x.min() + x.max() - w) / 2, 0), width - w))
+    top = round(min(max((y.min() + y.max() - h) / 2, 0), height - h))
+    return left, top, w, h
 
 
 def _jpeg(image: Pixels, quality: int = 85) -> bytes:
@@ -241,10 +219,9 @@ def make_report(
     table = read_run(trajectory_of(run))
     header, people, manifest = read_header(table), read_people(run), read_manifest(run)
     clock = Clock(table, header.source.fps)
-    followed = table
-    if people is not None:  # the points of a film's people come and go with the box
-        boxes = [part for part in table.parts if part.part == BOX]
-        followed = joined(boxes, header=table.header, path=table.path)
+    # the points of a film's people come and go with the box
+    boxes = [part for part in table.parts if part.part == BOX]
+    followed = table if people is None else joined(boxes, header=table.header, path=table.path)
     history = history_of(followed, clock, header.seams)
     pairs, measured = ([], None) if truth is None else _measured(table, header, *truth)
     title = f"{header.clip_name}, {header.recipe_name}"
@@ -288,7 +265,7 @@ def make_report(
         reported=reported or bool((table.identity != "").any()),
         truth=measured,
         recipe=recipe_yaml(header.recipe),
-        init=init_yaml(header),
+        init=as_yaml(header.init.start, header.clip_name),
         command=again,
         words=shlex.split(again),
         by_hand=bool(table.by_hand.any() or (people is not None and people.corrections)),
@@ -303,8 +280,7 @@ def make_batch_report(batch: Path, to: Path, report: Report = silent) -> ReportP
     Raises InputError for a folder without runs, UsageError without Jinja2.
     """
     template, progress = page_template("batch.html.j2"), survey(batch)
-    notes: list[str] = []
-    rows = []
+    notes, rows = list[str](), list[dict[str, Any]]()
     for n, clip in enumerate(sorted(progress.clips, key=badness)):
         report(n, len(progress.clips))
         folder, still = batch / clip.folder, None

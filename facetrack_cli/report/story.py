@@ -103,19 +103,16 @@ def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = 
     parts = tuple(
         _part(rows, (rows.target if boxes else rows.name) if several else rows.part, clock) for rows in table.parts
     )
-    place = np.searchsorted(clock.frames, table.frame)
-    any_lost = np.bincount(place[table.status == "lost"], minlength=len(clock.frames)) > 0
-    sure = np.isfinite(table.confidence) & (table.status != "init")
-    counted = np.bincount(place[sure], minlength=len(clock.frames))
-    total = np.bincount(place[sure], table.confidence[sure], len(clock.frames))
+    any_lost = np.isin(clock.frames, table.frame[table.status == "lost"])
     # as the run says it: frames in which a part is lost are shown as such
-    there = (counted > 0) & ~any_lost
-    mean = np.round(np.divide(total, counted, out=np.full(len(total), np.inf), where=there), 12)
+    sure = np.isfinite(table.confidence) & (table.status != "init") & ~np.isin(table.frame, clock.frames[any_lost])
+    frames, place = np.unique(table.frame[sure], return_inverse=True)
+    mean = np.round(np.bincount(place, table.confidence[sure]) / np.bincount(place), 12)
     return RunHistory(
         parts,
         tuple(Stretch(int(clock.frames[a]), int(clock.frames[b - 1])) for a, b in spans(any_lost)),
         int(any_lost.sum()),
-        int(clock.frames[np.argmin(mean)]) if there.any() else None,
+        int(frames[np.argmin(mean)]) if len(frames) else None,
         tuple(np.unique(np.concatenate([rows.frame[rows.corrected] for rows in table.parts])).tolist()),
         seams,
     )

@@ -143,7 +143,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
         if correction.confirmed:
             continue
         # what a correction leaves open stays absent
-        still = () if is_complete(correction, target.parts) else absent - {*correction.given.points, *correction.kept}
+        still = () if is_complete(correction, target.parts) else absent - {*correction.points, *correction.kept}
         absent = {*correction.hidden(target.parts), *still}
         if absent >= set(correctable_parts(target.parts)):
             continue
@@ -152,10 +152,10 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
             raise InputError(f"{origin}: what it looks like cannot be learned, or kept, there; leave learn out")
 
     def place(frame: Frame, correction: Correction) -> TargetStart:
-        assert correction.given.box is not None
+        assert correction.box is not None
         said_in = f"{start.origin}: the correction of {correction.target} at frame {frame.index}"
         seen = [part for part in correctable_parts(target.parts) if part not in correction.hidden(target.parts)]
-        return box_start(frame, correction.given.box, seen, by=start.measured_by, clip=said_in).targets[TARGET]
+        return box_start(frame, correction.box, seen, by=start.measured_by, clip=said_in).targets[TARGET]
 
     def build(frame: Frame, target_start: TargetStart) -> Target:
         if points and target_start.box is None:
@@ -169,20 +169,20 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
 def _check(correction: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:
     """InputError if it speaks of parts that nobody knows, or lacks the box of what is followed as a box."""
     lists = (names for names in (correction.absent, correction.confirmed) if names is not True)
-    named = [*correction.given.points, *correction.kept, *chain(*lists)]
+    named = [*correction.points, *correction.kept, *chain(*lists)]
     parts = {*correctable_parts(target.parts), *start.targets.get(correction.target, TargetStart()).points}
     if unknown := ", ".join(part for part in named if part not in parts):
         raise InputError(f"{origin}: has {unknown}; what is followed is {', '.join(correctable_parts(target.parts))}")
     hidden = correction.hidden(target.parts)
     if correction.confirmed:
         return
-    if not points and not hidden and correction.given.box is None:
+    if not points and not hidden and correction.box is None:
         raise InputError(f"{origin}: has no box, which the recipe follows; add one, as in box: [x, y, w, h]")
     strange = [part for part in correctable_parts(target.parts) if part not in PARTS and part not in hidden]
-    if points and correction.given.box is not None and not correction.given.points and strange:
+    if points and correction.box is not None and not correction.points and strange:
         raise InputError(f"{origin}: no cascade can place {', '.join(strange)} in its box; give points: in place of it")
-    if not points and correction.given.box is not None:
-        check_size(start.origin, f"{correction.target} at frame {correction.frame}", correction.given.box)
+    if not points and correction.box is not None:
+        check_size(start.origin, f"{correction.target} at frame {correction.frame}", correction.box)
 
 
 def name_targets(

@@ -33,7 +33,7 @@ from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.face_points import DETECTORS, HANDS
 from facetrack_cli.core.files import write_new
 from facetrack_cli.core.geometry import centre, inside
-from facetrack_cli.core.types import BOX, Point, Start
+from facetrack_cli.core.types import BOX, Point, Start, TargetStart
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
 from facetrack_cli.recipe.load import problems
 from facetrack_cli.recipe.sections import suggest
@@ -310,8 +310,8 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
             begins = f"but the track begins at frame {start.frame}; remove that correction, or begin earlier"
             raise InputError(f"{origin}: corrects {name}, {begins}")
         # kept points are where the tracker saw them, which may be beyond the border
-        placed.append((name, correction.given))
-        if (box := correction.given.box) is not None and (box[2] > size[0] or box[3] > size[1]):
+        placed.append((name, TargetStart(correction.box, correction.points)))
+        if (box := correction.box) is not None and (box[2] > size[0] or box[3] > size[1]):
             larger = f"{box[2]:g}x{box[3]:g} pixels, is larger than {of_frame}; make it smaller"
             raise InputError(f"{origin}: the box of {name}, {larger}")
     for name, target in placed:

@@ -260,9 +260,7 @@ class StartRecord(BaseModel, extra="forbid", defer_build=True):
 
     def start_from(self, origin: str) -> Start:
         """The start; `origin` is what said so."""
-        fixes: list[dict[str, Any]] = [dict(record) for record in self.corrections]
-        given = [TargetStart(fix.pop("box"), fix.pop("points")) for fix in fixes]
-        corrections = tuple(Correction(given=start, **fix) for start, fix in zip(given, fixes, strict=True))
+        corrections = tuple(Correction(**dict(record)) for record in self.corrections)
         targets = {name: TargetStart(**dict(target)) for name, target in self.targets.items()}
         return Start(self.frame, targets, origin, corrections, detector=self.detector, placed=self.placed)
 
@@ -282,10 +280,10 @@ def corrections_record(corrections: Sequence[Correction]) -> dict[str, Any]:
 
 def corrected(correction: Correction) -> dict[str, Any]:
     """What is corrected, for JSON: whole numbers without a fraction, and only members with a value."""
-    start, learn = correction.given, correction.learn
+    learn, box = correction.learn, correction.box and list(map(whole, correction.box))
     absent, sure = (names is True or list(names) for names in (correction.absent, correction.confirmed))
-    box = start.box and list(map(whole, start.box))
-    points, kept = ({k: list(map(whole, xy)) for k, xy in places.items()} for places in (start.points, correction.kept))
+    both = correction.points, correction.kept
+    points, kept = ({k: list(map(whole, xy)) for k, xy in places.items()} for places in both)
     members = _known(box=box, points=points, kept=kept, absent=absent, confirmed=sure)
     return members if learn is None else {**members, "learn": learn}
 

@@ -8,10 +8,9 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.editor import project as project_module
+from facetrack_cli.editor import app_session as app_module
 from facetrack_cli.editor import session as session_module
 from facetrack_cli.editor.app_session import PROGRAMS, AppSession, likely_in
-from facetrack_cli.editor.project import Project
 from facetrack_cli.editor.server import serving
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.trajectory.formats import EXPORTS
@@ -27,7 +26,7 @@ class App(Client):
     """A project that is served, and a window of it."""
 
     def __init__(self, folder):
-        self.session = AppSession(Project(folder))
+        self.session = AppSession(folder)
         self._serving = serving(self.session)
         super().__init__(self._serving.__enter__().url)
 
@@ -76,7 +75,7 @@ def clips(tmp_path_factory):
 def boxed(one, clip):
     """Choose a box, as the page of the start does, which is written by itself."""
     assert one.post("choose", clips=[clip["id"]], what="box").status == 200
-    start = one.session.project.start_of(one.session.project.find(clip["id"]))
+    start = one.session.start_of(one.session.find(clip["id"]))
     start.parent.mkdir(exist_ok=True)
     start.write_text(BOX)
     return clip["id"]
@@ -98,12 +97,12 @@ def test_clips_are_dropped_piece_by_piece(app, clips):
     assert put(data[half:], name="smile.mp4", offset=half + 1, total=len(data)).status == 422
     assert put(data[half:], name="smile.mp4", offset=half, total=len(data)).json == {"added": [1]}
     assert put(data, name="smile.mp4", offset=0, total=len(data)).json == {"added": [2]}, "never over another file"
-    folder = one.session.project.folder / "clips"
+    folder = one.session.folder / "clips"
     assert sorted(path.name for path in folder.iterdir()) == ["smile-2.mp4", "smile.mp4"]
     assert (folder / "smile.mp4").read_bytes() == data
     for name in ("..%2Fa.mp4", "a%2Fb.mp4", "%00", "", ".", "a%0Ab"):
         assert put(b"x", name=name, offset=0, total=1).status == 422
-    assert not list(one.session.project.folder.parent.glob("*.mp4"))
+    assert not list(one.session.folder.parent.glob("*.mp4"))
 
 
 def test_a_folder_is_named_and_each_clip_is_looked_at(app, clips, tmp_path):
@@ -129,10 +128,10 @@ def test_a_project_is_open_once_and_not_of_another_program(app, tmp_path, capsys
     for text in ('{"clips": 3}', "no", '{"clips": [{"id": 1, "path": "a.mp4", "name": "../../elsewhere"}]}'):
         (tmp_path / "project.json").write_text(text)
         with pytest.raises(InputError, match=r"project\.json: is not as facetrack app writes it"):
-            Project(tmp_path)
+            AppSession(tmp_path)
     assert main(["app", str(tmp_path), "--no-open"]) == 3
     assert "is not as facetrack app writes it" in capsys.readouterr().err
-    assert main(["app", str(app().session.project.folder), "--no-open"]) == 2
+    assert main(["app", str(app().session.folder), "--no-open"]) == 2
     assert "is open already; go to its page" in capsys.readouterr().err
 
 
@@ -145,7 +144,7 @@ def test_a_clip_is_run_looked_at_and_exported(app, clips):
     assert one.post("want", clips=[clip["id"]], wanted=True).status == 200
     [done] = one.rest()
     assert (done["state"], done["done"], done["error"]) == ("done", 30, None)
-    folder = one.session.project.run_of(one.session.project.find(1))
+    folder = one.session.run_of(one.session.find(1))
     assert read_manifest(folder).complete, "an ordinary run"
 
     video = one.get("api/video?clip=1")
@@ -169,7 +168,7 @@ def test_a_clip_is_run_looked_at_and_exported(app, clips):
     assert one.get("api/export?program=measures").data.startswith(b"\xef\xbb\xbfclip,frame,")
     assert one.get("api/export?program=eaf").status == 422
     assert one.get("api/export?clip=1&program=word").status == 422
-    made = {path.name for path in (one.session.project.folder / "exports").iterdir()}
+    made = {path.name for path in (one.session.folder / "exports").iterdir()}
     assert made == {"project.measures.csv", *(f"smile.{EXPORTS[program].ending}" for program in PROGRAMS)}
 
     url = one.post("open", clip=1, page="fix").json["url"]
@@ -181,7 +180,7 @@ def test_a_clip_is_run_looked_at_and_exported(app, clips):
     assert one.get(f"{start}api/session").json["mode"] == "pick"
 
     assert one.post("remove", clip=1).status == 200
-    assert [path.name for path in (one.session.project.folder / "removed").iterdir()] == ["smile-face"]
+    assert [path.name for path in (one.session.folder / "runs").iterdir()] == ["smile-face"]
     assert one.get("api/export?clip=1&program=csv-wide").status == 422
     [again] = one.add(clips / "smile.mp4")
     assert again["state"] == "ready" and not again["start"], "what was made of it before is not taken for its own"
@@ -204,23 +203,23 @@ def test_a_run_that_fails_says_so_in_one_line_and_the_queue_lives_on(app, clips,
         raise OSError(12, "Cannot allocate memory")
 
     with monkeypatch.context() as patch:
-        patch.setattr(project_module.subprocess, "Popen", fails)
+        patch.setattr(app_module.subprocess, "Popen", fails)
         one.post("want", clips=[2], wanted=True, again=True)
         clip = one.rest()[1]
     assert clip["state"] == "failed" and "Cannot allocate memory" in clip["error"]
 
     # a run that outlives the app is not begun twice
-    real, told = project_module.clip_status, []
+    real, told = app_module.clip_status, []
 
     def status(folder, name, clip):
         told.append(clip)
-        return project_module.ClipStatus(clip, name, "running", frames=7) if len(told) < 8 else real(folder, name, clip)
+        return app_module.ClipStatus(clip, name, "running", frames=7) if len(told) < 8 else real(folder, name, clip)
 
-    monkeypatch.setattr(project_module, "clip_status", status)
-    one.session.project.find(2).again = False
+    monkeypatch.setattr(app_module, "clip_status", status)
+    one.session.find(2).again = False
     one.post("want", clips=[2], wanted=True)
     assert (shown := one.clips()["smile.mp4"])["state"] == "running" and shown["done"] == 7
-    assert one.state()["running"] is None
+    assert one.session.running is None
     assert one.rest()[1]["state"] == "done"
 
 
@@ -259,7 +258,7 @@ def test_after_a_kill_the_queue_goes_on_and_is_paused_and_stopped(app, clips, co
     assert one.clips()["smile.mp4"]["state"] == "queued"
     assert one.post("choose", clips=[1], what="face").status == 422
     assert one.post("pause", paused=True).json["paused"]
-    wait_for(lambda: one.state()["running"] is None, "the pause")
+    wait_for(lambda: one.session.running is None, "the pause")
     assert [clip["state"] for clip in one.state()["clips"]] == ["paused", "paused"]
     assert one.clips()["long.mp4"]["done"] > 0
     one.post("pause", paused=False)
@@ -270,7 +269,7 @@ def test_after_a_kill_the_queue_goes_on_and_is_paused_and_stopped(app, clips, co
     assert one.get("api/look?clip=1").status == 200, "what was tracked may be looked at"
     one.post("want", clips=[1], wanted=True)
     assert one.rest()[0]["state"] == "done"
-    manifest = read_manifest(one.session.project.run_of(one.session.project.find(1)))
+    manifest = read_manifest(one.session.run_of(one.session.find(1)))
     assert manifest.complete and manifest.frames == 400 and manifest.resumed >= 40
 
 

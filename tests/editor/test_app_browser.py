@@ -11,7 +11,6 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.editor import app_session
 from facetrack_cli.editor.app_session import AppSession
-from facetrack_cli.editor.project import Project
 from facetrack_cli.editor.server import serving
 from facetrack_cli.run_folder.manifest import read_manifest
 from tests.support.browser import DESK, PHONE
@@ -39,7 +38,7 @@ def open_app(served, windows):
     """Serves a project in this process, and shows it: open_app(folder, screen) gives its session and a window."""
 
     def show(folder, screen="desk"):
-        session = AppSession(Project(folder))
+        session = AppSession(folder)
         url = served.enter_context(serving(session)).url
         window = windows(**SCREENS[screen])
         window.page.goto(url)
@@ -90,7 +89,7 @@ def test_from_clips_dropped_to_an_excel_table_and_an_elan_file(open_app, clips, 
     assert window.visible("drop") and not window.visible("work")
     drop(window, clips)
     window.until(f"{LOOKED} === 2")
-    assert [window.here(f"what-{k}").input_value() for k in (1, 2)] == ["face", "signer"] and not session.project.paused
+    assert [window.here(f"what-{k}").input_value() for k in (1, 2)] == ["face", "signer"] and not session.paused
     window.until("[...document.querySelectorAll('#clips img')].every((one) => one.naturalWidth > 1)")
     window.page.select_option("[data-testid=what-2]", "face")
     window.click_on("run-all")
@@ -128,7 +127,7 @@ def test_from_clips_dropped_to_an_excel_table_and_an_elan_file(open_app, clips, 
     window.page.click("[data-testid=saved-home]")
     window.page.wait_for_load_state()
     window.until("document.body.classList.contains('home') && document.querySelectorAll('#clips li').length === 2")
-    folder = session.project.run_of(session.project.find(1))
+    folder = session.run_of(session.find(1))
     assert "confirmed" in (folder / "corrected.init.yaml").read_text()
 
 
@@ -150,9 +149,9 @@ def test_a_box_is_drawn_on_the_picture(open_app, clips, tmp_path):
     window.until("document.querySelector('#clips li')?.dataset.state === 'ready'")
     window.click_on("run-1")
     until_states(window, "done", "ready")
-    assert read_manifest(session.project.run_of(session.project.find(1))).complete
-    session.project.want([session.project.find(2)], True)
-    session.project.pause(True)
+    assert read_manifest(session.run_of(session.find(1))).complete
+    session.post_want([2], True)
+    session.post_pause(True)
     until_states(window, "done", "paused")
     assert window.text("pause") == "Go on"
     window.click_on("quit")
@@ -181,11 +180,11 @@ def test_fifty_clips_are_in_the_list(open_app, clips, tmp_path, monkeypatch, scr
     window.press("Tab")
     assert window.evaluate("document.activeElement.dataset.testid") == "run-50", "all is reached by keys"
     if screen == "phone":  # and what a run looks like there
-        clip = session.project.find(1)
+        clip = session.find(1)
         clip.what = "face"
-        out = session.project.run_of(clip)
+        out = session.run_of(clip)
         few = ["--config", "face", "--set", "filter.particles=20", "--stop", "6", "-q"]
-        assert main(["run", str(folder / session.project.place(clip).name), "-o", str(out), *few]) == 0
+        assert main(["run", str(folder / session.place(clip).name), "-o", str(out), *few]) == 0
         window.until(f"{STATES}[0] === 'done'")
         look_at(window)
 

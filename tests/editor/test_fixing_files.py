@@ -12,7 +12,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.models import shipped_recipes
-from facetrack_cli.core.types import Correction, TargetStart
+from facetrack_cli.core.types import Correction
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.history import fixing
 from facetrack_cli.editor.save import keep, save
@@ -26,7 +26,7 @@ from tests.support.leases import abandon
 from tests.support.samples import FOLDER
 
 CLIP = FOLDER / "expressions.mp4"
-NOSE = Correction(4, "face", TargetStart(points={"nose": (158, 140)}))
+NOSE = Correction(4, "face", points={"nose": (158, 140)})
 
 
 class Killed(BaseException):

@@ -8,7 +8,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Correction, TargetStart
+from facetrack_cli.core.types import Correction
 from facetrack_cli.editor.history import fixing
 from facetrack_cli.editor.import_annotations import imported_corrections
 from facetrack_cli.editor.save import keep, open_track, save
@@ -34,7 +34,7 @@ def moved(run, rows, frame, by=3.0):
     """The nose of the track's person, moved, with all else where it is."""
     nose = rows.find(run.rows.targets[0], "nose").at(frame)
     place = (round(float(nose.x[0]) + by, 2), round(float(nose.y[0]), 2))
-    return Correction(frame, run.rows.targets[0], TargetStart(points={"nose": place}))
+    return Correction(frame, run.rows.targets[0], points={"nose": place})
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def test_what_was_corrected_is_known_again_and_goes_with_its_person(film, fixer)
     assert [(one.frame, one.confirmed, one.absent) for one in told] == [
         (one.frame, one.confirmed, one.absent) for one in said
     ]
-    assert told[1].given == said[1].given and {one.target for one in told} == {"Eileen"}
+    assert told[1].points == said[1].points and {one.target for one in told} == {"Eileen"}
     with fixing(again) as (other, _):
         other.remove(first + 12, "Eileen")
         assert not (other.rows.status[other.rows.frame > first + 12] == "absent").any()
@@ -139,7 +139,7 @@ def test_the_export_of_a_film_comes_back_to_one_track(film, export, capsys):
                 shape.set("points", "100.50,90.50")
     tree.write(file)
     (one,) = imported_corrections(file, run, run.rows)
-    assert (one.frame, one.target, dict(one.given.points)) == (at, "person_1", {"nose": (100.0, 90.0)})
+    assert (one.frame, one.target, dict(one.points)) == (at, "person_1", {"nose": (100.0, 90.0)})
     who = ["--person", f"person_1@{at}f", "--import", str(file), "--no-video"]
     assert main(["fix", str(film), *who]) == 0
     nose = read_run(film).find("person_1", "nose")

@@ -11,7 +11,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Correction, TargetStart
+from facetrack_cli.core.types import Correction
 from facetrack_cli.editor.import_annotations import imported_corrections, renames
 from facetrack_cli.runs.finished import open_run
 from facetrack_cli.trajectory.reader import CORRECTED, read_trajectory
@@ -76,11 +76,11 @@ def test_points_that_were_moved_or_hidden_in_cvat(runs):
     file = in_cvat(runs / "points", **moved, **hidden, face__nose_8=interpolated)
     assert found(runs / "points", runs / "points" / "trajectory.labelstudio.json") == ()
     one, two, three = found(runs / "points", file)
-    assert one == Correction(3, "face", TargetStart(points={"nose": (160.0, 140.5), "lip_upper": (150.0, 150.5)}))
+    assert one == Correction(3, "face", points={"nose": (160.0, 140.5), "lip_upper": (150.0, 150.5)})
     assert two == Correction(5, "face", absent=("mouth_left",))
     row = read_trajectory(runs / "points").find("face", "mouth_left")
-    assert (three.frame, three.absent) == (8, ()) and list(three.given.points) == ["mouth_left"]
-    assert three.given.points["mouth_left"] == pytest.approx((row.x[8], row.y[8]), abs=0.006)
+    assert (three.frame, three.absent) == (8, ()) and list(three.points) == ["mouth_left"]
+    assert three.points["mouth_left"] == pytest.approx((row.x[8], row.y[8]), abs=0.006)
 
 
 def test_the_box_of_a_head_that_carries_points_is_moved_and_never_absent_alone(runs):
@@ -88,8 +88,8 @@ def test_the_box_of_a_head_that_carries_points_is_moved_and_never_absent_alone(r
     far = ET.parse(runs / "face" / "trajectory.cvat.xml").find("track[@label='face']/box[@frame='3']").get("xbr")
     moved = {"face_2": {"outside": "1"}, "face_3": {"xbr": str(float(far) + 8)}}
     (one,) = found(runs / "face", in_cvat(runs / "face", **moved))
-    assert one.frame == 3 and one.absent == () and not one.given.points
-    assert one.given.box == pytest.approx((left, top, w + 8, h), abs=0.011)
+    assert one.frame == 3 and one.absent == () and not one.points
+    assert one.box == pytest.approx((left, top, w + 8, h), abs=0.011)
 
 
 def test_parts_that_no_correction_places_are_left_out_by_name(runs, capsys):
@@ -122,7 +122,7 @@ def test_a_whole_face_is_absent_with_the_parts_that_no_correction_places(runs, f
     rows = replace(opened.rows, status=np.where(eye, "lost", opened.rows.status))
     gone, back = imported_corrections(file, opened, rows, notes.append)
     assert gone == Correction(5, "face", absent=True) and back.frame == 7 and not notes
-    assert set(back.given.points) == {"nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower"}
+    assert set(back.points) == {"nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower"}
     if form == "elan":
         file = in_elan(run, ("absent@face", "face", [(200, 280, "eye_left_outer")]))
         assert imported_corrections(file, opened, opened.rows, notes.append) == () and len(notes) == 1
@@ -137,7 +137,7 @@ def test_boxes_that_were_moved_or_switched_off_in_label_studio(runs):
 
     one, two = found(runs / "box", in_label_studio(runs / "box", change))
     width, height = open_run(runs / "box").header.source.size
-    assert one.given.box == pytest.approx((width / 4, height / 4, width / 4, height / 2))
+    assert one.box == pytest.approx((width / 4, height / 4, width / 4, height / 2))
     assert (one.frame, two) == (4, Correction(6, "face", absent=True))
 
 
@@ -204,8 +204,8 @@ def test_segments_in_elan_say_when_a_target_or_its_parts_are_absent(runs):
     rows = open_run(run).rows
     back = {part: (rows.find("face", part).x[6], rows.find("face", part).y[6]) for part in ("mouth_left", "nose")}
     assert found(run, file) == (
-        Correction(3, "face", TargetStart(), absent=("nose", "mouth_left")),
-        Correction(6, "face", TargetStart(points={"nose": back["nose"], "mouth_left": back["mouth_left"]}), absent=()),
+        Correction(3, "face", absent=("nose", "mouth_left")),
+        Correction(6, "face", points={"nose": back["nose"], "mouth_left": back["mouth_left"]}, absent=()),
         Correction(8, "face", absent=True),
     )
 
@@ -221,7 +221,7 @@ def test_segments_that_were_moved_in_elan_move_what_is_absent(runs, capsys):
     box = open_run(run).rows.find("face", "box").boxes[8]
     assert found(run, moved) == (
         Correction(7, "face", absent=True),
-        Correction(8, "face", TargetStart(box=tuple(box.round(3).tolist())), absent=()),
+        Correction(8, "face", box=tuple(box.round(3).tolist()), absent=()),
     )
     shorter = in_elan(run, ("absent@face", "face", [(160, 240, "absent")]))
     assert facetrack("fix", run, "--import", shorter) == 3

@@ -185,7 +185,7 @@ def test_what_is_dragged_or_absent_is_tracked_undone_and_removed(page):
         window.click_on("undo")
         idle(window, revision)
         assert table(window) == rows
-    assert window.here("undo").is_disabled() and not window.get("canUndo") and session.first_error is None
+    assert window.here("undo").is_disabled() and not window.get("canUndo") and session.fault is None
 
 
 def test_the_timeline_leads_to_frames_and_keys_to_what_is_corrected(page):

@@ -248,13 +248,13 @@ def test_a_body_that_is_no_draft_is_refused_in_one_line(client):
         {"box": [1, 2, 3]}, {"box": [1, 2, 0, 4]}, {"box": [1, 2, 3, True]}, {"box": "1234"},
         {"box": [1e300, 2, 3, 4]}, {"box": [10**400, 2, 3, 4]}, {"box": [math.nan, 2, 3, 4]}, {"size": 1},
         {"points": {"nose": [1, None]}}, {"points": [1]}, {"points": {"": [1, 2]}}, {"points": {"nose": [-1e7, 2]}},
-        {"points": {f"p{k}": [1, 2] for k in range(501)}}, {"absent": "nose"}, {"absent": ["a/b"]},
+        {"absent": "nose"}, {"absent": ["a/b"]},
         {"absent": ["nose\n"]},
     ]  # fmt: skip
     for draft in [
         None, {"frame": -1, "targets": {}}, {"frame": True, "targets": {}}, {"frame": 0},
         {"frame": 10**30, "targets": {}}, {"frame": 0, "targets": {}, "more": 1},
-        {"frame": 0, "targets": {"\ud800": {}}}, {"frame": 0, "targets": {f"t{k}": {} for k in range(21)}},
+        {"frame": 0, "targets": {"\ud800": {}}},
         *({"frame": 0, "targets": {"face": target}} for target in targets),
     ]:  # fmt: skip
         got = client.ask("POST", "api/draft", {"draft": draft})
@@ -297,7 +297,7 @@ def test_a_job_that_fails_says_so_and_may_be_tried_again(client, session, error)
     assert client.save().status == 200
     state = client.until(lambda state: state["message"])
     assert "a: full disk" in state["message"] and state["job"] is None and state["ended"] is None
-    assert (session.first_error is error) == isinstance(error, ZeroDivisionError)
+    assert (session.fault is not None) == isinstance(error, ZeroDivisionError)
     session.fails = None
     assert client.save().status == 200
     assert client.until(lambda state: state["ended"])["message"] is None
@@ -318,18 +318,18 @@ def test_a_tab_that_is_closed_in_the_middle_of_a_frame_is_nothing(server, client
         raw(server, data)
     wait_for(lambda: threading.active_count() <= threads, "the threads of those connections")
     assert client.get("api/state").status == 200
-    assert session.first_error is None and capfd.readouterr() == ("", "")
+    assert session.fault is None and capfd.readouterr() == ("", "")
 
 
 def test_an_internal_error_is_one_line_and_remembered(client, session, capfd):
     got = client.ask("POST", "api/boom", {})
     assert got.status == 500 and got.json["error"] == "internal error; please report it: ZeroDivisionError: two lines"
     assert client.ask("POST", "api/nan", {}).status == 500, "NaN is no JSON, and is not sent"
-    assert isinstance(session.first_error, ZeroDivisionError), "the first one is kept"
+    assert "ZeroDivisionError" in session.fault, "the first one is kept"
     assert client.ask("POST", "api/input", {}).status == 422
     assert client.get("api/state").status == 200
     session.stopping.set()
-    session.first_error = None
+    session.fault = None
     with pytest.raises(ConnectionError):  # a request that meets the end gets no answer
         client.ask("POST", "api/boom", {})
-    assert session.first_error is None and capfd.readouterr() == ("", "")
+    assert session.fault is None and capfd.readouterr() == ("", "")

@@ -164,7 +164,7 @@ NAMED = {
     "calibration-with-a-list-for-a-name": (
         f"run IN/frames --config factorized --set confidence.calibration=x.json {RUN}", "x.json", odd_calibration, "x",
     ),
-    "gallery-that-is-a-pickle": ("gallery show x.npz -o out.png", "x.npz", pickled, "x.npz"),
+    "gallery-that-is-a-pickle": ("gallery show x.npz", "x.npz", pickled, "x.npz"),
     "prior-whose-header-promises-much": ("prior show x.npz", "x.npz", odd_prior, "x.npz"),
     "image-of-400-million-pixels": (f"run frames {MIL} {RUN}", "frames/0.png", lambda _: png(20_000, 20_000), "0.png"),
     "image-one-pixel-high": (f"run frames {MIL} {RUN}", "frames/0.png", lambda _: png(60_000, 1), "--box"),

@@ -215,7 +215,7 @@ def test_page_names_itself():
     named = replace(track(), header=header)
     texts, _ = said(page.page_figure(named))
     assert texts[0] == "b.mp4, sir"
-    assert texts[1].split("   ·   ") == ["60 frames", "seed 4", "never called lost", "the run was cut short"]
+    assert texts[1].split("   ·   ") == ["60 frames", "never called lost", "the run was cut short"]
     assert said(page.page_figure(named, title="$x_1$\nmine"))[0][0] == "$x_1$?mine"
 
 

@@ -12,8 +12,9 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.recipe.load import _shipped, calibrated, load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.report.make import command, init_yaml, recipe_yaml
+from facetrack_cli.report.make import command, recipe_yaml
 from facetrack_cli.report.story import doubts, history_of, key_frames, reasons
+from facetrack_cli.start.init_file import as_yaml
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, mean_confidence
 from facetrack_cli.trajectory.views import Clock
@@ -101,7 +102,7 @@ def test_the_command_repeats_the_run(options, tmp_path, monkeypatch):
     assert words[:3] == ["facetrack", "run", clip]
     name = header.recipe_name  # as the page has them
     Path(f"{name}.yaml").write_text(recipe_yaml(table.header["recipe"]))
-    Path(f"{name}.init.yaml").write_text(init_yaml(header))
+    Path(f"{name}.init.yaml").write_text(as_yaml(header.init.start, header.clip_name))
     assert main([*words[1:], "--no-video", "-q"]) == 0
     assert Path("again/trajectory.csv").read_bytes() == Path("run/trajectory.csv").read_bytes()
     if header.init.targets:

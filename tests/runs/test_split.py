@@ -47,8 +47,8 @@ def clips(tmp_path_factory):
     for name, text in (("slow.mp4", slow), ("dark.mp4", f"{slow},{black}")):
         options = ("-r", "5", "-c:v", "libx264", "-preset", "veryfast", "-g", "20", "-bf", "2")
         media.ffmpeg("-i", CLIP, "-vf", text, *options, folder / name)
-    given = TargetStart(points=POINTS)
-    write_init(folder / "corrected.yaml", Start(0, {"face": given}, "x", (Correction(60, "face", given),)))
+    start = Start(0, {"face": TargetStart(points=POINTS)}, "x", (Correction(60, "face", points=POINTS),))
+    write_init(folder / "corrected.yaml", start)
     return folder
 
 

@@ -24,8 +24,7 @@ from facetrack_cli.runs.finished import open_run
 @contextlib.contextmanager
 def picking(clip, out=None, config=None, **more):
     """The session and the address of `facetrack init --pick`."""
-    recipe = None if config is None else load_recipe(config)
-    session = PickSession(clip, out=out, recipe=recipe, **more)
+    session = PickSession(clip, load_recipe(config or "face"), out=out, **more)
     with server.serving(session) as page:
         yield session, page.url
 

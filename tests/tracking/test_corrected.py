@@ -83,7 +83,7 @@ def statuses(result):
 
 def given(frame, target="face", **said):
     box, points = said.pop("box", None), said.pop("points", {})
-    return Correction(frame, target, TargetStart(box=box, points=points), **said)
+    return Correction(frame, target, box=box, points=points, **said)
 
 
 # --- laws, whatever is corrected and in whatever order --------------------------------------------------------------
@@ -106,7 +106,8 @@ def correction(draw, frame, ways=WAYS):
     return Correction(
         frame,
         "face",
-        TargetStart(points={name: places[name] for name in PARTS if way[name] == "given"}),
+        None,
+        {name: places[name] for name in PARTS if way[name] == "given"},
         {name: places[name] for name in PARTS if way[name] == "kept"} if len(absent) < 5 else {},
         True if len(absent) == 5 else absent,
         draw(st.sampled_from((None, False, True) if whole else (None, False))),
@@ -126,7 +127,7 @@ def hidden(those):
         for one in those:
             if one.frame == frame:
                 gone = set(PARTS) if one.absent is True else {*one.absent}
-                now = gone | (now - {*one.given.points, *one.kept} if not is_complete(one, PARTS) else set())
+                now = gone | (now - {*one.points, *one.kept} if not is_complete(one, PARTS) else set())
         found.append(now)
     return found
 
@@ -138,13 +139,13 @@ def test_what_is_said_holds_and_what_comes_before_stays(config, those):
     assert lines(put)[:first] == lines(run(config, FACE, overrides=FEW, stop=first))
     for result, gone in zip(put, hidden(those), strict=True):
         [said] = [one for one in those if one.frame == result.frame.index] or [Correction(0, "face")]
-        by_hand = {*said.given.points, *(gone if said.frame else ())}  # also what is still absent
+        by_hand = {*said.points, *(gone if said.frame else ())}  # also what is still absent
         assert np.isfinite(result.targets[0].cloud).all()
         for one in parts_of(result.targets[0]):
             assert (one.status == "absent") == (one.x is None) == (one.part in gone)
-            assert (one.status == "init") == (result.frame.index == 0 or one.part in said.given.points)
+            assert (one.status == "init") == (result.frame.index == 0 or one.part in said.points)
             assert one.by_hand == (one.part in by_hand)
-            for places in (said.given.points, said.kept):
+            for places in (said.points, said.kept):
                 assert (one.x, one.y) == places.get(one.part, (one.x, one.y))
 
 

@@ -17,8 +17,9 @@ from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.report import make
 from facetrack_cli.report.figures import page
 from facetrack_cli.report.figures import style as plot_style
-from facetrack_cli.report.make import Image, command, init_yaml, recipe_yaml
+from facetrack_cli.report.make import Image, command, recipe_yaml
 from facetrack_cli.report.story import history_of, key_frames, reasons
+from facetrack_cli.start.init_file import as_yaml
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.tables import write_coco, write_dlc
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
@@ -202,7 +203,7 @@ def test_a_run_with_corrections_is_reported_and_repeated(tmp_path, monkeypatch):
     table = read_trajectory(Path("run"))
     header = read_header(table)
     words = shlex.split(command(header, int(table.frames[-1])))
-    Path(words[words.index("--init") + 1]).write_text(init_yaml(header))
+    Path(words[words.index("--init") + 1]).write_text(as_yaml(header.init.start, header.clip_name))
     Path(words[words.index("--config") + 1]).write_text(recipe_yaml(header.recipe))
     assert main([*words[1:], "--no-video", "-q"]) == 0
     assert Path("again/trajectory.csv").read_bytes() == Path("run/trajectory.csv").read_bytes()

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.geometry import corners
-from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
+from facetrack_cli.core.types import BOX, Correction, Frame
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import ClipRequest
@@ -154,7 +154,7 @@ def test_a_tiny_face_at_the_border_and_a_flat_frame_are_survived():
 def test_a_correction_puts_the_whole_face_right(learn):
     poses = [Pose(90, 110)] * 10 + [Pose(190, 120)] * 15
     at = {part: tuple(place) for part, place in zip(PARTS, moving.truth(poses[10], 10).tolist(), strict=True)}
-    one = Correction(10, "face", TargetStart(points=at), learn=learn)
+    one = Correction(10, "face", points=at, learn=learn)
     rows = run(moving.clip(poses), replace(moving.start(poses[0]), corrections=(one,)), ALONE)
     assert {*rows[10].status[:5]} == {"init"} and rows[10].by_hand[:5].all() and not rows[10].by_hand[5]
     assert rows[10].status[5] == "tracked"

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
 from facetrack_cli.core.face_points import GROUPS, POINTS
-from facetrack_cli.core.types import BOX, Correction, TargetStart
+from facetrack_cli.core.types import BOX, Correction
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
@@ -139,7 +139,7 @@ def test_a_correction_puts_parts_and_points_of_the_network_right_and_all_may_be_
     mesh = FakeMesh(poses)
     given = dict(zip(PARTS, map(tuple, moving.truth(poses[5], 0).tolist()), strict=True))
     for learn in (None, True):
-        one = Correction(5, "face", TargetStart(points=given), learn=learn)
+        one = Correction(5, "face", points=given, learn=learn)
         gone = Correction(11, "face", absent=PARTS)
         results = results_of(file, mesh, poses, corrections=(one, gone))
         rows = results[5].rows

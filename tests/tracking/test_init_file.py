@@ -47,18 +47,18 @@ corrections:
     learn: true
 """
     points = {"nose": (141.0, 112.5), "mouth_left": (120, 140), "lip_upper": (1, 2), "lip_lower": (3, 4)}
-    moved, kept = TargetStart(None, {"nose": (137.2, 153.9)}), {"lip_lower": (160, 138.4)}
+    moved, kept = {"nose": (137.2, 153.9)}, {"lip_lower": (160, 138.4)}
     assert read_init(write(tmp_path, text)) == Start(
         3,
         {"face": TargetStart((100, 60, 80, 80), points, {"nose": (25, 21)})},
         str(tmp_path / "clip.init.yaml"),
-        (Correction(31, "face", moved, kept, ("lip_upper",), learn=True), Correction(60, "face", absent=True)),
+        (Correction(31, "face", None, moved, kept, ("lip_upper",), learn=True), Correction(60, "face", absent=True)),
     )
 
 
 ALONE = ({"face": TargetStart((1, 2, 3, 4))},)
 BOTH = {"head": TargetStart((1, 2, 30, 40)), "left_hand": TargetStart((5, 6, 30, 40))}
-APART = Correction(9, "left_hand", absent=True), Correction(9, "head", TargetStart((1, 2, 3, 4)))
+APART = Correction(9, "left_hand", absent=True), Correction(9, "head", (1, 2, 3, 4))
 SHORTER = {
     BOX + "corrections: []\n": ALONE,
     "frame: 0\nleft_hand: {box: [1, 2, 3, 4]}\nhead: {points: {a: [1, 2]}}\n": (
@@ -66,7 +66,7 @@ SHORTER = {
     ),
     "frame: 0\nanna: {box: [1, 2, 3, 4]}\ncorrections: [{frame: 3, box: [5, 6, 7, 8], learn: false}]\n": (
         {"anna": TargetStart((1, 2, 3, 4))},
-        Correction(3, "anna", TargetStart((5, 6, 7, 8)), learn=False),
+        Correction(3, "anna", (5, 6, 7, 8), learn=False),
     ),
     BOX + "corrections: [{frame: 3, face: {absent: [box]}}]\n": (*ALONE, Correction(3, "face", absent=("box",))),
     TWO + "- {frame: 9, left_hand: {absent: true}, head: {box: [1, 2, 3, 4]}}\n": (BOTH, *APART),
@@ -74,7 +74,7 @@ SHORTER = {
     # a start of a box alone leaves the parts to the recipe
     BOX + "corrections:\n- {frame: 3, points: {nose: [5, 6]}, absent: [lip_upper]}\n": (
         *ALONE,
-        Correction(3, "face", TargetStart(None, {"nose": (5, 6)}), absent=("lip_upper",)),
+        Correction(3, "face", None, {"nose": (5, 6)}, absent=("lip_upper",)),
     ),
 }
 
@@ -153,14 +153,14 @@ def corrections(draw, frame, name):
         sure = draw(st.lists(st.sampled_from(PARTS), max_size=3, unique=True))
         return Correction(frame, name, confirmed=tuple(sure) or True)
     if kind == "box":
-        return Correction(frame, name, TargetStart(draw(boxes)), learn=learn)
+        return Correction(frame, name, draw(boxes), learn=learn)
     about = {part: draw(st.sampled_from(["given", "kept", "absent", ""])) for part in PARTS}
     where = {part: draw(st.tuples(numbers, numbers)) for part in PARTS}
     those = {said: [part for part in PARTS if about[part] == said] for said in ("given", "kept", "absent")}
     if not those["given"] + those["absent"]:
         those["absent"] = [part for part in PARTS if part not in those["kept"]][:1] or [those["kept"].pop()]
     points, kept = ({part: where[part] for part in those[said]} for said in ("given", "kept"))
-    return Correction(frame, name, TargetStart(None, points), kept, tuple(those["absent"]), learn)
+    return Correction(frame, name, None, points, kept, tuple(those["absent"]), learn)
 
 
 @st.composite
@@ -173,7 +173,7 @@ def starts(draw):
     places = st.tuples(st.integers(first + 1, 10**9), st.sampled_from(list(targets)))
     those = sorted(draw(st.lists(places, max_size=5, unique=True)), key=lambda place: place[0])
     corrected = tuple(draw(corrections(frame, name)) for frame, name in those)
-    if any(targets[one.target].box is None and one.given.box for one in corrected):
+    if any(targets[one.target].box is None and one.box for one in corrected):
         targets = {name: replace(one, box=(0.0, 1.0, 2.0, 3.0)) for name, one in targets.items()}
     by = draw(st.sampled_from(["", *DETECTORS]))
     return Start(first, targets, "", corrected, detector=by, placed=by != "")
@@ -209,7 +209,7 @@ def test_written_files_explain_themselves_and_are_not_replaced_unasked(tmp_path)
 def test_written_corrections_are_made_to_be_edited(tmp_path):
     points = dict.fromkeys(("nose", "lip_upper", "lip_lower", "mouth_left", "mouth_right"), (1.5, 2.0))
     kept = dict(list(points.items())[2:])
-    some = Correction(7, "face", TargetStart(None, {"nose": (3, 4)}), kept, ("lip_upper",))
+    some = Correction(7, "face", None, {"nose": (3, 4)}, kept, ("lip_upper",))
     start = Start(0, {"face": TargetStart(None, points)}, "", (some, Correction(9, "face", absent=True)))
     path = tmp_path / "clip.init.yaml"
     write_init(path, start)
@@ -262,7 +262,7 @@ LARGE = (-1, 10, 321, 40), (10, -1, 40, 241)  # along either side
     ],
 )
 def test_what_the_clip_and_the_recipe_refuse(target, said, corrected):
-    corrections = (Correction(3, "face", TargetStart(corrected)),) if corrected else ()
+    corrections = (Correction(3, "face", corrected),) if corrected else ()
     with pytest.raises(InputError, match=rf"^here\.yaml: .*{said}"):
         check_start(Start(0, {"face": target}, "here.yaml", corrections), (320, 240), ("nose", "mouth_left"))
 

@@ -99,7 +99,7 @@ def test_a_given_hand_begins_there_and_the_other_one_when_it_appears():
 
 def test_corrections_place_a_hand_and_say_that_it_is_absent():
     given = TargetStart((101.0, 140.0, 29.0, 29.0))
-    there = Correction(12, "left_hand", given), Correction(20, "left_hand", absent=True)
+    there = Correction(12, "left_hand", given.box), Correction(20, "left_hand", absent=True)
     start = Start(0, {"head": TargetStart(FACE)}, "x", there)
     frames = [drawn(i, ((115.0, 154.0),) if i >= 12 else ()) for i in range(26)]
     rows = rows_of(frames, start)

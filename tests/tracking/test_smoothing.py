@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.types import Correction, Particles, TargetStart
+from facetrack_cli.core.types import Correction, Particles
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.motion import RandomWalk
 from facetrack_cli.engine.protocols import Belief
@@ -181,7 +181,7 @@ def test_names_are_smoothed_to_the_sum_over_all_sequences(frames):
 
 
 CLIP = TrackClip("occlusion", 112)  # a hand covers a corner of the mouth and the lower lip in frames 51 to 101
-MOVED = Correction(60, "face", TargetStart(points={"nose": (175.0, 120.0)}))
+MOVED = Correction(60, "face", points={"nose": (175.0, 120.0)})
 
 
 def results_of(name, stop=112, corrections=(), overrides=None):
@@ -258,8 +258,8 @@ def test_rows_that_were_given_stay_byte_for_byte():
 
 
 def test_what_is_absent_has_no_place_and_parts_what_is_around():
-    gone = Correction(30, "face", TargetStart(), absent=True)
-    back = Correction(40, "face", TargetStart(points=CLIP.start.targets["face"].points))
+    gone = Correction(30, "face", absent=True)
+    back = Correction(40, "face", points=CLIP.start.targets["face"].points)
     results = results_of("factorized_robust", 60, [gone, back])
     after = smoothed_rows(rows_of(results), beliefs_of(results))
     np.testing.assert_array_equal(after.frame[np.isnan(after.x)] // 10, 3)
@@ -300,8 +300,8 @@ def test_a_face_moves_as_one(points):
 
 @pytest.mark.parametrize("absent", [True, ("nose",)])
 def test_a_face_may_be_absent_for_a_while(absent):
-    given = TargetStart(points=CLIP.start.targets["face"].points)
-    gone, back = Correction(8, "face", TargetStart(), absent=absent), Correction(12, "face", given)
+    given = CLIP.start.targets["face"].points
+    gone, back = Correction(8, "face", absent=absent), Correction(12, "face", points=given)
     results = results_of("face", 16, [gone, back])
     before = rows_of(results)
     for after in (smoothed_rows(before, beliefs_of(results)), rows_of(lagged(iter(results), 5))):

@@ -9,7 +9,6 @@ import os
 import re
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 from click.shell_completion import get_completion_class
@@ -19,9 +18,6 @@ from facetrack_cli.cli.app import cli
 from facetrack_cli.cli.options import FILE, FOLDER, FRAME, RECIPE, Text, Whole, option, refuse, say, words
 from facetrack_cli.core.errors import ExitCode, InputError, RecipeError, flat
 from facetrack_cli.core.models import BROUGHT, MODELS, WHEEL, fetch_model, model_path, shipped_recipes
-
-if TYPE_CHECKING:
-    from facetrack_cli.trackers.appearance.gallery import Gallery
 
 # before numpy is imported: the matrices of a fit are small, and threads only wait for each other on a busy machine
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -187,7 +183,7 @@ def completion_command(shell: str) -> None:
 
 @click.group()
 def gallery_command() -> None:
-    """Learn who is who from images and videos, and draw it.
+    """Learn who is who from images and videos.
 
     A gallery is a file of faces with names, and of how faces differ. A recipe that recognises names people by it:
 
@@ -269,51 +265,35 @@ def fit_gallery(
     wide = max(map(len, (*gallery.names, "person")))
     table = [("person", "used", "skipped"), *((name, faces.used[name], faces.skipped[name]) for name in gallery.names)]
     rows = [f"{name:<{wide}}{used:>8}{skipped:>9}" for name, used, skipped in table]
-    for line in (*rows, *_summary(gallery), f"{out}: {len(gallery.names)} persons, {sum(gallery.counts)} images"):
+    for line in (*rows, *gallery.summary(), f"{out}: {len(gallery.names)} persons, {sum(gallery.counts)} images"):
         say(line)
 
 
 @gallery_command.command("show")
 @click.argument("file", type=FILE, default="gallery.npz")
-@options.figure_file("beside FILE, as gallery.png")
-@options.overwrite
-def show_gallery(file: Path, out: Path | None, overwrite: bool) -> None:
-    """Summarise and draw a gallery; without FILE, gallery.npz.
+def show_gallery(file: Path) -> None:
+    """Summarise a gallery; without FILE, gallery.npz.
 
-    The figure has the mean face, the first eigenfaces of each space, and everyone who is in it.
+    It says how much each space keeps, when a patch counts as a face, and who is in it.
 
     \b
     Examples:
       facetrack gallery show
-      facetrack gallery show people.npz -o people.pdf
+      facetrack gallery show people.npz
     """
-    from facetrack_cli.report.figures.models import gallery_figure
     from facetrack_cli.trackers.appearance.gallery import load_gallery
 
     gallery = load_gallery(file)
-    out = out or file.with_suffix(".png")
-    options.write_figure(out, lambda: gallery_figure(gallery, title=file.name), overwrite=overwrite, inputs=[file])
     rows, cols = gallery.shape
-    shape = [] if gallery.proportion is None else [f"boxes: {gallery.proportion:.2f} times as wide as high"]
+    shape = "" if gallery.proportion is None else f"; boxes: {gallery.proportion:.2f} times as wide as high"
+    people = (f"{name}: {n} image{'s' * (n != 1)}" for name, n in zip(gallery.names, gallery.counts, strict=True))
     lines = [
         f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} images",
-        f"template: {cols} points across, {rows} down",
-        *(shape + _summary(gallery)),
-        *(
-            f"{number:>4} {name}: {images} image{'s' if images != 1 else ''}"
-            for number, (name, images) in enumerate(zip(gallery.names, gallery.counts, strict=True), start=1)
-        ),
-        f"figure: {out}",
+        f"template: {cols} points across, {rows} down{shape}",
+        *gallery.summary(),
+        *(f"{number:>4} {person}" for number, person in enumerate(people, start=1)),
     ]
     click.echo("\n".join(map(flat, lines)))
-
-
-def _summary(gallery: Gallery) -> list[str]:
-    from facetrack_cli.report.figures.models import calibrated, kept, stranger
-
-    spaces = (("frontal faces", gallery.frontal), ("intra-personal", gallery.intra), ("extra-personal", gallery.extra))
-    lines = [f"{name}: {kept(space)}" for name, space in spaces]
-    return [*lines, calibrated(gallery), stranger(gallery), *(f"note: {note}" for note in gallery.notes)]
 
 
 @click.group()

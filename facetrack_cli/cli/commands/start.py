@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -15,7 +14,6 @@ from facetrack_cli.core.errors import ExitCode, InputError, OutputError, flat
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box
-    from facetrack_cli.editor.pick_session import PickSession
     from facetrack_cli.recipe.model import Recipe
 
 
@@ -39,13 +37,12 @@ def app_command(project: Path, port: int | None, no_open: bool) -> int:
       facetrack app study/ --port 8800 --no-open
     """
     from facetrack_cli.editor.app_session import AppSession
-    from facetrack_cli.editor.project import Project
     from facetrack_cli.editor.server import run_page
     from facetrack_cli.runs.signals import Stop
 
     refuse((project.is_file(), f"{project}: is a file; name a folder for the project, and add clips on its page"))
     with Stop().listening() as stop:
-        run_page(AppSession(Project(project)), stop, say, port=port or 0, browse=not no_open)
+        run_page(AppSession(project), stop, say, port=port or 0, browse=not no_open)
     return stop.code or 0
 
 
@@ -118,12 +115,14 @@ def init_command(
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.runs.plan import ClipRequest
     from facetrack_cli.runs.progress import progress
-    from facetrack_cli.start.init_file import SUFFIXES, default_path, write_init
+    from facetrack_cli.start.init_file import SUFFIXES, default_path, read_init, write_init
     from facetrack_cli.trackers.face.detectors import detector
     from facetrack_cli.video.overlay import write_preview
 
-    others = faces == "all" and (box is not None or pick)
-    refuse((others, "--faces all is of a search; leave out --box and --pick"))
+    refuse(
+        (faces == "all" and (box is not None or pick), "--faces all is of a search; leave out --box and --pick"),
+        (pick and box is not None, "--pick is of a page, where you draw the box; leave out --box"),
+    )
     path = None if out == "-" else Path(out) if out else default_path(clip)
     if path is not None and path.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
@@ -133,11 +132,22 @@ def init_command(
         raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
     recipe = None if config is None else load_recipe(config)
     if pick:
-        from facetrack_cli.editor.pick_session import PickSession
+        from facetrack_cli.editor.pick_session import NOTHING, PickSession
 
-        run = _run_with(path, clip, config, recipe)
-        session = partial(PickSession, clip, out=path, overwrite=overwrite, recipe=recipe, frame=init_frame, box=box)
-        return _pick(partial(session, preview=preview, next_=run), clip, path, box, page)
+        previous = NOTHING
+        if path is not None and path.is_file():
+            try:
+                previous = read_init(path)
+            except InputError as e:  # it will be replaced in any case
+                say(f"facetrack: warning: {e}; the page begins without it")
+        session = PickSession(
+            clip, recipe or load_recipe("face"), out=path, overwrite=overwrite, frame=init_frame,
+            previous=previous, preview=preview, next_=_run_with(path, clip, config, recipe),
+        )  # fmt: skip
+        code = page.serve(session)
+        if path is None and session.saved is not None:
+            write_init(sys.stdout, session.saved, clip=clip.name)
+        return code
     by = None if box is not None else detector().name
     request = ClipRequest(clip, init=by, faces=faces, box=box, init_frame=init_frame)
     with progress(path is None) as shown:
@@ -165,25 +175,3 @@ def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe 
     if recipe is not None:
         words += f" --config {config}" + " --gallery FILE" * wants_gallery(recipe)
     return f"facetrack run {clip}{words}"
-
-
-def _pick(make: partial[PickSession], clip: Path, path: Path | None, box: Box | None, page: Page) -> int:
-    """Let somebody choose on the page, from what was there before on; the exit code."""
-    from facetrack_cli.editor.pick_session import NOTHING
-    from facetrack_cli.start.init_file import default_path, read_init, write_init
-
-    beside, start = path or default_path(clip), NOTHING
-    unsaved = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
-    source = unsaved if box is None and unsaved.is_file() else path
-    if source is not None and source.is_file():
-        try:
-            start = read_init(source)
-        except InputError as e:  # it will be replaced in any case
-            say(f"facetrack: warning: {e}; the page begins without it")
-    session = make(previous=start, unsaved=unsaved)
-    code = page.serve(session)
-    if code == ExitCode.DONE and source == unsaved:
-        unsaved.unlink(missing_ok=True)
-    if path is None and session.saved is not None:
-        write_init(sys.stdout, session.saved, clip=clip.name)
-    return code

@@ -50,7 +50,7 @@ function again(clip) {
 }
 
 function remove(clip) {
-  const text = "Its results are moved into the folder “removed”. The clip itself stays where it is.";
+  const text = "Its results stay in the folder “runs”. The clip itself stays where it is.";
   if (confirm(`Remove ${clip.name} from the list?\n\n${text}`)) ask("remove", { clip: clip.id });
 }
 

@@ -156,7 +156,7 @@ export class Review {
 
 const isLost = ({ parts }) => parts.some(({ status }) => status === "lost");
 
-const placed = ({ given }) => (given.box ? ["box"] : Object.keys(given.points));
+const placed = ({ box, points }) => (box ? ["box"] : Object.keys(points));
 
 // a correction in a few words
 function describe(one) {

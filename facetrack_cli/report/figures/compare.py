@@ -13,12 +13,28 @@ from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, aligned
 from facetrack_cli.evaluation.reliability import ReliabilityBin, calibration_error
 from facetrack_cli.evaluation.summary import clip_name
 from facetrack_cli.report.figures import style
-from facetrack_cli.report.figures.style import Figure, quantiles, render
+from facetrack_cli.report.figures.style import Axes, Figure, quantiles, render
 
 Curves = Mapping[str, tuple[Array, Array]]
-SQUARE_INCHES = (6.4, 4.6)  # inches, with the legend beside
-WIDE_INCHES = (10.0, 4.0)
+Lines = Sequence[Sequence[Any]]  # x, low, middle and high of each, (n,)
 _MARK: Final[Any] = {**style.GUIDE, "linewidth": 0.9, "linestyle": (0, (3, 2)), "zorder": 1}
+
+
+def _figure(lines: Lines, names: Mapping[int, str], several: bool, width: float, over: str = "") -> tuple[Figure, Axes]:
+    """The lines, with bands where there are `several` seeds, and at the right the `names`, by the numbers of lines."""
+    from matplotlib.lines import Line2D
+
+    figure = style.new_figure(width + 0.055 * max(map(len, names.values()), default=0), 4.6)
+    axes = figure.subplots()
+    for number, (x, low, middle, high) in enumerate(lines):
+        look = style.line_style(number)
+        if several:
+            style.band(axes, x, low, high, look["color"], 0.15)
+        style.line(axes, x, middle, linewidth=1.5, **look)
+    handles = [Line2D([], [], linewidth=1.5, **style.line_style(number)) for number in names]
+    bold: Any = {"title": over, "title_fontproperties": {"weight": "bold", "size": 9}, "alignment": "left"}
+    figure.legend(handles, [*names.values()], loc="outside right upper", handlelength=2.8, **bold)
+    return figure, axes
 
 
 def curves_figure(
@@ -29,34 +45,20 @@ def curves_figure(
     `curves` are thresholds (n,) and shares (S, n) by label; the band is the range over seeds, the line their mean. The
     legend, best first, has the mean over seeds of the share at the threshold `mark`, or over the whole curve.
     """
-
-    def score(label: str) -> float:
-        at, values = curves[label]
-        return float(np.mean(values if mark is None else [np.interp(mark, at, row) for row in values]))
-
-    longest = max((len(label) for label in curves), default=0)
+    read = [each if mark is None else [np.interp(mark, at, row) for row in each] for at, each in curves.values()]
+    scores = [float(np.mean(values)) for values in read]
+    best = np.argsort(np.negative(scores), kind="stable").tolist()
+    names = {k: f"{scores[k]:.3f}  {style.clean([*curves][k], 40)}" for k in best}
+    several = any(len(values) > 1 for _, values in curves.values())
     with style.style():
-        figure = style.new_figure(SQUARE_INCHES[0] + 0.055 * max(0, min(longest, 40) - 12), SQUARE_INCHES[1])
-        axes = figure.subplots()
-        handles = {}
-        for number, (label, (at, values)) in enumerate(curves.items()):
-            look = style.line_style(number)
-            if len(values) > 1:
-                low, high = values.min(axis=0), values.max(axis=0)
-                axes.fill_between(at, low, high, color=look["color"], alpha=0.15, linewidth=0)
-            (handles[label],) = axes.plot(at, values.mean(axis=0), linewidth=1.6, **look)
+        lines = [(at, values.min(axis=0), values.mean(axis=0), values.max(axis=0)) for at, values in curves.values()]
+        figure, axes = _figure(lines, names, several, 5.6, measure)
         if mark is not None:
             axes.axvline(mark, **_MARK)
         axes.margins(x=0)
         axes.set(ylim=(0, 1.015), xlabel=labels[0], ylabel=labels[1])
         axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
-        several = any(len(values) > 1 for _, values in curves.values())
         style.heading(axes, title, "band: range over seeds" if several else "")
-        scores = {label: score(label) for label in curves}
-        best = sorted(curves, key=lambda label: -scores[label])
-        names = [f"{scores[label]:.3f}  {style.clean(label, 40)}" for label in best]
-        bold: Any = {"title": measure, "title_fontproperties": {"weight": "bold", "size": 9}, "alignment": "left"}
-        figure.legend([handles[label] for label in best], names, loc="outside right upper", handlelength=2.8, **bold)
         return figure
 
 
@@ -64,26 +66,16 @@ def error_over_time_figure(
     frames: Whole, errors: Mapping[str, Array], hidden: Mask, *, title: str = "Error over time"
 ) -> Figure:
     """Median over seeds of `errors` (S, T) in pixels by label, in a band of 10 to 90 % of them; `hidden` is shaded."""
-    names = [style.clean(label, 40) for label in errors]
+    several = any(len(e) > 1 for e in errors.values())
     with style.style():
-        from matplotlib.lines import Line2D
-
-        figure = style.new_figure(WIDE_INCHES[0], WIDE_INCHES[1] + 0.1 - 0.2 * (-len(names) // 3))
-        handles = [Line2D([], [], linewidth=1.5, **style.line_style(number)) for number in range(len(names))]
-        figure.legend(handles, names, loc="outside upper left", ncols=3, handlelength=2.8, borderaxespad=0.3)
-        axes = figure.subplots()
+        lines = [(frames, *quantiles(e.astype(np.float64), (0.1, 0.5, 0.9))) for e in errors.values()]
+        names = {k: style.clean(label, 40) for k, label in enumerate(errors)}
+        figure, axes = _figure(lines, names, several, 9.0)
         style.frame_axis(axes, frames)
         style.shade(axes, frames, hidden, "hidden", 0.2, float(frames[-1] - frames[0] + 1) / style.BINS)
-        drawn = [quantiles(e.astype(np.float64), (0.1, 0.5, 0.9)) for e in errors.values()]
-        several = any(len(e) > 1 for e in errors.values())
-        for number, (low, middle, high) in enumerate(drawn):
-            look = style.line_style(number)
-            if several:
-                style.band(axes, frames, low, high, look["color"], 0.15)
-            style.line(axes, frames, middle, linewidth=1.3, **look)
         style.limit(axes, 0.0, 6)
-        notes = ["line: median over seeds, band: 10 to 90 %"] if several else []
-        style.heading(axes, title, "; ".join([*notes, *(["shaded: hidden"] if hidden.any() else [])]))
+        notes = ["line: median over seeds, band: 10 to 90 %"] * several + ["shaded: hidden"] * bool(hidden.any())
+        style.heading(axes, title, "; ".join(notes))
         axes.set_ylabel("error (px)")
         return figure
 
@@ -108,9 +100,8 @@ def calibration_figure(bins: Sequence[ReliabilityBin]) -> Figure:
         style.heading(upper, "Confidence against the ground truth", error)
         middle, rows = [(b.low + b.high) / 2 for b in filled], [b.rows for b in filled]
         lower.bar(middle, rows, 0.09, color=style.STATUS["hidden"], linewidth=0)
-        lower.set(yscale="log", ylim=(0.7, 1.8 * max(rows)), xlabel="confidence", ylabel="rows")
-        lower.yaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
-        lower.yaxis.minorticks_off()
+        lower.set(ylim=(0.7, 1.8 * max(rows)), xlabel="confidence", ylabel="rows")
+        style.log_axis(lower)
         style.heading(lower, "Rows", "log scale")
         handles, labels = upper.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), handlelength=2.6)

@@ -71,8 +71,8 @@ def measures_figure(table: Trajectory, names: Sequence[str]) -> Figure:
     wanted = list(dict.fromkeys(name if name in there else by.get(name, name) for name in names))
     if missing := [name for name in wanted if name not in there]:
         choices = [*there, *(word for word, measure in by.items() if word and measure in there)]
-        others = f"choose among {', '.join(choices)}" if choices else "it has no measures, which the recipe face gives"
-        raise UsageError(f"{table.path}: has no {', '.join(missing)}; {others}")
+        others = ", ".join(choices) or "the measures of a run by face"
+        raise UsageError(f"{table.path}: has no {', '.join(missing)}; choose among {others}")
     with style.style():
         page = _Page(table, ())
         panels = [page.measure(name, there[name].unit, 1.0, names) for name in wanted]
@@ -213,8 +213,6 @@ class _Page:
 
     def _summary(self) -> list[str]:
         words = [f"{len(self.frames):,} frame{'s' * (len(self.frames) != 1)}"]
-        if isinstance(seed := self.table.header.get("seed"), int):
-            words.append(f"seed {seed}")
         if (self.table.status != "").any():
             lost = 100 * (self.table.status == "lost").mean()
             words.append(f"called lost in {lost:.3g} % of rows" if lost else "never called lost")
@@ -225,7 +223,7 @@ class _Page:
 
     def panels(self) -> Iterator[Panel]:
         """A panel for each thing that is known."""
-        table = self.table
+        table, particles = self.table, self.table.particles[np.isfinite(self.table.particles)]
         if is_known(table.x):
             yield Panel("x (px)", "", 1.15, partial(self._places, of=_x))
         if is_known(table.y):
@@ -240,9 +238,8 @@ class _Page:
             note = "below each row: ground truth" if self.paired and not self.many else ""
             yield Panel("status", note, max(0.2, min(0.165 * len(self.lines), 1.5)), self._status)
         if is_known(table.ess):
-            behind = "; grey: particles" if is_known(table.particles) else ""
-            yield Panel("effective sample size", f"log scale{behind}", 0.95, self._particles)
-        elif is_known(table.particles):
+            yield Panel("effective sample size", "log scale", 0.95, partial(self._strokes, of=_ess, log=True))
+        if particles.size and (np.ptp(particles) or not is_known(table.ess)):
             yield Panel("particles", "", 0.6, partial(self._strokes, of=_particles, floor=0.0))
         if is_known(spread(table)):
             note = "standard deviation of the particles, both axes together"
@@ -270,7 +267,9 @@ class _Page:
     def _strokes(self, axes: Axes, of: Of, **how: Any) -> None:
         self._draw(axes, [(line, line.ours.frame, of(line.ours)) for line in self.lines], **how)
 
-    def _draw(self, axes: Axes, curves: Sequence[Curve], floor: float | None = None, share: bool = False) -> None:
+    def _draw(
+        self, axes: Axes, curves: Sequence[Curve], floor: float | None = None, share: bool = False, log: bool = False
+    ) -> None:
         """A line each; of many parts the median of each target within bands. The axis begins at `floor`, that of a
         `share` is from 0 to 1.
         """
@@ -288,6 +287,8 @@ class _Page:
             style.line(axes, frame, middle, color=colour, linewidth=1.2)
         if share:
             axes.set(**SHARE)
+        elif log:
+            style.log_axis(axes)
         elif floor is not None:
             style.limit(axes, floor)
 
@@ -327,19 +328,6 @@ class _Page:
         axes.spines["left"].set_visible(False)
         names = [] if self.many else [style.clean(line.name, 16) for line in self.lines]
         axes.set_yticks(np.arange(len(names)) + (tall / 2 - 0.4 if truth else 0), names, fontsize=7.5)
-
-    def _particles(self, axes: Axes) -> None:
-        """The effective sample size on a log scale, before the number of particles."""
-        from matplotlib.ticker import LogLocator
-
-        for part in {_particles(line.ours).tobytes(): line.ours for line in self.lines}.values():
-            style.line(axes, part.frame, part.particles, color=style.PALE, linewidth=2.2, zorder=1.5)
-        axes.set_yscale("log")
-        self._strokes(axes, _ess)
-        low, high = axes.get_ylim()
-        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 120 * low else (1,)))
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.3g}")
-        axes.yaxis.minorticks_off()
 
     def measure(self, name: str, unit: str, height: float, events: Sequence[str] = ()) -> Panel:
         """The panel of a measure, with bars where those of the `events` are that it tells."""

@@ -37,7 +37,6 @@ BINS: Final = 1000  # about the pixels across a panel
 COLOURS: Final = ("#30A2DC", "#C49500", "#00795A", "#BE5CA6", "#2B3FC0", "#222222")
 INK: Final = "#222222"
 FAINT: Final = "#6B6B6B"
-PALE: Final = "#C8C8C8"
 # vermilion is never a line's colour
 STATUS: Final = {"tracked": "#D5E4EE", "lost": "#E0480A", "hidden": "#8A8A8A", "absent": "#4A4A4A"}
 # where colours run out: solid, dashed, dotted, dash-dotted
@@ -54,15 +53,10 @@ _STYLE: Final = Path(__file__).with_name("facetrack.mplstyle")
 
 @cache
 def need_matplotlib() -> None:
-    """UsageError where matplotlib is missing or broken. What it logs on its first import changes no figure."""
-    log = logging.getLogger("matplotlib")
-    before = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        with needed("figures", "matplotlib"):
-            import matplotlib.font_manager  # noqa: F401 -- builds the cache
-    finally:
-        log.setLevel(before)
+    """UsageError where matplotlib is missing or broken."""
+    logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)  # that it builds its cache
+    with needed("figures", "matplotlib"):
+        import matplotlib.font_manager  # noqa: F401 -- builds the cache
 
 
 @contextmanager
@@ -138,6 +132,17 @@ def limit(axes: Axes, floor: float | None = None, ticks: int = 4) -> None:
         axes.set_ylim(floor, high + 0.06 * (high - floor))  # a line along the top is whole
 
 
+def log_axis(axes: Axes) -> None:
+    """The vertical axis of what is drawn, in logarithms, with few ticks."""
+    from matplotlib.ticker import LogLocator
+
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 120 * low else (1,)))
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.10g}")
+    axes.yaxis.minorticks_off()
+
+
 def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:
     """An axis of frames, which increase, with at most `most` ticks."""
     from matplotlib.ticker import MaxNLocator
@@ -163,7 +168,7 @@ def time_axis(axes: Axes, table: Trajectory, most: int) -> None:
         above.spines["top"].set_visible(False)
 
 
-def line(axes: Axes, frame: Whole, value: Array, dot: str = ".", **look: Any) -> None:
+def line(axes: Axes, frame: Whole | Array, value: Array, dot: str = ".", **look: Any) -> None:
     """A line, with gaps where frames or values are missing, and a dot for one alone."""
     x, y = broken(frame, value)
     axes.plot(x, y, **look)
@@ -172,7 +177,7 @@ def line(axes: Axes, frame: Whole, value: Array, dot: str = ".", **look: Any) ->
         axes.plot(x[lonely], y[lonely], dot, color=look["color"], markersize=6, **fill)
 
 
-def band(axes: Axes, frame: Whole, low: Array, high: Array, colour: str, alpha: float) -> None:
+def band(axes: Axes, frame: Whole | Array, low: Array, high: Array, colour: str, alpha: float) -> None:
     """The area between two lines. matplotlib thins lines that are long, but no areas: these have BINS corners."""
     if len(frame) > 2 * BINS:
         first = np.linspace(0, len(frame), BINS, endpoint=False).astype(np.int64)
@@ -187,15 +192,15 @@ def shade(axes: Axes, frame: Whole, mask: Mask, status: str, alpha: float, least
         axes.axvspan(start, end, color=STATUS[status], alpha=alpha, linewidth=0, zorder=0.5)
 
 
-def broken(frame: Whole, *values: Array) -> list[Array]:
+def broken(frame: Whole | Array, *values: Array) -> list[Array]:
     """Frames and values, (T,) each, with nan where frames are missing, so that a line ends there."""
     before = np.flatnonzero(np.diff(frame) > 1.5 * _step(frame)) + 1
     return [np.insert(each.astype(np.float64), before, np.nan) for each in (frame, *values)]
 
 
-def _step(frame: Whole) -> int:
+def _step(frame: Whole | Array) -> float:
     """The usual step between frames."""
-    return int(np.median(np.diff(frame))) if len(frame) > 1 else 1
+    return float(np.median(np.diff(frame))) if len(frame) > 1 else 1.0
 
 
 def alone(y: Array) -> Mask:

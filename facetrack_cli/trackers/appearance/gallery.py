@@ -63,7 +63,8 @@ ENERGY = 0.9  # share of the variance that a subspace keeps
 MAX_DIRECTIONS = 256  # of a basis; of ten people's patches what is beyond holds about 1 % of the variance
 MAX_ROWS = 1500  # from which a basis is found
 _CHANGES = "how {} with light, expression and pose cannot be learned from it"
-_SPACES = ("frontal", "intra", "extra")
+_TITLES: Final = {"frontal": "frontal faces", "intra": "intra-personal", "extra": "extra-personal"}
+_SPACES = (*_TITLES,)
 _FIELDS: Final = {"mean": "<f4", "vectors": "<f4", "values": "<f8", "rho": "<f8"}
 
 
@@ -211,6 +212,21 @@ class Gallery:
             for field, kind in _FIELDS.items():
                 arrays[f"{name}_{field}"] = np.array(getattr(getattr(self, name), field), kind, order="C")
         KIND.write(path, arrays)
+
+    def summary(self) -> list[str]:
+        """Lines on how much each space keeps, on when a patch counts as a face, and on when a face is a stranger's."""
+        lines = []
+        for name in _SPACES:
+            space: Subspace = getattr(self, name)
+            kept, number = float(space.values.sum()), len(space.values)
+            share = kept / (kept + space.rho * (space.mean.size - number))
+            components = f"{number} component{'s' * (number != 1)}"
+            lines.append(f"{_TITLES[name]}: {components}, {100 * share:.0f} % of the variance to be expected")
+        (slope, offset), most = self.calibration, self.most_frontal
+        half = f"half of its most, {most:g}, at a log density of {-offset / slope:.0f}" if slope else f"{most / 2:.2f}"
+        strangers = f"below a log likelihood ratio of {self.threshold:.0f} (equal error rate {100 * self.errors:.0f} %)"
+        notes = (f"note: {note}" for note in self.notes)
+        return [*lines, f"p_f is {half}{'' if slope else ' for any patch'}", f"strangers: {strangers}", *notes]
 
 
 def logistic(score: Array, slope: float, offset: float) -> Array:
