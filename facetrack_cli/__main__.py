@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import TextIO
 
-from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, as_json, from_system, log_line
+from facetrack_cli.core.errors import ExitCode, FacetrackError, from_system, log_line
 from facetrack_cli.runs.signals import ending_at_once
 
 _MAX_MESSAGE = 1000  # characters of an error
@@ -76,10 +76,9 @@ def _run(argv: Sequence[str] | None) -> int:
 
 def _failed(error: Exception) -> int:
     """Say what went wrong, with --debug also where; the exit code."""
-    code, excerpt = ExitCode.FAULT, ""
+    code = ExitCode.FAULT
     if isinstance(error, FacetrackError):
         code, message = error.exit_code, str(error)
-        excerpt = error.excerpt if isinstance(error, RecipeError) else ""
     elif (of_system := from_system(error)) is not None:
         code, message = of_system.exit_code, str(of_system)
     elif _is_of_stdout(error):
@@ -89,7 +88,7 @@ def _failed(error: Exception) -> int:
     else:
         message = f"internal error: {type(error).__name__}{f': {error}' if str(error) else ''}; please report it"
         message += "" if _debugging() else ", with what facetrack --debug ... prints"
-    _say(f"error: {message}", excerpt)
+    _say(f"error: {message}")
     if _debugging():
         import traceback
 
@@ -106,15 +105,13 @@ def _is_of_stdout(error: Exception) -> bool:
     )
 
 
-def _say(message: str, excerpt: str = "") -> None:
+def _say(message: str) -> None:
     if len(message) > _MAX_MESSAGE:  # it quotes what a file says; the place stands first, the remedy last
         message = f"{message[: _MAX_MESSAGE // 2]} ... {message[-_MAX_MESSAGE // 2 :]}"
     import click
 
     with contextlib.suppress(OSError):  # a full disk under the log must not change the exit code
-        click.echo(log_line(f"facetrack: {message}", **({"excerpt": excerpt} if excerpt else {})), err=True)
-        if excerpt and not as_json():
-            click.echo(excerpt, err=True)
+        click.echo(log_line(f"facetrack: {message}"), err=True)
 
 
 def _forget(stream: TextIO) -> None:

@@ -217,7 +217,7 @@ class Recipe(Section):
 
     def span(self, key: str) -> Span:
         """The place of a key of this recipe, as of `prior.file`, or of the nearest above it."""
-        nowhere = Span(Source(str(self._path), "", self._path.parent), 0, 0, 1)
+        nowhere = Span(Source(str(self._path), "", self._path.parent), 0, 0)
         return nowhere if self._root is None else self._root.at(key.split("."))[0].span
 
     def error(self, key: str, message: str) -> RecipeError:

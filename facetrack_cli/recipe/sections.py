@@ -227,11 +227,6 @@ def type_of(section: type[BaseModel]) -> str:
     return str(get_args(field.annotation)[0]) if field and typing.get_origin(field.annotation) is Literal else ""
 
 
-def variants(section: type[BaseModel]) -> list[type[BaseModel]]:
-    """The models that may stand where `section` is written: all types of a kind, or the section itself."""
-    return list(registered(section).values()) if section in KINDS and issubclass(section, Kind) else [section]
-
-
 @dataclass(frozen=True, slots=True)
 class Length:
     """A length > 0: in units of the initial target size (of points: the largest distance between two), or in pixels."""

@@ -146,7 +146,7 @@ def test_a_command_has_an_example_and_help_of_80_columns_and_twelve_options(name
         (click.UsageError("No such thing."), 2, "error: No such thing (see facetrack boom --help)"),
         (click.FileError("x.csv", "gone"), 2, "error: Could not open file 'x.csv': gone"),
         (KeyboardInterrupt(), 130, "interrupted"),
-        (RecipeError("r.yaml:1:2: wrong", "    1 | ab"), 2, "error: r.yaml:1:2: wrong\n    1 | ab"),
+        (RecipeError("r.yaml:1:2: wrong"), 2, "error: r.yaml:1:2: wrong"),
     ],
 )
 def test_an_error_is_one_line(boom, capsys, error, code, said):
@@ -229,9 +229,9 @@ def test_check_lists_every_error_of_every_file(capsys, tmp_path):
     assert main(["recipes", "check", "sir", str(path), "nowhere.yaml"]) == 2
     out = capsys.readouterr().out.splitlines()
     assert out[0] == "sir: good"
-    assert f"{path}:2:7: seed must be at least 0, not -1" in out
-    assert out[out.index(f'{path}:3:1: unknown key "sed"; did you mean "seed"?') + 2] == "      | ^^^"
-    assert sum("lacks the key" in line for line in out) == 4
+    assert f"{path}:2:7: seed: Input should be greater than or equal to 0, not -1" in out
+    assert f'{path}:3:1: unknown key "sed"; correct it, or remove it' in out
+    assert sum("the recipe lacks" in line for line in out) == 4
     assert out[-1].startswith('"nowhere.yaml" is neither a file')
     assert main(["recipes", "check", "sir", "--set", "filter.particles=0"]) == 2
     assert main(["recipes", "check", "sir", "--set", "filter.particles=9"]) == 0

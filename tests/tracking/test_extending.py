@@ -145,11 +145,13 @@ def test_rows_by_the_motion_are_smoothed(registry):
 
 
 def test_messages_recipes_that_are_read_back_the_schema_and_the_tables_know_of_it(plugged):
-    assert refused("likelihood.type=grey_diference").endswith('did you mean "grey_difference"?')
+    assert refused("likelihood.type=grey_diference").endswith("""'grey_difference', not "grey_diference\"""")
     wrong = 'likelihood type "grey_difference" does not go with target type "region"; write product or skin_ncc'
     assert wrong in refused(PLUGGED, config="histogram")
     assert "write colour_ratio or window_ncc or grey_difference" in refused("likelihood={type: skin}")
-    assert "likelihood.sigma must be at most 255, not 300" in refused("likelihood={type: grey_difference, sigma: 300}")
+    assert "sigma: Input should be less than or equal to 255, not 300" in refused(
+        "likelihood={type: grey_difference, sigma: 300}"
+    )
     settings = to_dict(plugged["recipe"])
     assert settings["likelihood"] == {"type": "grey_difference", "sigma": 8.0} and completed(settings) == settings
     assert completed({**settings, "likelihood": {"type": "grey_difference"}})["likelihood"]["sigma"] == 20.0
@@ -212,7 +214,7 @@ def test_what_is_no_section_is_refused(registry):
     register(Known)
     with pytest.raises(ValueError, match='the likelihood type "known" is taken by'):
         register(likelihood(name="known"))
-    assert 'likelihood.type cannot be the text "another"' in refused("likelihood.type=another")
+    assert refused("likelihood.type=another").endswith('not "another"')
 
 
 def test_a_section_may_have_rules_of_its_own(registry):

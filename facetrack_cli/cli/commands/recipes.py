@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import os
 import re
@@ -83,8 +82,7 @@ def show(recipe: str) -> None:
 def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     """Say everything that is wrong with recipes, and where.
 
-    Each error has its file, line and column, what to do about it, and the line with a caret under the place. The exit
-    code is 2 if there are any.
+    Each error has its file, line and column, and what to do about it. The exit code is 2 if there are any.
 
     \b
     Examples:
@@ -96,12 +94,11 @@ def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     wrong = False
     for name in recipes:
         try:
-            problems = [(str(problem), problem.span.excerpt()) for problem in check_recipe(name, overrides)]
+            problems = [str(problem) for problem in check_recipe(name, overrides)]
         except RecipeError as error:
-            problems = [(str(error), error.excerpt)]
+            problems = [str(error)]
         wrong |= bool(problems)
-        for line in filter(None, itertools.chain(*problems) if problems else [f"{name}: good"]):
-            click.echo(line)
+        click.echo("\n".join(problems or [f"{name}: good"]))
     return ExitCode.USAGE if wrong else ExitCode.DONE
 
 
