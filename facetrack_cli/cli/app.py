@@ -1,9 +1,6 @@
 """The command line: a group that loads a command only when it is called, so that `facetrack --help` is instant."""
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
 
@@ -56,26 +53,17 @@ MODULES = {
 """The file in commands/ of a command; others have one of their own name."""
 SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True, "auto_envvar_prefix": "FACETRACK"}
 
+
 READER_GONE = 141
 """Exit code when the reader of standard output is gone, as in `facetrack ... | head`: the shell's, for SIGPIPE."""
 
 
-@contextmanager
-def _quiet_when_reader_gone() -> Iterator[None]:
-    try:
-        yield
-    except BrokenPipeError:
-        raise click.exceptions.Exit(READER_GONE) from None  # click itself would exit with 1
-
-
 class LazyGroup(click.Group):
-    def make_context(self, *args: Any, **more: Any) -> click.Context:
-        with _quiet_when_reader_gone():
-            return super().make_context(*args, **more)
-
     def invoke(self, ctx: click.Context) -> Any:
-        with _quiet_when_reader_gone():
+        try:
             return super().invoke(ctx)
+        except BrokenPipeError:
+            raise click.exceptions.Exit(READER_GONE) from None  # click itself would exit with 1
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -93,23 +81,18 @@ class LazyGroup(click.Group):
             with formatter.section(title):
                 formatter.write_dl([*commands.items()], col_max=12)
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        name = args[0]
-        if name not in COMMANDS and not name.startswith("-"):
-            near = get_close_matches(name, COMMANDS, n=1)
-            hint = f'did you mean "{near[0]}"?' if near else f"there are: {', '.join(COMMANDS)}"
-            ctx.fail(f'no command "{name}"; {hint}')
-        return super().resolve_command(ctx, args)
-
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         names = [CompletionItem(name, help=text) for name, text in COMMANDS.items() if name.startswith(incomplete)]
         return names + click.Command.shell_complete(self, ctx, incomplete)
 
 
 @click.group(cls=LazyGroup, invoke_without_command=True, context_settings=SETTINGS)
-@flag("--debug", allow_from_autoenv=False, help="Show the traceback of an error (also FACETRACK_DEBUG=1).")
+@flag(
+    "--debug",
+    cls=click.Option,
+    allow_from_autoenv=False,
+    help="Show the traceback of an error (also FACETRACK_DEBUG=1).",
+)
 @option(
     "--log-format", type=click.Choice(["text", "json"]), default="text", metavar="FORMAT",
     help="What stderr says: text, or an object of JSON a line.",

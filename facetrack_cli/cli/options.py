@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import click
-from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from facetrack_cli.core.errors import ExitCode, UsageError, write_line
@@ -155,17 +154,9 @@ Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 class Option(click.Option):
     """An option whose variable is named after its flag, as FACETRACK_RUN_SET, whatever its parameter is called."""
 
-    def _variable(self, ctx: click.Context | None) -> str:
-        name = max(self.opts, key=len).lstrip("-").replace("-", "_").upper()
-        return f"{ctx and ctx.auto_envvar_prefix}_{name}"
-
     def resolve_envvar_value(self, ctx: click.Context) -> str | None:
-        return os.environ.get(self._variable(ctx)) or None if self.allow_from_autoenv else None
-
-    def get_error_hint(self, ctx: click.Context | None) -> str:
-        """The variable, if a wrong value comes from there."""
-        source = ctx and ctx.get_parameter_source(str(self.name))
-        return self._variable(ctx) if source is ParameterSource.ENVIRONMENT else super().get_error_hint(ctx)
+        name = max(self.opts, key=len).lstrip("-").replace("-", "_").upper()
+        return os.environ.get(f"{ctx.auto_envvar_prefix}_{name}") or None
 
 
 say = write_line  # on standard error

@@ -23,14 +23,13 @@ from importlib import metadata
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 from llvmlite import binding
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
 
 from facetrack_cli.core import __version__
-from facetrack_cli.core.errors import FacetrackError, InputError, flat, reading
+from facetrack_cli.core.errors import FacetrackError, InputError, reading
 from facetrack_cli.core.files import read_bounded, write_new
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.recipe.load import load_recipe, put_gallery
@@ -309,17 +308,3 @@ def compared(verdict: Verdict, golden: Golden, now: Golden, changed: list[str]) 
         share = f"at {100 * max(far)[0]:.0f} % of the spread of {golden.seeds} seeds"
         return replace(verdict, message=share, details=(note,))
     return replace(verdict, failed=True, message=off[0], details=tuple(off[1:]))
-
-
-def as_junit(verdicts: Sequence[Verdict]) -> str:
-    """JUnit XML: a test case for each golden, the clip is its class, the recipe its name."""
-    root = ElementTree.Element("testsuites")
-    counts = {"tests": str(len(verdicts)), "failures": str(sum(verdict.failed for verdict in verdicts)), "errors": "0"}
-    suite = ElementTree.SubElement(root, "testsuite", counts, name="facetrack regress")
-    for verdict in verdicts:  # XML cannot hold control characters
-        names = verdict.task.clip.name, Path(verdict.task.recipe).stem
-        clip, recipe, *lines = map(flat, (*names, verdict.message, *verdict.details))
-        case = ElementTree.SubElement(suite, "testcase", classname=clip, name=recipe, time=f"{verdict.seconds:.3f}")
-        if verdict.failed:
-            ElementTree.SubElement(case, "failure", {"message": lines[0]}).text = "\n".join(lines)
-    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

@@ -178,8 +178,7 @@ def test_a_command_may_return_its_exit_code_or_leave_with_it(boom, code):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["rnu"], 'no command "rnu"; did you mean "run"? (see facetrack --help)'),
-        (["xyzzy"], f'no command "xyzzy"; there are: {", ".join(cli.COMMANDS)} (see facetrack --help)'),
+        (["rnu"], "No such command 'rnu'"),
         (["recipes", "show"], "Missing argument 'RECIPE' (see facetrack recipes show --help)"),
         (["people", "out", "--save", "p.txt"], "p.txt: cannot tell the kind of file; let its name end in .npz"),
         (["export", "run"], "Missing option '--to'. Choose from: csv-wide, pose,"),

@@ -296,13 +296,11 @@ def _write(comparison: Comparison, folder: Path, shown: Progress, *, plots: bool
 @option("--gallery", type=options.FILE, help="People that recipes with recognition know; a golden remembers its own.")
 @flag("--update", help="Record goldens instead: of --config, else of all that have one.")
 @option("--stop", type=options.Whole(min=2), help="Record up to this frame only; for slow trackers.")
-@option("--junit", type=options.FILE, help="Write JUnit XML, for CI services.")
-@options.overwrite
 @options.jobs("Goldens at a time.")
 @flag("--quiet", "-q", help="No progress.")
 def regress_command(
     folder: Path, config: tuple[str, ...], overrides: tuple[str, ...], gallery: Path | None, update: bool,
-    stop: int | None, junit: Path | None, overwrite: bool, jobs: int, quiet: bool,
+    stop: int | None, jobs: int, quiet: bool,
 ) -> int:  # fmt: skip
     """Check clips against their golden results.
 
@@ -312,7 +310,7 @@ def regress_command(
 
     \b
     Examples:
-      facetrack regress sample_videos -j 2 --junit regress.xml
+      facetrack regress sample_videos -j 2
       facetrack regress clips --config factorized --update
       facetrack regress sample_videos --config sir --set motion.sigma=0.13
 
@@ -320,17 +318,13 @@ def regress_command(
     Exit codes: 0 all pass, 2 usage, recipe or output, 3 input, or no goldens,
     5 some could not be recorded, 6 a regression, 130 interrupted, 143 terminated.
     """
-    from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.evaluation.goldens import as_junit, regress, tasks
+    from facetrack_cli.evaluation.goldens import regress, tasks
     from facetrack_cli.recipe.load import gallery_file, load_recipe
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trackers.appearance.gallery import load_gallery
 
-    both = update and (overrides or junit)
-    refuse((both, "--update records recipes as they are; leave --set and --junit to a check"))
-    if junit is not None:
-        check_new(junit, overwrite=overwrite)
+    refuse((update and overrides, "--update records recipes as they are; leave --set to a check"))
     if gallery is not None:  # a mistake in the option is no regression
         load_gallery(gallery_file(str(gallery)))
     names = {load_recipe(name, overrides, installed=False).name: name for name in config}
@@ -351,8 +345,6 @@ def regress_command(
     failed = sum(result.failed for result in results)
     if update:
         return ExitCode.BATCH if failed else ExitCode.DONE
-    if junit is not None:
-        write_new(junit, as_junit(results).encode(), overwrite=overwrite)
     count = f"{len(results)} golden{'s' * (len(results) != 1)} in {time.monotonic() - began:.0f} s"
     click.echo(f"{count}: {len(results) - failed} ok, {failed} FAIL{'S' * (failed == 1)}")
     return ExitCode.REGRESSION if failed else ExitCode.DONE
