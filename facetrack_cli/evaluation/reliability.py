@@ -43,21 +43,6 @@ class LostMeasures:
 
 
 @dataclass(frozen=True)
-class ReliabilityBin:
-    """Rows with low <= confidence < high (last bin: <= high), their mean confidence, the shares right and visible.
-
-    `rows` is the number of rows, or the sum of their weights. Without rows the three means are None.
-    """
-
-    low: float
-    high: float
-    rows: float
-    mean_confidence: Value
-    right: Value
-    visible: Value
-
-
-@dataclass(frozen=True)
 class ConfidenceMeasures:
     """How well `confidence` tells rows apart, and how far it is the probability that a row is right.
 
@@ -66,9 +51,8 @@ class ConfidenceMeasures:
     auroc_near     area under the ROC curve: chance that a near row has more confidence than one that is not near, ties
                    counting half; 0.5 is no better than chance, 1 separates them by a threshold
     auroc_visible  the same of visible rows against covered ones
-    ece            expected calibration error: mean over rows of |share right - mean confidence| of their bin
+    ece            expected calibration error: mean over rows of |share right - mean confidence| of their tenth
     brier          mean of (confidence - 1 if right else 0) squared
-    bins           `BINS` bins of equal width
     """
 
     rows: Annotated[int, Measure("rows\n", COUNT)]
@@ -78,7 +62,6 @@ class ConfidenceMeasures:
     auroc_visible: Annotated[Value, Measure("AUROC\nvisible", UNIT, "more")]
     ece: Annotated[Value, Measure("calibration\nerror", UNIT, "less")]
     brier: Annotated[Value, Measure("Brier\n", UNIT, "less")]
-    bins: tuple[ReliabilityBin, ...]
 
 
 @dataclass(frozen=True)
@@ -159,19 +142,17 @@ def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
         return None
     seen = auroc(confidence[finite], visible[finite])
     rows = finite & judged
-    confidence, near, right, visible = confidence[rows], near[rows], right[rows], visible[rows]
+    confidence, near, right = confidence[rows], near[rows], right[rows]
     # scores of other tools need not lie between 0 and 1; then they rank rows, and that is all
     scaled = len(confidence) and np.all((confidence >= 0) & (confidence <= 1))
-    bins = reliability_bins(confidence, right, visible) if scaled else ()
     return ConfidenceMeasures(
         rows=len(confidence),
         near=mean(near),
         right=mean(right),
         auroc_near=auroc(confidence, near),
         auroc_visible=seen,
-        ece=calibration_error(bins) if scaled else None,
+        ece=calibration_error(confidence, right) if scaled else None,
         brier=float(np.mean((confidence - right) ** 2)) if scaled else None,
-        bins=bins,
     )
 
 
@@ -228,24 +209,10 @@ def auroc(score: Array, positive: Mask) -> Value:
     return above / (positives * negatives)
 
 
-def reliability_bins(
-    confidence: Array, right: Mask, visible: Mask, weight: Array | None = None
-) -> tuple[ReliabilityBin, ...]:
-    """`BINS` bins of equal width for confidence (R,) from 0 to 1, right, visible, and the weight of each row, (R,)."""
-    edges = np.arange(BINS + 1) / BINS
-    bin_of = np.clip(np.searchsorted(edges, confidence, side="right") - 1, 0, BINS - 1)
-    rows = np.bincount(bin_of, weight, BINS)
-    weight = np.ones(len(bin_of)) if weight is None else weight
-    sums = [np.bincount(bin_of, weight * values, BINS) for values in (confidence, right, visible)]
-    with np.errstate(invalid="ignore"):
-        means = np.stack(sums, axis=1) / rows[:, None]
-    return tuple(
-        ReliabilityBin(float(edges[i]), float(edges[i + 1]), n, *(means[i].tolist() if n else [None] * 3))
-        for i, n in enumerate(rows.tolist())
-    )
-
-
-def calibration_error(bins: Sequence[ReliabilityBin]) -> float:
-    """The expected calibration error: the mean over rows of |share right - mean confidence| of their bin."""
-    gaps = [each.rows * abs((each.right or 0.0) - (each.mean_confidence or 0.0)) for each in bins]
-    return sum(gaps) / sum(each.rows for each in bins)
+def calibration_error(confidence: Array, right: Mask, weight: Array | None = None) -> float:
+    """The expected calibration error of confidence (R,) from 0 to 1, in `BINS` bins of equal width: the mean over rows,
+    by their weights (R,), of |share right - mean confidence| of their bin.
+    """
+    bin_of = np.clip(np.searchsorted(np.arange(BINS + 1) / BINS, confidence, side="right") - 1, 0, BINS - 1)
+    weight = np.ones(len(confidence)) if weight is None else weight
+    return float(np.abs(np.bincount(bin_of, weight * (right - confidence))).sum() / weight.sum())

@@ -11,7 +11,7 @@ import math
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, get_args, get_type_hints
 
@@ -35,13 +35,10 @@ from facetrack_cli.evaluation.rows import (
     Measure,
     Pair,
     Rows,
-    Unit,
     Value,
-    check_normalise,
     column,
     measures_of,
-    rows_of,
-    unit_of,
+    normalised_rows,
 )
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
@@ -171,18 +168,17 @@ def evaluate(
     reference: Sequence[Trajectory] = (),
     people: PeopleMeasures | None = None,
 ) -> Evaluation:
-    """Measure the pairs of `match`. Lengths are taken from their ground truth, and from the parts in `reference`.
+    """Measure the pairs of `match`.
 
-    `normalise`: see `check_normalise`; `failure`: the normalised error above which a row has failed; `size`: (width,
-    height) of the frames where it is known, to which GOT-10k clips boxes. Raises InputError without any row, UsageError
-    for a length that the ground truth does not have.
+    `normalise` and `reference`: see `lengths_of`; `failure`: the normalised error above which a row has failed; `size`:
+    (width, height) of the frames where it is known, to which GOT-10k clips boxes. Raises InputError without any row,
+    UsageError for a length that the ground truth does not have.
     """
     # the rows that the ground truth itself calls lost, as a trajectory does that serves as ground truth, are unknown
     pairs = [Pair(*(table.take(pair.truth.status != "lost") for table in pair)) for pair in pairs]
     if not any(len(pair.ours) for pair in pairs):
         raise InputError("there is no row that both the trajectory and the ground truth have; nothing can be measured")
-    units = units_of(pairs, normalise, reference)
-    rows = tuple(rows_of(pair, units[pair.ours.target].at(pair.ours.frame)) for pair in pairs)
+    rows, units = normalised_rows(pairs, normalise, reference)
 
     def measured(target: str, part: str, some: slice, people: PeopleMeasures | None = None) -> PartMeasures:
         own = rows[some]
@@ -199,30 +195,9 @@ def evaluate(
             people=people,
         )
 
-    texts = {target: unit.text for target, unit in units.items()}
     parts = tuple(measured(part.target, part.part, slice(i, i + 1)) for i, part in enumerate(rows))
     whole = measured("all", "", slice(None), people)
-    return Evaluation(normalise, failure, rows, texts, parts, whole, (*notes, *_why_undefined(rows, whole, texts)))
-
-
-def units_of(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory]) -> dict[str, Unit]:
-    """By target, the length that normalises its errors."""
-    check_normalise(normalise)
-    units = {}
-    for target in dict.fromkeys(pair.ours.target for pair in pairs):
-        own = [pair for pair in pairs if pair.ours.target == target]
-        truth = {pair.truth.part: pair.truth for pair in own}
-        # the size is that of the tracked parts; other parts of the ground truth serve where a length needs them
-        if len(truth) == 1 or normalise != "size":
-            # a target may have another name in the ground truth than in the trajectory
-            named = [s for s in reference if s.target == own[0].truth.target]
-            alone = reference if len({s.target for s in reference}) == 1 else []
-            truth = {**{s.part: s for s in named or alone}, **truth}
-        frames = np.unique(np.concatenate([pair.ours.frame for pair in own]))
-        box = own[0].declared_box and bool(np.any(own[0].truth.w > 0))
-        series = [own[0].truth] if box and normalise == "size" else list(truth.values())
-        units[target] = unit_of(normalise, series, box=box, frames=frames)
-    return units
+    return Evaluation(normalise, failure, rows, units, parts, whole, (*notes, *_why_undefined(rows, whole, units)))
 
 
 def _boxes(pairs: Sequence[Pair], parts: Sequence[Rows], size: tuple[int, int] | None) -> BoxMeasures:
@@ -289,8 +264,6 @@ def _groups(part: PartMeasures) -> dict[str, Any]:
     if part.boxes is not None:
         curves = [(name, getattr(part.boxes, name).tolist()) for name in CURVES]
         groups["boxes"]["curves"] = {name: [v if math.isfinite(v) else None for v in each] for name, each in curves}
-    if part.confidence is not None:
-        groups["confidence"]["bins"] = [asdict(each) for each in part.confidence.bins]
     return groups
 
 

@@ -20,7 +20,7 @@ from facetrack_cli.evaluation.reliability import (
     measure_jitter,
     measure_lost,
 )
-from facetrack_cli.evaluation.rows import Pair, check_normalise, rows_of, unit_of
+from facetrack_cli.evaluation.rows import Pair, lengths_of, rows_of
 from facetrack_cli.trajectory.trajectory import one_part
 
 UNIT = 12.0  # a sixth of it, within which a point is near, is 2; a quarter, beyond which it is lost for good, is 3
@@ -107,40 +107,41 @@ TRUTH = [
     points("mouth_left", [(0, 0), (0, 3)]),
     points("mouth_right", [(6, 8), (4, 0)]),
 ]
-EYES = [points("point_37", [(0, 0)], [3]), points("point_46", [(3, 4)], [3])]
 BOX = [points("box", [(0, 0), (1, 1), (2, 2)], (0, 1, 2), w=[4, 9, 0], h=[9, 16, 2])]
 SHUT = [points("a", [(1, 1)], [0]), points("b", [(1, 1)], [0])]
 
 
+def lengths(how, truth, frames, reference=()):
+    own = [Pair(*(part.take(np.isin(part.frame, frames)),) * 2) for part in truth]
+    return lengths_of(how, own, reference)
+
+
 @pytest.mark.parametrize(
-    ("how", "truth", "frames", "lengths"),
+    ("how", "truth", "frames", "expected"),
     [
         ("size", TRUTH, [0, 1], [5, 5]),  # frame 1 is the first with all points
-        ("mouth", TRUTH, [0, 1], [10, 5]),
+        ("mouth_left:mouth_right", TRUTH, [0, 1], [10, 5]),
         ("nose:mouth_right", TRUTH, [0, 1], [math.nan, 4]),
         ("7.5", TRUTH, [0, 1], [7.5, 7.5]),
-        ("eyes", EYES, [3], [5]),
         ("size", BOX, [0, 1, 2], [6, 12, math.nan]),
         ("a:b", SHUT, [0], [math.nan]),  # 0 divides nothing
         ("size", SHUT, [0], [math.nan]),
         ("size", TRUTH[:1], [0, 1], [math.nan] * 2),
+        ("size", TRUTH, [0], [math.nan]),
     ],
 )
-def test_lengths(how, truth, frames, lengths):
-    check_normalise(how)
-    unit = unit_of(how, truth, box=truth is BOX, frames=np.array(frames))
-    np.testing.assert_allclose(unit.at(np.array(frames)[::-1]), lengths[::-1])
-    assert math.isnan(unit.at(np.array([50]))[0]) and unit.text
+def test_lengths(how, truth, frames, expected):
+    found, text = lengths(how, truth, frames)
+    for each in found:
+        np.testing.assert_allclose(each, expected)
+    assert len(found) == len(truth) and text
 
 
-def test_lengths_that_are_not_there():
-    assert "no frame" in unit_of("size", TRUTH, box=False, frames=np.array([0])).text
-    for how in ("eyes", "mouth_left:chin"):
-        with pytest.raises(UsageError, match=r"the ground truth has no .*; it has nose, mouth_left, mouth_right"):
-            unit_of(how, TRUTH, box=False, frames=np.array([0, 1]))
-    for how in ("", "width", "a:", ":b", "a:b:c", "a:a", "0", "-3", "nan", "inf", "3px"):
-        with pytest.raises(UsageError, match="--normalise"):
-            check_normalise(how)
+def test_lengths_that_are_of_other_parts_or_not_there():
+    assert "no frame" in lengths("size", TRUTH, [0])[1]
+    assert lengths("mouth_left:mouth_right", TRUTH[:1], [0, 1], TRUTH)[0][0].tolist() == [10, 5]
+    with pytest.raises(UsageError, match=r"the ground truth has no chin; it has nose, mouth_left, mouth_right"):
+        lengths("mouth_left:chin", TRUTH, [0, 1])
 
 
 def test_what_is_measured_as_a_box():
@@ -188,9 +189,6 @@ def test_confidence_in_bins():
     found = measure_confidence([rows(errors, "vvvhvva", confidence=[1.0, 0.9, 0.95, 0.2, 0.1, 0.0, 0.05])])
     # the absent row is not near, whatever its offset
     assert found.rows == 7 and found.near == 3 / 7
-    filled = [(b.low, b.high, b.rows, b.right) for b in found.bins if b.rows]
-    assert filled == [(0.0, 0.1, 2, 0.0), (0.1, 0.2, 1, 0.0), (0.2, 0.3, 1, 1.0), (0.9, 1.0, 3, 2 / 3)]
-    assert len(found.bins) == 10 and found.bins[5].right is found.bins[5].mean_confidence is None
     gaps = 2 * 0.025 + 1 * 0.1 + 1 * 0.8 + 3 * (0.95 - 2 / 3)
     assert found.ece == pytest.approx(gaps / 7)
     assert found.brier == pytest.approx((0 + 0.1**2 + 0.95**2 + 0.8**2 + 0.1**2 + 0 + 0.05**2) / 7)
@@ -198,7 +196,7 @@ def test_confidence_in_bins():
     assert found.auroc_near == pytest.approx((4 + 3 + 3) / 12)
     assert found.auroc_visible == pytest.approx((2 + 2 + 2 + 1 + 0) / 10)
     found = measure_confidence([rows([0, 9], confidence=[7.5, -2.0])])  # which is no confidence, and ranks rows
-    assert found.auroc_near == 1.0 and found.ece is found.brier is None and found.bins == ()
+    assert found.auroc_near == 1.0 and found.ece is found.brier is None
     assert measure_confidence([rows([0, 9])]) is None
     alike = measure_confidence([rows([0, 0], confidence=[1.0, 0.0])])
     assert alike.auroc_near is alike.auroc_visible is None and alike.near == 1.0

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
+import re
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +14,7 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE_OR_DASH, Command, extent_options, flag, option, refuse, say, truth_options
-from facetrack_cli.core.errors import ExitCode, InputError, UsageError, flat
+from facetrack_cli.core.errors import ExitCode, UsageError, flat
 
 if TYPE_CHECKING:
     from facetrack_cli.evaluation.compare import Comparison
@@ -25,17 +28,15 @@ PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
 # --- eval ------------------------------------------------------------------------------------------------------------
 
 
-def _failure(value: str) -> float:
-    try:
-        share = float(value)
-    except ValueError:
-        share = 0.0
-    if not 0 < share <= 100:
-        raise click.BadParameter(f"{value!r}: give a normalised error above 0, as 0.1 or 0.08")
-    return share
+def _length(value: str) -> str:
+    """What `lengths_of` in evaluation/rows.py takes."""
+    with contextlib.suppress(ValueError):
+        if value == "size" or re.fullmatch("[^:]+:[^:]+", value) or 0 < float(value) < math.inf:
+            return value
+    raise click.BadParameter(f"{value!r}: give size, two parts as nose:mouth_left, or a number of pixels above 0")
 
 
-@click.command(cls=Command, basic="truth partial target normalise people json_file csv_file plot overwrite")
+@click.command(cls=Command, basic="truth partial target normalise people json_file csv_file overwrite")
 @click.argument("trajectory", type=options.TRAJECTORY)
 @option(
     "--truth", type=options.FILE,
@@ -44,12 +45,12 @@ def _failure(value: str) -> float:
 @truth_options
 @options.format_of("--format", "How to read TRAJECTORY if another tracker wrote it: one of the same")
 @option(
-    "--normalise", type=options.Text("LENGTH"), default="size",
+    "--normalise", type=options.Text("LENGTH", _length), default="size",
     help="Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
-    "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
+    "box the root of its area), two parts as A:B, or a number of pixels.",
 )  # fmt: skip
 @option(
-    "--failure", type=options.Text("SHARE", _failure), default="0.1",
+    "--failure", type=click.FloatRange(0, 100, min_open=True), metavar="SHARE", default=0.1,
     help="A point has failed above this normalised error; 300-W takes 0.08.",
 )  # fmt: skip
 @flag(
@@ -59,11 +60,10 @@ def _failure(value: str) -> float:
 )
 @option("--json", "json_file", type=FILE_OR_DASH, help="Write all measures as JSON; - is standard output.")
 @option("--csv", "csv_file", type=FILE_OR_DASH, help="Write a row a part and one of all as CSV; - is standard output.")
-@option("--plot", type=options.PNG, help="Draw how far confidence can be trusted (needs [plot]).")
 @options.overwrite
 def eval_command(
     trajectory: Path, truth: Path | None, reference: options.TruthOptions, format: str, normalise: str, failure: float,
-    people: bool, json_file: str | None, csv_file: str | None, plot: Path | None, overwrite: bool,
+    people: bool, json_file: str | None, csv_file: str | None, overwrite: bool,
 ) -> None:  # fmt: skip
     """Measure a trajectory against ground truth.
 
@@ -77,7 +77,7 @@ def eval_command(
     Examples:
       facetrack eval out/ --truth clip.truth.csv
       facetrack eval out/ --truth groundtruth_rect.txt --json eval.json
-      facetrack eval out/ --truth annot/ --partial --normalise eyes
+      facetrack eval out/ --truth annot/ --partial --normalise point_37:point_46
       facetrack eval film/ --truth film.truth.csv --people
       facetrack eval results/MIL.txt --truth groundtruth_rect.txt
       for run in runs/*/; do
@@ -86,7 +86,6 @@ def eval_command(
     """
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.identities import identified
-    from facetrack_cli.evaluation.rows import check_normalise
     from facetrack_cli.evaluation.summary import evaluate, show, to_csv, to_json
     from facetrack_cli.run_folder.manifest import check_run, other_clip
     from facetrack_cli.trajectory.formats.boxes import read_results
@@ -94,17 +93,11 @@ def eval_command(
 
     both = json_file == csv_file == "-"
     refuse((both, "--json - and --csv - both name standard output; write one of them to a file"))
-    if plot is not None:
-        from facetrack_cli.report.figures.compare import calibration_figure  # with it the tracker is loaded
-        from facetrack_cli.report.figures.style import need_matplotlib, render
-
-        need_matplotlib()
-    check_normalise(normalise)
     check_run(trajectory)
     ours = read_results(trajectory, format)
     theirs = reference.read(truth or _truth_beside(ours), ours)
     clip = clip_of(ours)
-    for file in (json_file, csv_file, plot):
+    for file in (json_file, csv_file):
         if file is not None and file != "-":
             check_new(Path(file), overwrite=overwrite, inputs=(ours.path, theirs.path, clip))
     other = None if clip is None else other_clip(ours, clip)
@@ -118,13 +111,6 @@ def eval_command(
     how: dict[str, Any] = {"normalise": normalise, "failure": failure, "size": frame_size_of(ours)}
     evaluation = evaluate(pairs, notes, reference=theirs.parts, people=persons, **how)
 
-    if plot is not None:
-        confidence = evaluation.all.confidence
-        if confidence is None or not confidence.bins:
-            nothing = "has no confidence from 0 to 1 in rows with known ground truth to draw; leave --plot out"
-            raise InputError(f"{ours.path}: {nothing}")
-        write_new(plot, render(calibration_figure(confidence.bins)), overwrite=overwrite)
-        say(f"{trajectory} -> {plot}")
     printed = ""
     for text_of, file in ((to_json, json_file), (to_csv, csv_file)):
         if file == "-":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.accuracy import FAILURE, PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
 from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, aligned
-from facetrack_cli.evaluation.reliability import ReliabilityBin, calibration_error
 from facetrack_cli.evaluation.summary import clip_name
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.style import Figure, quantiles, render
@@ -85,35 +84,6 @@ def error_over_time_figure(
         notes = ["line: median over seeds, band: 10 to 90 %"] if several else []
         style.heading(axes, title, "; ".join([*notes, *(["shaded: hidden"] if hidden.any() else [])]))
         axes.set_ylabel("error (px)")
-        return figure
-
-
-def calibration_figure(bins: Sequence[ReliabilityBin]) -> Figure:
-    """By bin of confidence, the share of rows that are right and of visible rows, and the number of rows. On the
-    diagonal, confidence is the probability of being right. Bins without rows are left out; some bin must have rows.
-    """
-    filled = [b for b in bins if b.rows]
-    mean, right, visible = np.array([(b.mean_confidence, b.right, b.visible) for b in filled], np.float64).T
-    with style.style():
-        figure = style.new_figure(5.6, 5.8)
-        upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.2, 1]})
-        upper.plot([0, 1], [0, 1], **_MARK, label="ideal: equal to confidence")
-        upper.vlines(mean, mean, right, color=style.STATUS["lost"], linewidth=1.0, alpha=0.55, zorder=1.5)
-        upper.plot(mean, right, "o-", color=style.COLOURS[0], linewidth=1.5, markersize=5, label="right")
-        if (visible < 1).any():
-            marked: dict[str, Any] = {"color": style.COLOURS[1], "linewidth": 1.2, "markersize": 4}
-            upper.plot(mean, visible, "s--", **marked, label="visible in the ground truth")
-        upper.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.04), ylabel="share of rows")
-        error = f"expected calibration error {calibration_error(bins):.3f}"
-        style.heading(upper, "Confidence against the ground truth", error)
-        middle, rows = [(b.low + b.high) / 2 for b in filled], [b.rows for b in filled]
-        lower.bar(middle, rows, 0.09, color=style.STATUS["hidden"], linewidth=0)
-        lower.set(yscale="log", ylim=(0.7, 1.8 * max(rows)), xlabel="confidence", ylabel="rows")
-        lower.yaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
-        lower.yaxis.minorticks_off()
-        style.heading(lower, "Rows", "log scale")
-        handles, labels = upper.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), handlelength=2.6)
         return figure
 
 
