@@ -272,7 +272,6 @@ def test_people_prints_its_table_unless_it_is_to_be_quiet_and_saves_over_no_file
         assert main(["people", str(film), *words]) == 0
         out, err = capsys.readouterr()
         assert out.startswith(said) and bool(out) is bool(said) and err == ""
-    assert main(["people", str(film), "--json", "--csv"]) == ExitCode.USAGE
     known = film / "known.npz"
     known.write_text("precious")
     assert main(["people", str(film), "--rename", "a=Ann", "--save", str(known)]) == ExitCode.USAGE

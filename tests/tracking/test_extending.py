@@ -15,9 +15,10 @@ from pydantic import Field
 from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.protocols import Motion
-from facetrack_cli.recipe import FilterSettings, LikelihoodSettings, Refusal, Section, sections
+from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import completed, json_schema, rebuild, register, to_dict
+from facetrack_cli.recipe.sections import FilterSettings, LikelihoodSettings, Refusal, Section
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.smoothed import lagged

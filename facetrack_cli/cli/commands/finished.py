@@ -158,7 +158,7 @@ def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: 
     return ExitCode.DONE
 
 
-@click.command(cls=Command, basic="merge split rename give save edit clip no_video as_json as_csv overwrite quiet")
+@click.command(cls=Command, basic="merge split rename give save edit clip no_video as_csv overwrite quiet")
 @click.argument("folder", type=options.RUN)
 @option("--merge", type=_NAMES, multiple=True, help="A is B: both are one person, under the name of B.")
 @option("--split", type=moment("A@TIME"), multiple=True, help="From that time on (1:23, or 2075f) A is somebody else.")
@@ -175,13 +175,12 @@ def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: 
 @options.page_options
 @options.clip
 @flag("--no-video", help="Do not draw annotated.mp4 again.")
-@flag("--json", "as_json", help="Print people.json.")
 @flag("--csv", "as_csv", help="Print when each person is seen, a row an interval.")
 @flag("--overwrite", help="Replace the file of --save.")
 @flag("--quiet", "-q", help="Say nothing but errors, and print no table.")
 def people_command(
     folder: Path, merge: Words, split: Words, rename: Words, save: Path | None, give: Words, edit: bool,
-    page: options.Page, clip: Path | None, no_video: bool, as_json: bool, as_csv: bool, overwrite: bool, quiet: bool,
+    page: options.Page, clip: Path | None, no_video: bool, as_csv: bool, overwrite: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Show who is in a film, and correct it.
 
@@ -195,7 +194,6 @@ def people_command(
       facetrack people out --merge person_3=person_1
       facetrack people out --page --open
       facetrack people out --split person_2@1:23
-      facetrack people out --json | jq '.people[].name'
       facetrack people out --csv > intervals.csv
       facetrack people out --save people.npz
     """
@@ -204,8 +202,7 @@ def people_command(
     from facetrack_cli.runs.people import people_in, recast, save_looks
     from facetrack_cli.trajectory.views import Clock
 
-    refuse((as_json and as_csv, "--json and --csv both go to standard output; give one of them"))
-    others = split or give or merge or rename or save is not None or as_json or as_csv
+    others = split or give or merge or rename or save is not None or as_csv
     refuse((edit and others, "--page corrects on the page alone; correct, save and print in a command without it"))
     people = people_in(folder)
     clock = Clock(read_run(folder) if split or give else None, people.fps)
@@ -223,8 +220,8 @@ def people_command(
         left = f"{save} was not written" + "; the changes are" * bool(changes)
         with working(quiet, folder, left) as (stop, shown):
             shown.say(f"{save}: {', '.join(save_looks(folder, save, clip, shown.looked, stop))}")
-    if as_json or as_csv:
-        click.echo(people.text().decode() if as_json else _intervals(people), nl=False)
+    if as_csv:
+        click.echo(_intervals(people), nl=False)
     elif not quiet:
         _show(people, Clock(read_run(folder), people.fps))
     return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import os
 import re
@@ -17,8 +18,6 @@ from facetrack_cli.cli.options import FILE_OR_DASH, Command, extent_options, fla
 from facetrack_cli.core.errors import ExitCode, UsageError, flat
 
 if TYPE_CHECKING:
-    from facetrack_cli.evaluation.compare import Comparison
-    from facetrack_cli.runs.progress import Progress
     from facetrack_cli.trajectory.trajectory import Trajectory
 
 TABLES = ("compare.json", "compare.csv", "compare.md")
@@ -36,7 +35,7 @@ def _length(value: str) -> str:
     raise click.BadParameter(f"{value!r}: give size, two parts as nose:mouth_left, or a number of pixels above 0")
 
 
-@click.command(cls=Command, basic="truth partial target normalise people json_file csv_file overwrite")
+@click.command()
 @click.argument("trajectory", type=options.TRAJECTORY)
 @option(
     "--truth", type=options.FILE,
@@ -159,16 +158,14 @@ def _truth_beside(ours: Trajectory) -> Path:
 @truth_options
 @extent_options
 @option("-o", "--out", type=options.FOLDER, help="Folder for results [default: ./<clip>-compare].")
-@flag("--json", "as_json", help="Print JSON instead of the table.")
-@flag("--csv", "as_csv", help="Print CSV instead of the table.")
-@flag("--no-plots", help="Draw nothing.")
+@flag("--no-plots", help="Draw nothing; plots need the extra [plot].")
 @options.overwrite
 @options.jobs("Processes that share the runs.")
 @flag("--quiet", "-q", help="Print the table, and nothing else but errors.")
 def compare_command(
     clip: Path, config: tuple[str, ...], seeds: int, rank_by: str | None, overrides: tuple[str, ...],
     gallery: str | None, truth: Path | None, reference: options.TruthOptions, extent: options.Extent,
-    out: Path | None, as_json: bool, as_csv: bool, no_plots: bool, overwrite: bool, jobs: int, quiet: bool,
+    out: Path | None, no_plots: bool, overwrite: bool, jobs: int, quiet: bool,
 ) -> int:  # fmt: skip
     """Run recipes on a clip with ground truth, and rank them.
 
@@ -197,11 +194,12 @@ def compare_command(
         --config sir:filter.particles=100 --config sir:filter.particles=500
       facetrack compare clip.mp4 --config adaptive --config mine.yaml \\
         --gallery people.npz
-      facetrack compare clip.mp4 --config a.yaml --config b.yaml --csv -q
     """
-    from facetrack_cli.core.files import check_folder, make_folder, remove_folders
+    from facetrack_cli.core.files import check_folder, make_folder, remove_folders, write_new
     from facetrack_cli.evaluation import compare
     from facetrack_cli.evaluation.compare import Comparison
+    from facetrack_cli.report.figures.compare import compare_figures
+    from facetrack_cli.report.figures.style import need_matplotlib
     from facetrack_cli.runs.batch import title
     from facetrack_cli.runs.plan import ClipRequest
     from facetrack_cli.runs.progress import progress
@@ -218,6 +216,8 @@ def compare_command(
     recipes = dict(zip(labels(config), load_recipes(asked, gallery), strict=True))
     file = truth or compare.default_truth(clip)
     rows = reference.read(file)
+    if not no_plots:
+        need_matplotlib()
     folder = out or Path(f"{title(clip)}-compare")
     check_folder(folder, [*TABLES, *(() if no_plots else PLOTS)], overwrite=overwrite, inputs=[clip])
     made = make_folder(folder)
@@ -231,13 +231,13 @@ def compare_command(
                 shown.say(f"facetrack: {stop.reason} before a run was complete; nothing was written")
                 return stop.code or ExitCode.FAULT
             comparison = Comparison(clip, file, seeds, tuple(entries), rank_by, stop.code is None)
-            try:
-                names = _write(comparison, folder, shown, plots=not no_plots, overwrite=overwrite)
-            finally:  # what took long is not lost for a full disk
-                if as_json or as_csv:
-                    click.echo(comparison.json() if as_json else comparison.csv(), nl=False)
-                else:
-                    comparison.sheet().show()
+            comparison.sheet().show()  # before it is written: what took long is not lost for a full disk
+            texts = comparison.json(), comparison.csv(), comparison.sheet().markdown()
+            tables = ((name, text.encode(errors="backslashreplace")) for name, text in zip(TABLES, texts, strict=True))
+            names = []
+            for name, content in itertools.chain(tables, () if no_plots else compare_figures(comparison)):
+                write_new(folder / name, content, overwrite=overwrite)
+                names.append(name)
             shown.say(f"{clip} -> {folder}{os.sep} ({', '.join(names)})")
             failed = sum(entry.error is not None for entry in entries)
             if failed:
@@ -245,28 +245,6 @@ def compare_command(
         return stop.code or (ExitCode.BATCH if failed else ExitCode.DONE)
     finally:
         remove_folders(made)  # if they are empty
-
-
-def _write(comparison: Comparison, folder: Path, shown: Progress, *, plots: bool, overwrite: bool) -> list[str]:
-    """Write all files, without matplotlib all but the plots; their names."""
-    from facetrack_cli.core.files import write_new
-    from facetrack_cli.report.figures.compare import compare_figures
-    from facetrack_cli.report.figures.style import need_matplotlib
-
-    texts = comparison.json(), comparison.csv(), comparison.sheet().markdown()
-    files = [(name, text.encode(errors="backslashreplace")) for name, text in zip(TABLES, texts, strict=True)]
-    for name, content in files:
-        write_new(folder / name, content, overwrite=overwrite)
-    if plots:
-        try:
-            need_matplotlib()
-        except UsageError as e:
-            shown.say(f"facetrack: warning: no plots: {e}")
-        else:
-            for name, png in compare_figures(comparison):
-                write_new(folder / name, png, overwrite=overwrite)
-                files.append((name, png))
-    return [name for name, _ in files]
 
 
 # --- regress ---------------------------------------------------------------------------------------------------------
