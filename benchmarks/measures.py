@@ -47,7 +47,7 @@ from reference import EYES, MESH, openings_in, points_in, take_regression
 from facetrack_cli.core.models import VARIABLE
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Image, Mask
-from facetrack_cli.evaluation.reliability import calibration_error
+from facetrack_cli.evaluation.accuracy import calibration_error
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.api import track_frames, track_video
 from facetrack_cli.trajectory.measures import Measured

@@ -30,7 +30,7 @@ from facetrack_cli.engine.confidence import (
     PartKind,
     boxes_of,
 )
-from facetrack_cli.evaluation.reliability import (
+from facetrack_cli.evaluation.accuracy import (
     ELLIPSE_50,
     ELLIPSE_90,
     calibration_error,

@@ -38,15 +38,6 @@ if TYPE_CHECKING:
 FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
 
 
-class Whole(click.IntRange):
-    """A whole number in a range; click itself would call it an integer range."""
-
-    name = "whole number"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        return "N"
-
-
 class Text(click.ParamType):  # type: ignore[type-arg]  # it has arguments since Click 8.4
     """A value that the help calls `metavar`, which `parse` reads, or refuses by BadParameter.
 
@@ -127,7 +118,7 @@ FILE_OR_DASH, FOLDER_OR_DASH, GALLERY = Text("FILE", str, "file"), Text("DIR", s
 INIT = Text("FILE", lambda value: value if value in ("haar", "yunet") else Path(value), "file")
 RECIPE = Text("RECIPE", str, "file", lambda: (path.stem for path in shipped_recipes()))
 KEY, BOX, RATE = Text("KEY=VALUE"), Text("X,Y,W,H", _box), Text("RATE", _rate)
-FRAME = Whole(min=0)
+FRAME = click.IntRange(0)
 
 
 def moment(metavar: str) -> Text:
@@ -241,7 +232,7 @@ def figure_file(default: str) -> Decorator:
 
 
 def jobs(text: str) -> Decorator:
-    return option("-j", "--jobs", type=Whole(1, 1000), default=1, show_default=False, help=text)
+    return option("-j", "--jobs", type=click.IntRange(1, 1000), default=1, show_default=False, help=text)
 
 
 def set_(text: str) -> Decorator:
@@ -266,7 +257,9 @@ clip = option("--clip", type=INPUT, help="The clip, if it is elsewhere now.")
 target = option("--target", type=Text("NAME[/PART]"), help="One target, or one part of it, alone.")
 overwrite = flag("--overwrite", help="Replace files that are there already.")
 quiet = flag("--quiet", "-q", help="Say nothing but errors.")
-port = option("--port", type=Whole(1, 65535), help="Port of the page on this machine [default: any that is free].")
+port = option(
+    "--port", type=click.IntRange(1, 65535), help="Port of the page on this machine [default: any that is free]."
+)
 
 
 @dataclass

@@ -13,7 +13,6 @@ tracker runs once and its interval is its value; of a single seed of any other n
 
 import contextlib
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,7 +33,6 @@ from facetrack_cli.runs.seeds import SeedPlan, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.trajectory.reader import MAX_FRAME, frame_size_of
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
-from facetrack_cli.video.source import check_file, is_clip, is_image
 
 TAIL: Final = 0.1  # of the rows with a true box: those that tell whether the target is lost at the end
 TAIL_IOU: Final = 0.1
@@ -269,25 +267,14 @@ def run_recipes(
 def default_truth(clip: Path) -> Path:
     """The ground truth of a clip: `<clip>.truth.csv` beside it, else one of `TRUTH_NAMES` in its folder or beside it.
 
-    InputError if there is none, and for one beside several clips, which does not say whose it is.
+    InputError if there is none.
     """
     images = clip.is_dir()
     beside, stem = (clip.resolve().parent, clip.resolve().name) if images else (clip.parent, clip.stem)
-    inside = [clip / name for name in TRUTH_NAMES] if images else []
-    for path in (beside / f"{stem}.truth.csv", *inside):
+    named = [folder / name for folder in ([clip] if images else []) + [beside] for name in TRUTH_NAMES]
+    for path in (beside / f"{stem}.truth.csv", *named):
         if path.is_file():
             return path
-    for path in (beside / name for name in TRUTH_NAMES):
-        if path.is_file():
-            # a comparison's folder has images, too
-            folders = [one for one in beside.iterdir() if one.is_dir() and os.access(one, os.R_OK)]
-            other = [any(map(is_image, one.iterdir())) and not (one / "compare.json").exists() for one in folders]
-            clips = other if images else map(is_clip, beside.iterdir())
-            if (count := sum(clips)) > 1:
-                raise InputError(f"{clip}: {path} is beside {count} clips; if it is of this one, name it with --truth")
-            return path
-    if not (images or is_image(clip)):
-        check_file(clip)
     raise InputError(f"{clip}: there is neither {stem}.truth.csv nor groundtruth.csv beside it; name it with --truth")
 
 

@@ -27,7 +27,6 @@ from facetrack_cli.core.files import absolute
 from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Whole
 from facetrack_cli.evaluation import accuracy as errors
-from facetrack_cli.evaluation import reliability
 from facetrack_cli.evaluation.accuracy import BoxMeasures, measure_boxes
 from facetrack_cli.evaluation.identities import PeopleMeasures
 from facetrack_cli.evaluation.rows import (
@@ -107,10 +106,10 @@ class PartMeasures:
     part: str
     points: errors.PointMeasures | None
     boxes: BoxMeasures | None
-    lost: reliability.LostMeasures | None
-    confidence: reliability.ConfidenceMeasures | None
-    coverage: reliability.CoverageMeasures | None
-    jitter: reliability.JitterMeasures | None
+    lost: errors.LostMeasures | None
+    confidence: errors.ConfidenceMeasures | None
+    coverage: errors.CoverageMeasures | None
+    jitter: errors.JitterMeasures | None
     people: PeopleMeasures | None = None
 
     @property
@@ -128,7 +127,7 @@ class PartMeasures:
         return values
 
 
-# all measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `coverage.unknown_std`
+# all measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `jitter.truth_px`
 MEASURES: Final[Mapping[str, Measure]] = {
     f"{group}.{name}": measure
     for group, hint in get_type_hints(PartMeasures).items()
@@ -188,10 +187,10 @@ def evaluate(
             part,
             points=errors.measure_points(points, failure) if points else None,
             boxes=_boxes(pairs[some], own, size) if len(points) < len(own) else None,
-            lost=reliability.measure_lost(own),
-            confidence=reliability.measure_confidence(own),
-            coverage=reliability.measure_coverage(own),
-            jitter=reliability.measure_jitter(own),
+            lost=errors.measure_lost(own),
+            confidence=errors.measure_confidence(own),
+            coverage=errors.measure_coverage(own),
+            jitter=errors.measure_jitter(own),
             people=people,
         )
 

@@ -70,7 +70,6 @@ def test_processes_change_no_number_and_plots_need_matplotlib(facetrack, monkeyp
         (["--config", "sir", "--box", "1,2,3,4", "--init", "haar"], "give one of them"),
         (["--config", "sir", "-o", "-"], "names no folder"),
         (["--config", "sir:filter.particle=3"], "filter.particle"),
-        (["--config", "sir:filter.particles=9,seed=3"], "seed has no effect here"),
     ],
 )
 def test_what_contradicts_itself_is_refused(facetrack, arguments, said):

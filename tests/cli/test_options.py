@@ -93,7 +93,10 @@ def test_the_order_is_command_line_environment_ours(given, words, variables, opt
 
 @pytest.mark.parametrize(
     ("name", "value", "said"),
-    [("RUN_JOBS", "x", "'x' is not a valid whole number"), ("LOG_FORMAT", "xml", "'xml' is not one of 'text', 'json'")],
+    [
+        ("RUN_JOBS", "x", "'x' is not a valid integer range"),
+        ("LOG_FORMAT", "xml", "'xml' is not one of 'text', 'json'"),
+    ],
 )
 def test_a_wrong_variable_is_one_line(given, name, value, said):
     line = refusal(given("run", "a.mp4", **{name: value}), 2)

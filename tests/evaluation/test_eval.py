@@ -164,9 +164,9 @@ def test_the_tables(folder):
     points = lines[lines.index(next(line for line in lines if line.startswith("Points"))) :][2:8]
     cells = [line.split() for line in points[3:]]
     assert cells == [
-        ["left", "3", "0.33", "0.00", "0.47", "0.90", "2.8", "0.0", "0.722", "0", "–", "–", "0"],
-        ["right", "2", "1.50", "1.50", "1.50", "2.85", "12.5", "50.0", "0.500", "1", "9.00", "9.00", "0"],
-        ["all", "5", "0.80", "0.00", "1.17", "2.60", "6.7", "20.0", "0.633", "1", "9.00", "9.00", "0"],
+        ["left", "3", "0.33", "0.00", "0.47", "0.90", "2.8", "0.0", "0.722", "0", "–", "0"],
+        ["right", "2", "1.50", "1.50", "1.50", "2.85", "12.5", "50.0", "0.500", "1", "9.00", "0"],
+        ["all", "5", "0.80", "0.00", "1.17", "2.60", "6.7", "20.0", "0.633", "1", "9.00", "0"],
     ]
     assert len({len(line) for line in points[3:]}) == 1, "the columns are aligned"
     assert "\x1b" not in done.stdout and "nan" not in done.stdout and max(map(len, lines)) <= 130
@@ -239,8 +239,8 @@ def test_the_truth_beside_the_clip(folder, capsys):
     head = {"schema": "facetrack-trajectory", "version": 1, "source": source}
     Path("run").mkdir()
     Path("run/trajectory.json").write_text(json.dumps({**head, "frames": frames}))
-    said = run("run", code=2, capsys=capsys)
-    assert "clip.truth.csv; give --truth FILE" in said.err
+    said = run("run", code=3, capsys=capsys)
+    assert "there is neither clip.truth.csv nor groundtruth.csv beside it" in said.err
     Path("clip.truth.csv").write_text("frame,target,part,x,y\n0,face,nose,0,0\n")
     said = run("run", capsys=capsys)
     assert said.out.startswith("run/trajectory.json against clip.truth.csv")

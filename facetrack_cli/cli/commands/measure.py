@@ -18,7 +18,7 @@ from facetrack_cli.cli.options import FILE_OR_DASH, Command, extent_options, fla
 from facetrack_cli.core.errors import ExitCode, UsageError, flat
 
 if TYPE_CHECKING:
-    from facetrack_cli.trajectory.trajectory import Trajectory
+    pass
 
 TABLES = ("compare.json", "compare.csv", "compare.md")
 PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
@@ -39,7 +39,7 @@ def _length(value: str) -> str:
 @click.argument("trajectory", type=options.TRAJECTORY)
 @option(
     "--truth", type=options.FILE,
-    help="File or folder of ground truth [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
+    help="File or folder of ground truth [default: of the clip that a JSON trajectory names, as compare finds it].",
 )  # fmt: skip
 @truth_options
 @options.format_of("--format", "How to read TRAJECTORY if another tracker wrote it: one of the same")
@@ -84,6 +84,7 @@ def eval_command(
       done
     """
     from facetrack_cli.core.files import check_new, write_new
+    from facetrack_cli.evaluation.compare import default_truth
     from facetrack_cli.evaluation.identities import identified
     from facetrack_cli.evaluation.summary import evaluate, show, to_csv, to_json
     from facetrack_cli.run_folder.manifest import check_run, other_clip
@@ -94,8 +95,13 @@ def eval_command(
     refuse((both, "--json - and --csv - both name standard output; write one of them to a file"))
     check_run(trajectory)
     ours = read_results(trajectory, format)
-    theirs = reference.read(truth or _truth_beside(ours), ours)
     clip = clip_of(ours)
+    if truth is None:
+        if clip is None:
+            unnamed = "does not name its clip, beside which the ground truth might be"
+            raise UsageError(f"{ours.path}: {unnamed}; give --truth FILE")
+        truth = default_truth(clip)
+    theirs = reference.read(truth, ours)
     for file in (json_file, csv_file):
         if file is not None and file != "-":
             check_new(Path(file), overwrite=overwrite, inputs=(ours.path, theirs.path, clip))
@@ -124,19 +130,6 @@ def eval_command(
         show(evaluation, ours, theirs)
 
 
-def _truth_beside(ours: Trajectory) -> Path:
-    """The ground truth beside the clip of a JSON trajectory."""
-    from facetrack_cli.trajectory.reader import clip_of, is_there
-
-    if (clip := clip_of(ours)) is None:
-        unnamed = "does not name its clip, beside which the ground truth might be"
-        raise UsageError(f"{ours.path}: {unnamed}; give --truth FILE")
-    beside = clip.with_name(f"{clip.stem}.truth.csv") if clip.name else clip
-    if not is_there(beside):
-        raise UsageError(f"{ours.path}: beside its clip there is no {beside}; give --truth FILE")
-    return beside
-
-
 # --- compare ---------------------------------------------------------------------------------------------------------
 
 
@@ -146,14 +139,14 @@ def _truth_beside(ours: Trajectory) -> Path:
     "--config", type=options.RECIPE, multiple=True, required=True,
     help="Recipe: a file, a name, or either with its own keys, as sir:filter.particles=500; repeat for each.",
 )  # fmt: skip
-@option("--seeds", type=options.Whole(min=1), default=10, help="Runs of each, seed 0 on.")
+@option("--seeds", type=click.IntRange(1), default=10, help="Runs of each, seed 0 on.")
 @option("--rank-by", type=options.Text("MEASURE"), help="Rank by this, as points.median_px or boxes.precision_20.")
 @options.set_("Override a key of all; repeatable.")
 @option("--gallery", type=options.GALLERY, help="People to recognise, as facetrack gallery fit writes them.")
 @option(
     "--truth", type=options.FILE,
     help="Ground truth [default: <clip>.truth.csv, else groundtruth.csv, groundtruth_rect.txt or groundtruth.txt in "
-    "the folder of this clip alone].",
+    "its folder].",
 )  # fmt: skip
 @truth_options
 @extent_options
@@ -211,8 +204,6 @@ def compare_command(
     if rank_by is not None:
         compare.check_measure(rank_by)
     asked = [(name, (*overrides, *own)) for name, own in map(variant, config)]
-    seeded = any(key.partition("=")[0].strip() == "seed" for _, keys in asked for key in keys)
-    refuse((seeded, "the recipe's seed has no effect here: every recipe runs with the seeds 0 to --seeds - 1"))
     recipes = dict(zip(labels(config), load_recipes(asked, gallery), strict=True))
     file = truth or compare.default_truth(clip)
     rows = reference.read(file)
@@ -259,7 +250,7 @@ def compare_command(
 @options.set_("Check with this key changed; repeatable.")
 @option("--gallery", type=options.FILE, help="People that recipes with recognition know; a golden remembers its own.")
 @flag("--update", help="Record goldens instead: of --config, else of all that have one.")
-@option("--stop", type=options.Whole(min=2), help="Record up to this frame only; for slow trackers.")
+@option("--stop", type=click.IntRange(2), help="Record up to this frame only; for slow trackers.")
 @options.jobs("Goldens at a time.")
 @flag("--quiet", "-q", help="No progress.")
 def regress_command(

@@ -15,7 +15,7 @@ from click.shell_completion import get_completion_class
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.app import cli
-from facetrack_cli.cli.options import FILE, FOLDER, FRAME, RECIPE, Text, Whole, option, refuse, say, words
+from facetrack_cli.cli.options import FILE, FOLDER, FRAME, RECIPE, Text, option, refuse, say, words
 from facetrack_cli.core.errors import ExitCode, InputError, RecipeError, flat
 from facetrack_cli.core.models import BROUGHT, MODELS, WHEEL, fetch_model, model_path, shipped_recipes
 
@@ -206,11 +206,11 @@ def _template(value: str) -> tuple[int, int]:
 @gallery_command.command("fit")
 @click.argument("folder", type=FOLDER)
 @option("-o", "--out", type=options.NPZ, default="gallery.npz", help="Where the gallery goes.")
-@option("--frames", type=Whole(1, 10_000), default=15, help="Frames of each video, at most.")
+@option("--frames", type=click.IntRange(1, 10_000), default=15, help="Frames of each video, at most.")
 @option("--start", type=FRAME, default=0, show_default=False, help="First frame of videos that is used.")
 @option("--stop", type=FRAME, help="Frame of videos before which to stop.")
 @option(
-    "--jitter", type=Whole(0, 100), default=4,
+    "--jitter", type=click.IntRange(0, 100), default=4,
     help="Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
 )  # fmt: skip
 @option(
@@ -344,7 +344,7 @@ _SCALE = words("A,B", "([^,]*),([^,]*)", "name two parts with a comma, such as m
     "--scale", type=_SCALE, default="mouth_left,mouth_right",
     help="Parts whose distance in the first frame is the unit.",
 )  # fmt: skip
-@option("--max-shapes", type=Whole(1, 10_000), default=500, help="Keep so many at most.")
+@option("--max-shapes", type=click.IntRange(1, 10_000), default=500, help="Keep so many at most.")
 @options.overwrite
 @options.quiet
 def fit_prior(

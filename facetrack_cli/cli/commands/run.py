@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FRAME, Command, Extent, Text, Whole, extent_options, flag, option, refuse, say
+from facetrack_cli.cli.options import FRAME, Command, Extent, Text, extent_options, flag, option, refuse, say
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError, about
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def _formats(value: str) -> tuple[Format, ...]:
 @flag("--no-video", help="Do not write annotated.mp4.")
 @option("--format", "formats", type=Text("LIST", _formats), help="csv, json, jsonl [default: csv,json; csv with -o -].")
 @flag("--smooth", help="Then smooth it: every row given the whole clip, see docs/smooth.md.")
-@option("--lag", type=Whole(1, 1000), help="Rows N frames later, given the frames up to then.")
+@option("--lag", type=click.IntRange(1, 1000), help="Rows N frames later, given the frames up to then.")
 @options.overwrite
 @flag("--no-resume", help="Track from the start what was interrupted, not from its last checkpoint.")
 @flag("--strict", help="Exit with 3 if a clip is cut short or damaged.")
@@ -95,7 +95,7 @@ def _formats(value: str) -> tuple[Format, ...]:
 @flag("--live", help="Write a JSON line a frame to stdout as it comes; INPUT may be a camera, an address, or -.")
 @options.quiet
 @options.jobs("Clips at a time.")
-@option("--threads", type=Whole(1, 1000), help="Threads a clip [default: the cores, shared by -j, at most 4].")
+@option("--threads", type=click.IntRange(1, 1000), help="Threads a clip [default: the cores, shared by -j, at most 4].")
 @option("--shard", type=Text("I/N", _shard), help="Track every N-th clip alone, from the I-th on: one of N jobs.")
 @option(
     "--split", type=Text("LENGTH", _length),
