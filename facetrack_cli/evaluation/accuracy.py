@@ -319,7 +319,7 @@ def measure_jitter(parts: Sequence[Rows]) -> JitterMeasures | None:
     """None if no part has three visible rows in a row."""
     jitter: list[Array] = []
     for part in parts:
-        usable = part.visible & part.placed & np.isfinite(part.at).all(axis=1) & ~part.by_hand
+        usable = part.visible & part.placed & np.isfinite(part.at).all(axis=1) & ~(part.later | part.left_out)
         three = usable[:-2] & usable[1:-1] & usable[2:] & (part.frame[2:] - part.frame[:-2] == 2)
         both = np.stack([part.at, part.at - part.offset])
         off = both[:, :-2] - 2 * both[:, 1:-1] + both[:, 2:]
@@ -331,10 +331,10 @@ def measure_jitter(parts: Sequence[Rows]) -> JitterMeasures | None:
 def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
     """None if no row has a status."""
     parts = [part.take(part.stated) for part in parts]
-    names = ("lost", "visible", "covered", "near", "judged")
-    lost, visible, covered, near, judged = (column(parts, name) for name in names)
+    lost, visible, near, judged = (column(parts, name) for name in ("lost", "visible", "near", "judged"))
     if not len(lost):
         return None
+    covered = ~visible
     judged_rows = covered | judged  # a hidden row is gone, wherever it is
     gone = covered | (judged & ~near)
     return LostMeasures(

@@ -119,15 +119,6 @@ class Rows:
         return len(self.frame)
 
     @property
-    def covered(self) -> Mask:
-        return self.hidden | self.absent
-
-    @property
-    def by_hand(self) -> Mask:
-        """(R,) given by a correction: a position, or that the part is absent."""
-        return self.later | self.left_out
-
-    @property
     def error(self) -> Array:
         """(R,) pixels; nan where the true position is not known, infinite where ours alone is missing."""
         error = np.hypot(self.offset[:, 0], self.offset[:, 1])

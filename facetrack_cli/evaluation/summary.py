@@ -113,10 +113,6 @@ class PartMeasures:
     people: PeopleMeasures | None = None
 
     @property
-    def name(self) -> str:
-        return f"{self.target}/{self.part}" if self.part else self.target
-
-    @property
     def figures(self) -> dict[str, Value]:
         """The value of each of MEASURES, None where it is not defined or was not measured."""
         values = {}

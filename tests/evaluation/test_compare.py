@@ -35,7 +35,8 @@ def entry(label, values, *, deterministic=False, **more):
 
 
 def places(*entries, measure=MEASURE):
-    return {place.entry.label: place.text.replace("–", "-") for place in rank(entries, measure)}
+    ranked = rank(entries, measure)
+    return {one.label: "-" if place is None else "-".join(map(str, dict.fromkeys(place))) for one, place in ranked}
 
 
 AROUND = np.array([-1.0, 1.0]) * 0.1  # two runs: the standard error is half their distance, the interval 0.2 wide

@@ -138,7 +138,7 @@ def test_several_boxes_are_measured_as_if_their_rows_were_of_one():
     for name, value in vars(evaluate([one, other]).all.boxes).items():
         np.testing.assert_array_equal(value, getattr(both, name), err_msg=name)
     found = evaluate([one, other])
-    assert [m.name for m in found.parts] == ["head/box", "hand/box"] and found.all.name == "all"
+    assert [m.target for m in found.parts] == ["head", "hand"] and found.all.target == "all"
     assert found.all.figures["boxes.rows"] == 37
 
 

@@ -98,7 +98,7 @@ CURVES: Final = (  # of Score, thresholds, title, labels, what the legend has, a
 
 def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     """Success, precision, cumulative error and error over time, of what is measured; recipes in their order."""
-    entries = [place.entry for place in comparison.places if place.entry.scores]
+    entries = [entry for entry, _ in comparison.places if entry.scores]
     clip = clip_name(comparison.clip)
     for name, at, title, labels, measure, mark in CURVES:
         values = {entry.label: [getattr(score, name) for score in entry.scores] for entry in entries}
