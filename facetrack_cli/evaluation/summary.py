@@ -12,15 +12,15 @@ import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import fill
 from typing import Any, Final, get_args, get_type_hints
 
 import click
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+from rich.cells import cell_len
 
 from facetrack_cli.core.errors import InputError, flat, visible
 from facetrack_cli.core.files import absolute
@@ -42,7 +42,6 @@ from facetrack_cli.evaluation.rows import (
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 WIDTH: Final = 100  # columns of a table that is not printed on a terminal
-MAX_WIDTH: Final = 10_000  # more columns than any table needs
 NO_FIGURE: Final = "\N{EN DASH}"
 
 
@@ -65,28 +64,24 @@ class Sheet:
         return f"{self.title}\n\n{text}\n" + "".join(f"- {note}\n" for note in self.notes)
 
     def show(self) -> None:
-        """Print the table as wide as the terminal, or WIDTH columns; wider where its figures need that."""
-        table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
-        tall = max(head.count("\n") for head in self.heads)
-        for i, head in enumerate(self.heads):
-            lower = Text("\n" * (tall - head.count("\n")) + head)
-            table.add_column(lower, justify="left" if i in self.left else "right", no_wrap=True)
+        """Print the table, as wide as its cells, and the notes, as wide as the terminal, or WIDTH columns."""
+        heads = [head.split("\n") for head in self.heads]
+        tall = max(map(len, heads))
+        table = [[[""] * (tall - len(head)) + head for head in heads]]
         for row in self.rows:  # a recipe has a line for each of its overrides
-            table.add_row(*(Text(re.sub(r"(?<=[:,])(?=[\w.]+=)", "\n  ", visible(cell))) for cell in row))
-        console = Console(width=None if sys.stdout.isatty() else WIDTH, emoji=False, highlight=False, markup=False)
-        width = console.width
-        # rich would end the program with its own code where the reader of a pipe has left, so click prints
-        with console.capture() as text:
-            console.print(Text(flat(self.title), style="bold"), soft_wrap=True)
-            console.print()
-            console.width = max(width, console.measure(table, options=console.options.update(width=MAX_WIDTH)).maximum)
-            console.print(table)
-            console.width = width
-            console.print()
-            for note in self.notes:
-                console.print(Text(visible(note)))
-        for line in text.get().splitlines():
-            click.echo(line.rstrip())
+            table.append([re.sub(r"(?<=[:,])(?=[\w.]+=)", "\n  ", visible(cell)).split("\n") for cell in row])
+        widths = [max(cell_len(line) for lines in column for line in lines) for column in zip(*table, strict=True)]
+        click.echo(f"{flat(self.title)}\n")
+        for number, row in enumerate(table):
+            for cells in zip_longest(*row, fillvalue=""):
+                gaps = [" " * (width - cell_len(cell)) for width, cell in zip(widths, cells, strict=True)]
+                padded = (cell + gaps[i] if i in self.left else gaps[i] + cell for i, cell in enumerate(cells))
+                click.echo("   ".join(padded).rstrip())
+            if number == 0:
+                click.echo("\N{BOX DRAWINGS LIGHT HORIZONTAL}" * (sum(widths) + 3 * len(widths) - 3))
+        click.echo()
+        for note in self.notes:
+            click.echo(fill(visible(note), get_terminal_size().columns if sys.stdout.isatty() else WIDTH))
 
 
 def clip_name(clip: Path) -> str:
