@@ -32,14 +32,11 @@ SECTIONS = {
         "compare": "Run and rank several recipes on a clip with ground truth.",
         "regress": "Check clips against their golden results, for CI.",
     },
-    "Recipes and models": {
+    "Recipes and networks": {
         "recipes": "List, show and check the recipes of trackers.",
         "prior": "Learn shape priors from annotated frames, and show them.",
         "gallery": "Learn who is who from images and videos, and draw it.",
-    },
-    "Others": {
         "models": "List and fetch optional networks.",
-        "completion": "Print what makes a shell complete command lines.",
     },
 }
 """Commands and their one-line helps, which stand here because to ask the commands for theirs would load them."""
@@ -48,7 +45,7 @@ MODULES = {
     **dict.fromkeys(("app", "init", "status"), "start"),
     **dict.fromkeys((*SECTIONS["Correct"], *SECTIONS["Look and share"]), "finished"),
     **dict.fromkeys(SECTIONS["Measure"], "measure"),
-    **dict.fromkeys((*SECTIONS["Recipes and models"], *SECTIONS["Others"]), "recipes"),
+    **dict.fromkeys(SECTIONS["Recipes and networks"], "recipes"),
 }
 """The file in commands/ of a command; others have one of their own name."""
 SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True, "auto_envvar_prefix": "FACETRACK"}

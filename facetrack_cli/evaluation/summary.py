@@ -4,7 +4,7 @@
     evaluation.all.points.mean_px
     scalars(evaluation)["lost.precision"]
 
-`Sheet` is any table of results: on a terminal, piped, and as Markdown.
+`Sheet` is any table of results, on a terminal and piped.
 """
 
 import math
@@ -54,14 +54,6 @@ class Sheet:
     rows: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...] = ()
     left: tuple[int, ...] = (0,)
-
-    def markdown(self) -> str:
-        """The table as Markdown."""
-        heads = [head.replace("\n", " ") for head in self.heads]
-        rule = [":--" if i in self.left else "--:" for i in range(len(heads))]
-        lines = [[cell.replace("|", "\\|") for cell in row] for row in (heads, rule, *self.rows)]
-        text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-        return f"{self.title}\n\n{text}\n" + "".join(f"- {note}\n" for note in self.notes)
 
     def show(self) -> None:
         """Print the table, as wide as its cells, and the notes, as wide as the terminal, or WIDTH columns."""

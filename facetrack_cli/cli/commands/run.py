@@ -190,10 +190,7 @@ def run_command(
         clips, several = expand(inputs, shown.say)
     extent.check(*clips)
     several = several or (shard is not None and split is None)
-    blind = f"{recipe.name} has correlation alone, which cannot tell when it is lost"
-    other = "give likelihood.contour or likelihood.histogram too, or leave the option out"
     refuse(
-        (fail_on_lost and not recipe.judges, f"--fail-on-lost: {blind}; {other}"),
         (split and len(clips) > 1, f"--split cuts one clip, and {len(clips)} are given; split one at a time"),
         (several and out == "-", "-o - streams one clip; give one INPUT, or a folder with --out"),
     )
