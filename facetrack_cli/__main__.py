@@ -75,34 +75,29 @@ def _run(argv: Sequence[str] | None) -> int:
 
 
 def _failed(error: Exception) -> int:
-    """Say what went wrong, with --debug also where; the exit code."""
+    """Say what went wrong, with FACETRACK_DEBUG=1 also where; the exit code."""
     code = ExitCode.FAULT
     if isinstance(error, FacetrackError):
         code, message = error.exit_code, str(error)
     elif (of_system := from_system(error)) is not None:
         code, message = of_system.exit_code, str(of_system)
-    elif _is_of_stdout(error):
+    elif (  # errors of files are raised with their names: without one it is standard output
+        isinstance(error, OSError)
+        and error.filename is None
+        and (error.errno in _STREAM or isinstance(error, io.UnsupportedOperation))
+    ):
         _forget(sys.stdout)
         code = ExitCode.USAGE
         message = f"standard output: cannot be written: {getattr(error, 'strerror', None) or error}; send it elsewhere"
     else:
         message = f"internal error: {type(error).__name__}{f': {error}' if str(error) else ''}; please report it"
-        message += "" if _debugging() else ", with what facetrack --debug ... prints"
+        message += "" if _debugging() else ", with what FACETRACK_DEBUG=1 prints"
     _say(f"error: {message}")
     if _debugging():
         import traceback
 
         traceback.print_exception(error)
     return int(code)
-
-
-def _is_of_stdout(error: Exception) -> bool:
-    # errors of files are raised with their names: without one it is standard output
-    return (
-        isinstance(error, OSError)
-        and error.filename is None
-        and (error.errno in _STREAM or isinstance(error, io.UnsupportedOperation))
-    )
 
 
 def _say(message: str) -> None:

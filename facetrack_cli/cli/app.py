@@ -7,7 +7,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.cli.options import flag, option
+from facetrack_cli.cli.options import option
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import LOG_FORMAT
 
@@ -84,19 +84,13 @@ class LazyGroup(click.Group):
 
 
 @click.group(cls=LazyGroup, invoke_without_command=True, context_settings=SETTINGS)
-@flag(
-    "--debug",
-    cls=click.Option,
-    allow_from_autoenv=False,
-    help="Show the traceback of an error (also FACETRACK_DEBUG=1).",
-)
 @option(
     "--log-format", type=click.Choice(["text", "json"]), default="text", metavar="FORMAT",
     help="What stderr says: text, or an object of JSON a line.",
 )  # fmt: skip
 @click.version_option(__version__, prog_name="facetrack", message="%(prog)s %(version)s")
 @click.pass_context
-def cli(ctx: click.Context, debug: bool, log_format: str) -> None:
+def cli(ctx: click.Context, log_format: str) -> None:
     """Track faces, facial features, heads and hands in video with particle filters.
 
     A recipe says which tracker; a clip goes in, a trajectory and an annotated
@@ -108,14 +102,12 @@ def cli(ctx: click.Context, debug: bool, log_format: str) -> None:
         facetrack run --help
 
     Variables set defaults of options, as FACETRACK_RUN_JOBS=4 for --jobs of
-    run.
+    run. FACETRACK_DEBUG=1 shows the traceback of an error.
 
     Exit codes: 0 done, 1 internal error, 2 usage, recipe or output,
     3 input, 4 target lost (with --fail-on-lost), 5 some of a batch failed,
     6 regression, 130 interrupted, 143 terminated.
     """
-    if debug:
-        os.environ["FACETRACK_DEBUG"] = "1"  # an environment variable, so that the processes of a batch know too
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
         return

@@ -150,11 +150,12 @@ def score_run(
     error = column(rows, "error")
     finite = np.isfinite(error)
     count, total = (np.bincount(place[finite], weights, len(frame)) for weights in (None, error[finite]))
-    tails = [tail_overlap(part.boxes.overlap) for part in evaluation.parts if part.boxes is not None]
+    overlaps = [part.boxes.overlap[np.isfinite(part.boxes.overlap)] for part in evaluation.parts if part.boxes]
+    tails = [np.median(each[-math.ceil(TAIL * each.size) :]) for each in overlaps if each.size]
     return Score(
         seed=run.seed,
         figures=scalars(evaluation),
-        failed=bool(points and points.lost_for_good) or any(tail is not None and tail < TAIL_IOU for tail in tails),
+        failed=bool(points and points.lost_for_good) or any(tail < TAIL_IOU for tail in tails),
         frames_per_s=run.frames_per_s,
         frame=frame,
         error=np.where(count > 0, total / np.maximum(count, 1), np.nan),
@@ -163,12 +164,6 @@ def score_run(
         precision=None if boxes is None else boxes.precision,
         cumulative=None if points is None else cumulative(rows),
     )
-
-
-def tail_overlap(overlap: Array) -> float | None:
-    """Median IoU over the last tenth, at least one, of the rows (T,) with a true box; None where all are nan."""
-    finite = overlap[np.isfinite(overlap)]
-    return float(np.median(finite[-math.ceil(TAIL * finite.size) :])) if finite.size else None
 
 
 def cumulative(rows: Sequence[Rows]) -> Array | None:

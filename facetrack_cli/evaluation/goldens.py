@@ -16,7 +16,6 @@ import os
 import platform
 import re
 import zlib
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
@@ -211,8 +210,6 @@ def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> 
         clips = [path for path in sorted(folder.glob("*")) if (is_clip(path) or path.is_dir()) and find_init(path)]
         if not clips:
             raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
-        if twice := sorted(stem for stem, n in Counter(clip.stem for clip in clips).items() if n > 1):
-            raise InputError(f"{folder}: two clips are called {twice[0]}; rename one, goldens are kept by that name")
         new = [Task(place / f"{clip.stem}.{name}.json", clip, recipes[name]) for clip, name in product(clips, recipes)]
         for i, task in enumerate(new):
             with contextlib.suppress(InputError):  # it may be that there is none yet, or none that can be read

@@ -62,12 +62,12 @@ class Sheet:
         table = [[[""] * (tall - len(head)) + head for head in heads]]
         for row in self.rows:  # a recipe has a line for each of its overrides
             table.append([re.sub(r"(?<=[:,])(?=[\w.]+=)", "\n  ", visible(cell)).split("\n") for cell in row])
-        widths = [max(cell_len(line) for lines in column for line in lines) for column in zip(*table, strict=True)]
+        widths = [max(cell_len(line) for cell in cells for line in cell) for cells in zip(*table, strict=True)]
         click.echo(f"{flat(self.title)}\n")
-        for number, row in enumerate(table):
-            for cells in zip_longest(*row, fillvalue=""):
-                gaps = [" " * (width - cell_len(cell)) for width, cell in zip(widths, cells, strict=True)]
-                padded = (cell + gaps[i] if i in self.left else gaps[i] + cell for i, cell in enumerate(cells))
+        for number, columns in enumerate(table):
+            for line in zip_longest(*columns, fillvalue=""):
+                gaps = [" " * (width - cell_len(cell)) for width, cell in zip(widths, line, strict=True)]
+                padded = (cell + gaps[i] if i in self.left else gaps[i] + cell for i, cell in enumerate(line))
                 click.echo("   ".join(padded).rstrip())
             if number == 0:
                 click.echo("\N{BOX DRAWINGS LIGHT HORIZONTAL}" * (sum(widths) + 3 * len(widths) - 3))
@@ -179,7 +179,10 @@ def evaluate(
 
     parts = tuple(measured(part.target, part.part, slice(i, i + 1)) for i, part in enumerate(rows))
     whole = measured("all", "", slice(None), people)
-    return Evaluation(normalise, failure, rows, units, parts, whole, (*notes, *_why_undefined(rows, whole, units)))
+    if whole.points is not None and whole.points.mean_px is not None and whole.points.auc is None:
+        texts = "; ".join(dict.fromkeys(units.values()))
+        notes = [*notes, f"errors are not normalised and nothing is near ({texts}): give --normalise PIXELS"]
+    return Evaluation(normalise, failure, rows, units, parts, whole, tuple(notes))
 
 
 def _boxes(pairs: Sequence[Pair], parts: Sequence[Rows], size: tuple[int, int] | None) -> BoxMeasures:
@@ -200,18 +203,6 @@ def _boxes(pairs: Sequence[Pair], parts: Sequence[Rows], size: tuple[int, int] |
 def scalars(evaluation: Evaluation) -> dict[str, float]:
     """The figures of all parts together, by name; what is not defined is left out."""
     return {name: float(value) for name, value in evaluation.all.figures.items() if value is not None}
-
-
-def _why_undefined(rows: Sequence[Rows], whole: PartMeasures, units: Mapping[str, str]) -> Iterator[str]:
-    if whole.points is not None and whole.points.mean_px is not None and whole.points.auc is None:
-        texts = "; ".join(dict.fromkeys(units.values()))
-        yield f"errors are not normalised and nothing is near ({texts}): give --normalise PIXELS"
-    if column(rows, "init").all():
-        yield "all rows were given to the tracker, so lost, confidence and coverage are not measured"
-        return
-    for group, name in (("lost", "status"), ("confidence", "confidence"), ("coverage", "std")):
-        if getattr(whole, group) is None:
-            yield f"the trajectory has no {name}, so {group} is not measured"
 
 
 CURVES: Final = ("success", "precision", "normalised_precision")

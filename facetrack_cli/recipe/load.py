@@ -189,11 +189,9 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
     UsageError where there is nobody to recognise, or nothing that recognises, and InputError for no such file.
     """
     if file is None:
-        for recipe in recipes:
-            if wants_gallery(recipe):
-                remedy = f"give --gallery FILE, {_MADE_BY}, or name one in the recipe, in recognition.gallery"
-                who = f"{recipe.name} says who somebody is, of the people of a gallery"
-                raise UsageError(f"--gallery is missing: {who}; {remedy}")
+        for recipe in filter(wants_gallery, recipes):
+            remedy = f"give --gallery FILE, {_MADE_BY}, or name one in the recipe, in recognition.gallery"
+            raise UsageError(f"--gallery is missing: {recipe.name} recognises the people of a gallery; {remedy}")
         return list(recipes)
     gallery_file(file)
     takes = _recognising if any(map(_recognising, recipes)) else _affine

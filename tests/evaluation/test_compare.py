@@ -144,16 +144,10 @@ def test_a_run_of_boxes_is_scored():
     assert good.figures["boxes.success_auc"] == pytest.approx(20 / 21)
     assert good.success.shape == (21,) and good.precision.shape == (51,) and good.cumulative is None
     assert not good.failed and lost.failed
+    for first, failed in ((37, True), (38, False)):  # most of the last four, which are a tenth
+        off = np.where(np.arange(40) < first, 0.0, 19.5)
+        assert score_run(run_of(boxes(50 + off)), truth).failed is failed
     assert lost.error[-1] == pytest.approx(19.5)
-
-
-def test_the_last_tenth_decides():
-    overlap = np.full(30, 0.8)
-    assert compare.tail_overlap(overlap) == 0.8
-    overlap[-2:] = 0.0  # most of the last three
-    assert compare.tail_overlap(overlap) == 0.0
-    overlap[5:] = np.nan
-    assert compare.tail_overlap(overlap) == 0.8 and compare.tail_overlap(np.full(3, np.nan)) is None
 
 
 @pytest.mark.parametrize(

@@ -259,13 +259,6 @@ def test_what_there_is_nothing_to_do_with_is_told_in_a_line(arguments, code, sai
     assert [p.name for p in Path().iterdir()] == ["clip.csv"]
 
 
-def test_clips_of_one_name_are_refused_before_they_share_a_golden(facetrack, tmp_path):
-    for name in ("clip.mp4", "clip.mkv", "clip.init.yaml"):
-        (tmp_path / name).write_text("")
-    code, _, err = facetrack("regress", tmp_path, "--config", "factorized", "--update")
-    assert code == ExitCode.INPUT and "two clips are called clip; rename one" in err
-
-
 def test_a_recipe_without_golden_and_a_broken_golden_are_refused(facetrack, clips):
     code, _, err = facetrack("regress", clips, "--config", "sir")
     assert code == ExitCode.INPUT and "has no golden of sir, only of factorized" in err

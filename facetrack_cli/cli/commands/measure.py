@@ -75,13 +75,9 @@ def eval_command(
     \b
     Examples:
       facetrack eval out/ --truth clip.truth.csv
-      facetrack eval out/ --truth groundtruth_rect.txt --json eval.json
       facetrack eval out/ --truth annot/ --partial --normalise point_37:point_46
       facetrack eval film/ --truth film.truth.csv --people
-      facetrack eval results/MIL.txt --truth groundtruth_rect.txt
-      for run in runs/*/; do
-        facetrack eval "$run" --truth clip.truth.csv --csv - | tail -n 1
-      done
+      facetrack eval results/MIL.txt --truth groundtruth_rect.txt --json -
     """
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.compare import default_truth
@@ -169,23 +165,15 @@ def compare_command(
     Boxes are ranked by success AUC, points by the mean normalised error. Recipes whose means +- 2 standard errors
     overlap share their ranks: the runs do not tell them apart.
 
-    \b
-    The folder gets compare.json, compare.csv (a row a recipe and seed), and
-      success.png, precision.png    of boxes
-      cumulative.png                of points
-      error.png                     over time: median and 10-90 % of the
-                                    seeds, hidden spans shaded
+    The folder gets compare.json, compare.csv (a row a recipe and seed), and plots of success, precision and cumulative
+    error, and of the error over time: the median and 10-90 % of the seeds.
 
     \b
     Examples:
       facetrack compare clip.mp4 --config factorized --config sir
       facetrack compare clip.mp4 --config mil --config csrt --seeds 20 -j 2
-      facetrack compare hands.mp4 --target left_hand \\
-        --config histogram --config contour_histogram
       facetrack compare frames/ --truth groundtruth.txt \\
         --config sir:filter.particles=100 --config sir:filter.particles=500
-      facetrack compare clip.mp4 --config adaptive --config mine.yaml \\
-        --gallery people.npz
     """
     from facetrack_cli.core.files import check_folder, make_folder, remove_folders, write_new
     from facetrack_cli.evaluation import compare

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -172,13 +171,7 @@ def gallery_command() -> None:
     """
 
 
-def _template(value: str) -> tuple[int, int]:
-    """(rows, columns) of COLUMNSxROWS."""
-    match = re.fullmatch(r"(\d{1,4})[xX](\d{1,4})", value.strip())
-    if not match or not all(MIN_SIDE <= int(side) <= MAX_SIDE for side in match.groups()):
-        sides = f"{MIN_SIDE} to {MAX_SIDE}"
-        raise click.BadParameter(f"{value!r}: give columns and rows from {sides}, as in 26x30 (26 wide, 30 high)")
-    return int(match[2]), int(match[1])
+_TEMPLATE = words("WxH", "([0-9]{1,3})[xX]([0-9]{1,3})", "give columns and rows, as in 26x30 (26 wide, 30 high)")
 
 
 @gallery_command.command("fit")
@@ -192,13 +185,13 @@ def _template(value: str) -> tuple[int, int]:
     help="Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
 )  # fmt: skip
 @option(
-    "--template", type=Text("WxH", _template), default="26x30",
+    "--template", type=_TEMPLATE, default="26x30",
     help="Points across and down a face; the recipe must have the same.",
 )  # fmt: skip
 @options.overwrite
 @options.quiet
 def fit_gallery(
-    folder: Path, out: Path, frames: int, start: int, stop: int | None, jitter: int, template: tuple[int, int],
+    folder: Path, out: Path, frames: int, start: int, stop: int | None, jitter: int, template: tuple[str, str],
     overwrite: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Learn a gallery from a folder of people's folders.
@@ -220,7 +213,9 @@ def fit_gallery(
     empty = stop is not None and stop <= start
     refuse((empty, f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start"))
     check_new(out, overwrite=overwrite)
-    reading = Reading(template, frames, start, stop, jitter)
+    shape = int(template[1]), int(template[0])
+    refuse((min(shape) < MIN_SIDE or max(shape) > MAX_SIDE, f"--template: give sides from {MIN_SIDE} to {MAX_SIDE}"))
+    reading = Reading(shape, frames, start, stop, jitter)
     with progress(quiet) as shown:
 
         def warn(line: str) -> None:
@@ -232,7 +227,7 @@ def fit_gallery(
         faces = read_faces(people, reading, warn, lambda done: shown.update(done, total))
     try:
         gallery = fit(
-            faces.patches, faces.persons, template, images=faces.images, negatives=faces.negatives,
+            faces.patches, faces.persons, shape, images=faces.images, negatives=faces.negatives,
             proportion=faces.proportion,
         )  # fmt: skip
     except InputError as e:
