@@ -29,9 +29,8 @@ from reference import HANDS, MESH
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Array, Mask, Start, TargetStart
 from facetrack_cli.engine.loop import track
-from facetrack_cli.evaluation.accuracy import measure_boxes
+from facetrack_cli.evaluation.accuracy import ELLIPSE_90, calibration_error, mahalanobis_squared, measure_boxes
 from facetrack_cli.evaluation.compare import default_truth
-from facetrack_cli.evaluation.reliability import ELLIPSE_90, calibration_error, mahalanobis_squared, reliability_bins
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import truth_start
 from facetrack_cli.runs.seeds import variant
@@ -142,7 +141,7 @@ def trust(runs: Sequence[Rows]) -> Iterator[str]:
     if not np.isfinite(confidence).all():
         yield from ("–", "–")
         return
-    yield f"{calibration_error(reliability_bins(confidence, near, visible)):.3f}"
+    yield f"{calibration_error(confidence, near):.3f}"
     yield f"{inside[visible].mean():.3f}"
 
 

@@ -47,7 +47,7 @@ from reference import EYES, MESH, openings_in, points_in, take_regression
 from facetrack_cli.core.models import VARIABLE
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Image, Mask
-from facetrack_cli.evaluation.reliability import calibration_error, reliability_bins
+from facetrack_cli.evaluation.accuracy import calibration_error
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.api import track_frames, track_video
 from facetrack_cli.trajectory.measures import Measured
@@ -167,8 +167,8 @@ def table(title: str, people: Mapping[str, Sequence[Found]]) -> str:
                 cells[-2:] = [f"{hit / max(real, 1):.2f}", f"{right / max(found, 1):.2f}"]
         lines.append(f"| {name} | {' | '.join([*means, covered, *cells])} |")
     sure = np.array([pair for one in every for pair in one.sure], float).reshape(-1, 2)
-    bins = reliability_bins(sure[:, 0], sure[:, 1] > 0, np.ones(len(sure), np.bool_))
-    lines.append(f"\nerror {calibration_error(bins):.3f} of {len(sure)} events; changes within 90 % by measure: ")
+    error = calibration_error(sure[:, 0], sure[:, 1] > 0)
+    lines.append(f"\nerror {error:.3f} of {len(sure)} events; changes within 90 % by measure: ")
     lines[-1] += ", ".join(f"{key} {np.nanmean([one.covered[key] for one in every]):.2f}" for key in MEASURES)
     return "\n".join(lines)
 

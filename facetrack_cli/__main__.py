@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import TextIO
 
-from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, as_json, from_system, log_line
+from facetrack_cli.core.errors import ExitCode, FacetrackError, from_system, log_line
 from facetrack_cli.runs.signals import ending_at_once
 
 _MAX_MESSAGE = 1000  # characters of an error
@@ -75,21 +75,24 @@ def _run(argv: Sequence[str] | None) -> int:
 
 
 def _failed(error: Exception) -> int:
-    """Say what went wrong, with --debug also where; the exit code."""
-    code, excerpt = ExitCode.FAULT, ""
+    """Say what went wrong, with FACETRACK_DEBUG=1 also where; the exit code."""
+    code = ExitCode.FAULT
     if isinstance(error, FacetrackError):
         code, message = error.exit_code, str(error)
-        excerpt = error.excerpt if isinstance(error, RecipeError) else ""
     elif (of_system := from_system(error)) is not None:
         code, message = of_system.exit_code, str(of_system)
-    elif _is_of_stdout(error):
+    elif (  # errors of files are raised with their names: without one it is standard output
+        isinstance(error, OSError)
+        and error.filename is None
+        and (error.errno in _STREAM or isinstance(error, io.UnsupportedOperation))
+    ):
         _forget(sys.stdout)
         code = ExitCode.USAGE
         message = f"standard output: cannot be written: {getattr(error, 'strerror', None) or error}; send it elsewhere"
     else:
         message = f"internal error: {type(error).__name__}{f': {error}' if str(error) else ''}; please report it"
-        message += "" if _debugging() else ", with what facetrack --debug ... prints"
-    _say(f"error: {message}", excerpt)
+        message += "" if _debugging() else ", with what FACETRACK_DEBUG=1 prints"
+    _say(f"error: {message}")
     if _debugging():
         import traceback
 
@@ -97,24 +100,13 @@ def _failed(error: Exception) -> int:
     return int(code)
 
 
-def _is_of_stdout(error: Exception) -> bool:
-    # errors of files are raised with their names: without one it is standard output
-    return (
-        isinstance(error, OSError)
-        and error.filename is None
-        and (error.errno in _STREAM or isinstance(error, io.UnsupportedOperation))
-    )
-
-
-def _say(message: str, excerpt: str = "") -> None:
+def _say(message: str) -> None:
     if len(message) > _MAX_MESSAGE:  # it quotes what a file says; the place stands first, the remedy last
         message = f"{message[: _MAX_MESSAGE // 2]} ... {message[-_MAX_MESSAGE // 2 :]}"
     import click
 
     with contextlib.suppress(OSError):  # a full disk under the log must not change the exit code
-        click.echo(log_line(f"facetrack: {message}", **({"excerpt": excerpt} if excerpt else {})), err=True)
-        if excerpt and not as_json():
-            click.echo(excerpt, err=True)
+        click.echo(log_line(f"facetrack: {message}"), err=True)
 
 
 def _forget(stream: TextIO) -> None:

@@ -30,16 +30,14 @@ from facetrack_cli.engine.confidence import (
     PartKind,
     boxes_of,
 )
-from facetrack_cli.evaluation.reliability import (
+from facetrack_cli.evaluation.accuracy import (
     ELLIPSE_50,
     ELLIPSE_90,
-    ReliabilityBin,
     calibration_error,
     mahalanobis_squared,
-    reliability_bins,
 )
-from facetrack_cli.evaluation.rows import Pair, match, rows_of
-from facetrack_cli.evaluation.summary import clip_name, units_of
+from facetrack_cli.evaluation.rows import Pair, match, normalised_rows
+from facetrack_cli.evaluation.summary import clip_name
 from facetrack_cli.recipe.model import LIKELY, ParticleFilterSettings, ParticlesRecipe, Recipe
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -326,16 +324,12 @@ def left_out(sample: Sample, one: Fit, *, boxes: bool = False) -> Array:
     return p
 
 
-def bins_of(sample: Sample, p: Array) -> tuple[ReliabilityBin, ...]:
-    """The bins of probabilities p (R,) of a sample, all clips alike."""
-    return reliability_bins(p, sample.right, sample.visible, sample.weight)
-
-
 def figures(sample: Sample, p: Array) -> Figures:
+    """Of probabilities p (R,) of a sample, all clips alike."""
     chance = np.clip(np.where(sample.right, p, 1 - p), 1e-6, 1)
     each = (p - sample.right) ** 2, -np.log(chance)
     brier, loss = (float(np.average(values, weights=sample.weight)) for values in each)
-    return Figures(calibration_error(bins_of(sample, p)), brier, loss)
+    return Figures(calibration_error(p, sample.right, sample.weight), brier, loss)
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,7 +375,7 @@ def of_runs(
 
 def uncalibrated(recipe: Recipe) -> Recipe:
     """The recipe with the confidence that it computes itself. Raises UsageError for a recipe that computes none."""
-    if not recipe.judges or not recipe.filters:
+    if not any(one.likelihood.judges for one in recipe.filters.values()):
         raise UsageError(f"{recipe.name} gives no confidence to calibrate; take a recipe that does")
 
     def raw(one: ParticleFilterSettings) -> ParticleFilterSettings:
@@ -427,12 +421,12 @@ def _rows(run: Trajectory, truth: Trajectory, clip: int) -> tuple[Sample, Mask]:
     for ours, true in match(run, truth, partial=True, select=select):
         stated = true.status != "lost"  # as a trajectory has it that serves as ground truth
         pairs.append(Pair(ours.take(stated), true.take(stated)))
-    units = units_of(pairs, "size", truth.parts)
-    for pair in pairs:
+    rows, _ = normalised_rows(pairs, "size", truth.parts)
+    for pair, one in zip(pairs, rows, strict=True):
         ours = pair.ours
         points = [one for one in run.of_target(ours.target) if one.part != BOX and len(one)]
         size = size_of_points(np.array([(one.x[0], one.y[0]) for one in points])) if points else 0.0
-        one, mine = rows_of(pair, units[ours.target].at(ours.frame)), boxes_of(ours)
+        mine = boxes_of(ours)
         known = features(ours, mine, size)
         kept = one.judged & ~one.init & np.all([np.isfinite(values) for values in known.values()], axis=0)
         far = mahalanobis_squared(one.offset, one.std, one.cov_xy)

@@ -1,16 +1,13 @@
 """The command line: a group that loads a command only when it is called, so that `facetrack --help` is instant."""
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.cli.options import flag, option
+from facetrack_cli.cli.options import option
 from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import LOG_FORMAT
 
@@ -35,14 +32,11 @@ SECTIONS = {
         "compare": "Run and rank several recipes on a clip with ground truth.",
         "regress": "Check clips against their golden results, for CI.",
     },
-    "Recipes and models": {
+    "Recipes and networks": {
         "recipes": "List, show and check the recipes of trackers.",
         "prior": "Learn shape priors from annotated frames, and show them.",
         "gallery": "Learn who is who from images and videos, and draw it.",
-    },
-    "Others": {
         "models": "List and fetch optional networks.",
-        "completion": "Print what makes a shell complete command lines.",
     },
 }
 """Commands and their one-line helps, which stand here because to ask the commands for theirs would load them."""
@@ -51,31 +45,22 @@ MODULES = {
     **dict.fromkeys(("app", "init", "status"), "start"),
     **dict.fromkeys((*SECTIONS["Correct"], *SECTIONS["Look and share"]), "finished"),
     **dict.fromkeys(SECTIONS["Measure"], "measure"),
-    **dict.fromkeys((*SECTIONS["Recipes and models"], *SECTIONS["Others"]), "recipes"),
+    **dict.fromkeys(SECTIONS["Recipes and networks"], "recipes"),
 }
 """The file in commands/ of a command; others have one of their own name."""
 SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True, "auto_envvar_prefix": "FACETRACK"}
+
 
 READER_GONE = 141
 """Exit code when the reader of standard output is gone, as in `facetrack ... | head`: the shell's, for SIGPIPE."""
 
 
-@contextmanager
-def _quiet_when_reader_gone() -> Iterator[None]:
-    try:
-        yield
-    except BrokenPipeError:
-        raise click.exceptions.Exit(READER_GONE) from None  # click itself would exit with 1
-
-
 class LazyGroup(click.Group):
-    def make_context(self, *args: Any, **more: Any) -> click.Context:
-        with _quiet_when_reader_gone():
-            return super().make_context(*args, **more)
-
     def invoke(self, ctx: click.Context) -> Any:
-        with _quiet_when_reader_gone():
+        try:
             return super().invoke(ctx)
+        except BrokenPipeError:
+            raise click.exceptions.Exit(READER_GONE) from None  # click itself would exit with 1
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -93,30 +78,19 @@ class LazyGroup(click.Group):
             with formatter.section(title):
                 formatter.write_dl([*commands.items()], col_max=12)
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        name = args[0]
-        if name not in COMMANDS and not name.startswith("-"):
-            near = get_close_matches(name, COMMANDS, n=1)
-            hint = f'did you mean "{near[0]}"?' if near else f"there are: {', '.join(COMMANDS)}"
-            ctx.fail(f'no command "{name}"; {hint}')
-        return super().resolve_command(ctx, args)
-
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         names = [CompletionItem(name, help=text) for name, text in COMMANDS.items() if name.startswith(incomplete)]
         return names + click.Command.shell_complete(self, ctx, incomplete)
 
 
 @click.group(cls=LazyGroup, invoke_without_command=True, context_settings=SETTINGS)
-@flag("--debug", allow_from_autoenv=False, help="Show the traceback of an error (also FACETRACK_DEBUG=1).")
 @option(
     "--log-format", type=click.Choice(["text", "json"]), default="text", metavar="FORMAT",
     help="What stderr says: text, or an object of JSON a line.",
 )  # fmt: skip
 @click.version_option(__version__, prog_name="facetrack", message="%(prog)s %(version)s")
 @click.pass_context
-def cli(ctx: click.Context, debug: bool, log_format: str) -> None:
+def cli(ctx: click.Context, log_format: str) -> None:
     """Track faces, facial features, heads and hands in video with particle filters.
 
     A recipe says which tracker; a clip goes in, a trajectory and an annotated
@@ -128,14 +102,12 @@ def cli(ctx: click.Context, debug: bool, log_format: str) -> None:
         facetrack run --help
 
     Variables set defaults of options, as FACETRACK_RUN_JOBS=4 for --jobs of
-    run.
+    run. FACETRACK_DEBUG=1 shows the traceback of an error.
 
     Exit codes: 0 done, 1 internal error, 2 usage, recipe or output,
     3 input, 4 target lost (with --fail-on-lost), 5 some of a batch failed,
     6 regression, 130 interrupted, 143 terminated.
     """
-    if debug:
-        os.environ["FACETRACK_DEBUG"] = "1"  # an environment variable, so that the processes of a batch know too
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
         return

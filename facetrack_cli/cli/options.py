@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import click
-from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from facetrack_cli.core.errors import ExitCode, UsageError, write_line
@@ -37,15 +36,6 @@ if TYPE_CHECKING:
     from facetrack_cli.trajectory.views import Clock
 
 FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
-
-
-class Whole(click.IntRange):
-    """A whole number in a range; click itself would call it an integer range."""
-
-    name = "whole number"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        return "N"
 
 
 class Text(click.ParamType):  # type: ignore[type-arg]  # it has arguments since Click 8.4
@@ -109,26 +99,14 @@ def _rate(value: str) -> Fraction:
     raise click.BadParameter(f"{value!r}: give frames per second as 25, 29.97 or 30000/1001")
 
 
-def _file(metavar: str, *endings: str) -> Text:
-    """A file to write, whose kind the end of its name says."""
-    listed = " or".join(", ".join(f".{ending}" for ending in endings).rsplit(",", 1))
-
-    def parse(value: str) -> Path:
-        if Path(value).suffix[1:].lower() not in endings:
-            raise UsageError(f"{value}: cannot tell the kind of file; let its name end in {listed}")
-        return Path(value)
-
-    return Text(metavar, parse, "file")
-
-
 FILE, INPUT, TRAJECTORY = (Text(metavar, Path, "file") for metavar in ("FILE", "INPUT", "TRAJECTORY"))
 FOLDER, PROJECT, RUN = (Text(metavar, Path, "dir") for metavar in ("DIR", "PROJECT", "RUN_DIR"))
-PNG, NPZ, FIGURE = _file("FILE.png", "png"), _file("FILE.npz", "npz"), _file("FILE", *FIGURES)
+PNG, NPZ = Text("FILE.png", Path, "file"), Text("FILE.npz", Path, "file")
 FILE_OR_DASH, FOLDER_OR_DASH, GALLERY = Text("FILE", str, "file"), Text("DIR", str, "dir"), Text("FILE", str, "file")
 INIT = Text("FILE", lambda value: value if value in ("haar", "yunet") else Path(value), "file")
 RECIPE = Text("RECIPE", str, "file", lambda: (path.stem for path in shipped_recipes()))
 KEY, BOX, RATE = Text("KEY=VALUE"), Text("X,Y,W,H", _box), Text("RATE", _rate)
-FRAME = Whole(min=0)
+FRAME = click.IntRange(0)
 
 
 def moment(metavar: str) -> Text:
@@ -155,17 +133,9 @@ Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 class Option(click.Option):
     """An option whose variable is named after its flag, as FACETRACK_RUN_SET, whatever its parameter is called."""
 
-    def _variable(self, ctx: click.Context | None) -> str:
-        name = max(self.opts, key=len).lstrip("-").replace("-", "_").upper()
-        return f"{ctx and ctx.auto_envvar_prefix}_{name}"
-
     def resolve_envvar_value(self, ctx: click.Context) -> str | None:
-        return os.environ.get(self._variable(ctx)) or None if self.allow_from_autoenv else None
-
-    def get_error_hint(self, ctx: click.Context | None) -> str:
-        """The variable, if a wrong value comes from there."""
-        source = ctx and ctx.get_parameter_source(str(self.name))
-        return self._variable(ctx) if source is ParameterSource.ENVIRONMENT else super().get_error_hint(ctx)
+        name = max(self.opts, key=len).lstrip("-").replace("-", "_").upper()
+        return os.environ.get(f"{ctx.auto_envvar_prefix}_{name}") or None
 
 
 say = write_line  # on standard error
@@ -246,11 +216,11 @@ def gathered(name: str, kind: type[Any], *options: Decorator) -> Decorator:
 def figure_file(default: str) -> Decorator:
     """--out of a figure; `default` says in words where it goes without."""
     text = f"File to write: .png, .svg or .pdf [default: {default}]."
-    return option("-o", "--out", type=FIGURE, help=text)
+    return option("-o", "--out", type=FILE, help=text)
 
 
 def jobs(text: str) -> Decorator:
-    return option("-j", "--jobs", type=Whole(1, 1000), default=1, show_default=False, help=text)
+    return option("-j", "--jobs", type=click.IntRange(1, 1000), default=1, show_default=False, help=text)
 
 
 def set_(text: str) -> Decorator:
@@ -275,7 +245,7 @@ clip = option("--clip", type=INPUT, help="The clip, if it is elsewhere now.")
 target = option("--target", type=Text("NAME[/PART]"), help="One target, or one part of it, alone.")
 overwrite = flag("--overwrite", help="Replace files that are there already.")
 quiet = flag("--quiet", "-q", help="Say nothing but errors.")
-port = option("--port", type=Whole(1, 65535), help="Port of the page on this machine [default: any that is free].")
+port = option("--port", type=click.IntRange(1, 65535), help="Port of the page [default: any that is free].")
 
 
 @dataclass
@@ -391,6 +361,8 @@ def write_figure(path: Path, make: Callable[[], Figure], *, overwrite: bool, inp
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.report.figures.style import need_matplotlib, render
 
+    form = path.suffix[1:].lower()
+    refuse((form not in FIGURES, f"{path}: cannot tell the kind of file; let its name end in .png, .svg or .pdf"))
     check_new(path, overwrite=overwrite, inputs=inputs)
     need_matplotlib()
-    write_new(path, render(make(), path.suffix[1:].lower()), overwrite=overwrite)
+    write_new(path, render(make(), form), overwrite=overwrite)

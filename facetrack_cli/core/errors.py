@@ -7,8 +7,7 @@ FacetrackError            1  an internal error
 │       └── BusyError     2  another process writes there
 └── InputError            3  a clip, an init file, a prior or a ground truth file
 
-Every message is one line that names the file, the place and the remedy. `RecipeError` may carry a second part, the
-excerpt with a caret, in `excerpt`.
+Every message is one line that names the file, the place and the remedy.
 
 A message is a plain line on standard error, or with `--log-format json` an object a line.
 """
@@ -46,9 +45,7 @@ class UsageError(FacetrackError):
 
 
 class RecipeError(UsageError):
-    def __init__(self, message: str, excerpt: str = "") -> None:
-        super().__init__(message)
-        self.excerpt = excerpt
+    pass
 
 
 class OutputError(UsageError):

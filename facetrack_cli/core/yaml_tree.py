@@ -12,7 +12,6 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from facetrack_cli.core.errors import RecipeError, visible
 MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe has a page
 MAX_DEPTH = 20
 MAX_DIGITS = 30  # of a whole number
-EXCERPT_WIDTH = 100
 _WORDS = {**dict.fromkeys(("null", "Null", "NULL", "~", "")), **dict.fromkeys(("true", "True", "TRUE"), True)}
 _WORDS |= dict.fromkeys(("false", "False", "FALSE"), False)
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
@@ -44,28 +42,11 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A place in a source: line and columns, counted from 0; `end` is one past its last character."""
+    """A place in a source: line and column, counted from 0."""
 
     source: Source
     line: int
     column: int
-    end: int
-
-    def excerpt(self) -> str:
-        """The line, and carets below the place; "" where there is no text."""
-        from rich.cells import cell_len
-
-        if not self.source.text:
-            return ""
-        lines = _lines(self.source.text)
-        line = lines[self.line] if self.line < len(lines) else ""
-        first = 0 if self.column < 0.8 * EXCERPT_WIDTH else self.column - EXCERPT_WIDTH // 2
-        shown = line[first : first + EXCERPT_WIDTH]
-        before = visible(shown[: self.column - first])
-        under = visible(shown[self.column - first : max(self.end, self.column + 1) - first])
-        gutter = f"{self.line + 1:>5} | " if self.source.is_file else "    "
-        margin = f"{'|':>7} " if self.source.is_file else gutter
-        return f"{gutter}{visible(shown)}\n{margin}{' ' * cell_len(before)}{'^' * max(1, cell_len(under))}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,18 +111,18 @@ class YamlProblems(RecipeError):  # noqa: N818  (it carries several problems)
     def __init__(self, *problems: Problem) -> None:
         first, others = problems[0], len(problems) - 1
         more = f" (and {others} more: facetrack recipes check lists all)" if others else ""
-        super().__init__(f"{first}{more}", first.span.excerpt())
+        super().__init__(f"{first}{more}")
         self.problems = problems
 
     def __reduce__(self) -> Any:
-        return RecipeError, (str(self), self.excerpt)  # in another process
+        return RecipeError, (str(self),)  # in another process
 
 
 def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
     """The text of a file. Raises YamlProblems if it is longer than `most` bytes or not UTF-8, and OSError."""
     with path.open("rb") as file:
         data = file.read(most + 1)
-    start = Span(Source(name, "", path.parent), 0, 0, 0)
+    start = Span(Source(name, "", path.parent), 0, 0)
     if len(data) > most:
         raise YamlProblems(Problem(start, f"larger than {most // 1000} kB: too large for such a file; name another"))
     data = data.removeprefix(codecs.BOM_UTF8)
@@ -164,7 +145,7 @@ def parse(source: Source, *, start: int = 0) -> Node | None:
         about = [getattr(error, "context", None), getattr(error, "problem", None)]
         why = " ".join(" ".join(filter(None, about) if any(about) else [str(error)]).split())
         message = f"not valid YAML: {why}; correct the text at or before this place"
-        raise YamlProblems(Problem(reader.span(mark, mark), message)) from None
+        raise YamlProblems(Problem(reader.span(mark), message)) from None
     if reader.problems:
         raise YamlProblems(*reader.problems)
     return tree
@@ -180,13 +161,12 @@ def assign(root: Node, option: str, assignment: str) -> None:
     names = path.split(".")
     if not equals or "\n" in path or not all(map(str.strip, names)):
         message = f"no value, or no name, is given; write {option} KEY=VALUE, as in filter.particles=200"
-        raise YamlProblems(Problem(Span(source, 0, 0, max(1, len(path))), message))
-    value = parse(source, start=len(path) + 1) or Node(Span(source, 0, len(path), len(path) + 1), None)
+        raise YamlProblems(Problem(Span(source, 0, 0), message))
+    value = parse(source, start=len(path) + 1) or Node(Span(source, 0, len(path) + 1), None)
     node, column = root, 0
     for depth, raw in enumerate(names):
         name = raw.strip()
-        begin = column + raw.index(name)
-        key, column = Span(source, 0, begin, begin + len(name)), column + len(raw) + 1
+        key, column = Span(source, 0, column + raw.index(name)), column + len(raw) + 1
         if not isinstance(node.value, dict):
             above = ".".join(map(str.strip, names[:depth]))
             raise YamlProblems(Problem(key, f'"{above}" holds no keys; set it as a whole: {option} {above}=VALUE'))
@@ -220,7 +200,7 @@ class _Reader:
         if depth > MAX_DEPTH:
             raise MarkedYAMLError(problem=f"nested more than {MAX_DEPTH} deep", problem_mark=begin)
         for why in _refused(event):
-            self.problems.append(Problem(self.span(begin, event.end_mark), why))
+            self.problems.append(Problem(self.span(begin), why))
         value: Any = None
         if isinstance(event, events.MappingStartEvent):
             value, event = self.mapping(depth + 1)
@@ -229,8 +209,8 @@ class _Reader:
             while not isinstance(event := next(self.events), events.SequenceEndEvent):
                 value.append(self.node(event, depth + 1))
         elif isinstance(event, events.ScalarEvent):
-            value = event.value if event.style else self.plain(event.value, self.span(begin, event.end_mark))
-        return Node(self.span(begin, event.end_mark), value)
+            value = event.value if event.style else self.plain(event.value, self.span(begin))
+        return Node(self.span(begin), value)
 
     def mapping(self, depth: int) -> tuple[dict[str, Node], Any]:
         """The values by their keys, and the event that ends them."""
@@ -258,11 +238,8 @@ class _Reader:
             return None
         return float(text) if _FLOAT.fullmatch(text) else text
 
-    def span(self, begin: Any, end: Any) -> Span:
-        head = _lines(self.source.text[: self.start])
-        shift = len(head[-1]) if begin.line == 0 else 0
-        last = end.column if end.line == begin.line else begin.column + 1
-        return Span(self.source, begin.line + len(head) - 1, begin.column + shift, last + shift)
+    def span(self, mark: Any) -> Span:
+        return Span(self.source, mark.line, mark.column + (self.start if mark.line == 0 else 0))
 
 
 def _refused(event: Any) -> Iterator[str]:
@@ -274,9 +251,3 @@ def _refused(event: Any) -> Iterator[str]:
         yield f'the tag "{str(event.tag).replace("tag:yaml.org,2002:", "!!")}" is not allowed; remove it'
     elif any("\ud800" <= char <= "\udfff" for char in getattr(event, "value", "")):
         yield "half of a surrogate pair is no character; write the character itself"
-
-
-@lru_cache(4)  # every problem of a recipe asks for them
-def _lines(text: str) -> Sequence[str]:
-    """The lines as YAML counts them, as its marks do; at least one."""
-    return re.split(r"\r\n|[\n\r\x85\u2028\u2029]", text)

@@ -83,7 +83,6 @@ def factorized(
 
     - `prior`: the shape prior in place of the ratio of eq. 5 (eq. 11);
     - `transition`: eq. 7, the ratio of predictive densities estimated from the particles themselves;
-    - `both`, beyond the paper: what eq. 5 gives where the prior is a factor of the transition, eq. 7 times eq. 11;
     - `none`, of `independent`: 1. That is N independent auxiliary filters, the paper's first baseline.
 
     As published the auxiliary step looks ahead by a draw mu of the transition; the weights then divide by a random
@@ -113,9 +112,9 @@ def factorized(
     picked = rng.permuted(systematic(rng, marginal, n), axis=0)
     x = s.reshape(n * k, d).take(picked * k + columns, axis=0)
     log_ratio = np.zeros(n)
-    if settings.reweight in ("prior", "both"):
+    if settings.reweight == "prior":
         log_ratio = log_ratio + model.log_prior(x)
-    if settings.reweight in ("transition", "both"):
+    elif settings.reweight == "transition":
         log_ratio = log_ratio + _log_ratio(x, particles, model)
     log_w, log_sum = summed(log_ratio)
     log_w = uniform(n) if settings.reweight == "none" else log_w

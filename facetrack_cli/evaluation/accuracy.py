@@ -1,4 +1,4 @@
-"""How well boxes and points follow the ground truth.
+"""How well boxes and points follow the ground truth, and how reliable lost, confidence and spread are.
 
 Of boxes: the measures of OTB and GOT-10k, and the good tracking rate.
 
@@ -18,8 +18,12 @@ one prediction is nan.
 
 Of points: errors, Euclidean distances in pixels. A *normalised* error is divided by a length of the ground truth
 (rows.py). Failure rate and AUC are those of the literature on facial landmarks (300-W, COFW, WFLW), a row an image.
+
+Of lost, confidence and spread: how reliable they are. Rows are counted, without the rows that the tracker was given:
+*near* and *right* as in rows.py, *covered* if hidden or absent in the ground truth, *gone* if covered or not near.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -48,7 +52,7 @@ class BoxMeasures:
                     (Müller et al. 2018; Fan et al. 2019), as LaSOT's table and got10k report; `normalised_20` is at 0.2
     ao, sr50, sr75  mean IoU, and the shares strictly above 0.5 and 0.75 (Huang, Zhao and Huang 2019; got10k's
                     ExperimentGOT10k)
-    good_rate, strict_rate  share of rows `within` 0.5 and 0.25 of the box
+    good_rate       share of rows whose centre is `within` the true box
     hidden_rows     hidden rows with a true box, which no other measure counts; `hidden_overlap` is their mean IoU
 
     `overlap` (T,) is the IoU as in OTB, nan where no row counts.
@@ -64,7 +68,6 @@ class BoxMeasures:
     sr50: Annotated[Value, Measure("SR 0.5\n%", PERCENT, "more")]
     sr75: Annotated[Value, Measure("SR 0.75\n%", PERCENT, "more")]
     good_rate: Annotated[Value, Measure("good\n%", PERCENT, "more")]
-    strict_rate: Annotated[Value, Measure("strict\n%", PERCENT, "more")]
     hidden_rows: Annotated[int, Measure("hidden\nrows", COUNT, rare=True)]
     hidden_overlap: Annotated[Value, Measure("mean\nIoU", UNIT, "more", rare=True)]
     overlap: Array
@@ -86,13 +89,11 @@ def normalised_errors(ours: Array, truth: Array) -> Array:
     return _length((_centres(ours) - _centres(truth)) / np.maximum(1.0, truth[:, 2:]))
 
 
-def within(ours: Array, truth: Array, share: float = 0.5) -> Mask:
-    """(T,) whether our centre is within `share` of the true width and height from the true centre, on both axes.
-
-    0.5 is the true box itself, border included: these rows are what we take the good tracking rate of Gonzalez and
-    Collet to count (table 1, which does not define it). 0.25 is our strict form. False where one of them has nan.
+def within(ours: Array, truth: Array) -> Mask:
+    """(T,) whether our centre is in the true box, border included: these rows are what we take the good tracking rate
+    of Gonzalez and Collet to count (table 1, which does not define it). False where one of them has nan.
     """
-    return np.asarray(np.all(np.abs(_centres(ours) - _centres(truth)) <= truth[:, 2:] * share, axis=1))
+    return np.asarray(np.all(np.abs(_centres(ours) - _centres(truth)) <= truth[:, 2:] / 2, axis=1))
 
 
 def share_above(values: Array, thresholds: Array) -> Array:
@@ -150,7 +151,6 @@ def measure_boxes(
         sr50=mean(clipped > 0.5),
         sr75=mean(clipped > 0.75),
         good_rate=mean(within(otb, truth)[counts]),
-        strict_rate=mean(within(otb, truth, 0.25)[counts]),
         hidden_rows=int(covered.sum()),
         hidden_overlap=mean(np.nan_to_num(iou(ours, truth)[covered])),
         overlap=overlap,
@@ -182,7 +182,7 @@ class PointMeasures:
     ..._px         error in pixels: mean, median, standard deviation, 95th percentile
     failure_rate   share of the visible rows whose normalised error is above the failure threshold, or missing
     auc            area under the cumulative distribution of their normalised error up to that threshold, divided by it
-    hidden_...     the same of hidden rows whose true position is known
+    hidden_...     of hidden rows whose true position is known
     lost_for_good  parts whose median error over their last 25 visible rows exceeds 1/4 of the normalising length
     """
 
@@ -193,12 +193,10 @@ class PointMeasures:
     std_px: Annotated[Value, Measure("std\npx", PX, "less")]
     p95_px: Annotated[Value, Measure("95th\npx", PX, "less")]
     mean_normalised: Annotated[Value, Measure("mean\n% of length", PERCENT, "less")]
-    median_normalised: Annotated[Value, Measure("", PERCENT, "less")]
     failure_rate: Annotated[Value, Measure("failed\n%", PERCENT, "less")]
     auc: Annotated[Value, Measure("AUC\n", UNIT, "more")]
     hidden_rows: Annotated[int, Measure("hidden\nrows", COUNT, rare=True)]
     hidden_mean_px: Annotated[Value, Measure("mean\npx", PX, "less", rare=True)]
-    hidden_median_px: Annotated[Value, Measure("median\npx", PX, "less", rare=True)]
     lost_for_good: Annotated[int | None, Measure("lost for\ngood", COUNT, "less")]
 
 
@@ -221,12 +219,10 @@ def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeas
         std_px=float(np.std(px)) if len(px) else None,
         p95_px=float(np.percentile(px, 95)) if len(px) else None,
         mean_normalised=mean(finite),
-        median_normalised=median(finite),
         failure_rate=mean(normalised > failure),
         auc=auc(normalised, failure),
         hidden_rows=len(covered),
         hidden_mean_px=mean(covered),
-        hidden_median_px=median(covered),
         lost_for_good=sum(for_good) if for_good else None,
     )
 
@@ -240,3 +236,199 @@ def lost_for_good(part: Rows) -> bool | None:
     """Whether a part ends lost; None where no visible row has a true position and a length."""
     seen = np.flatnonzero(part.visible & part.placed & np.isfinite(part.unit))[-LAST:]
     return bool(np.median(part.error[seen] / part.unit[seen]) > LOST) if len(seen) else None
+
+
+BINS = 10
+# squared Mahalanobis distances within which 50 and 90 % of a two-dimensional normal distribution lie
+ELLIPSE_50, ELLIPSE_90 = 2 * math.log(2), 2 * math.log(10)
+
+
+@dataclass(frozen=True)
+class LostMeasures:
+    """Status `lost` against the ground truth; shares are 0 to 1.
+
+    rows, covered, called  rows with a status; of these the covered, and those called lost
+    precision        of the rows called lost, those covered; `precision_gone`: those gone
+    recall           of the covered rows, those called lost; `recall_gone`: of the rows gone
+    false_alarms     of the rows visible and near, those called lost
+    tracked_near     of the rows called tracked, those near
+    """
+
+    rows: Annotated[int, Measure("rows\n", COUNT)]
+    covered: Annotated[int, Measure("covered\nrows", COUNT)]
+    called: Annotated[int, Measure("called\nlost", COUNT)]
+    precision: Annotated[Value, Measure("precision\ncovered %", PERCENT, "more")]
+    precision_gone: Annotated[Value, Measure("precision\ngone %", PERCENT, "more")]
+    recall: Annotated[Value, Measure("recall\ncovered %", PERCENT, "more")]
+    recall_gone: Annotated[Value, Measure("recall\ngone %", PERCENT, "more")]
+    false_alarms: Annotated[Value, Measure("false\nalarms %", PERCENT, "less")]
+    tracked_near: Annotated[Value, Measure("tracked:\nnear %", PERCENT, "more")]
+
+
+@dataclass(frozen=True)
+class ConfidenceMeasures:
+    """How well `confidence` tells rows apart, and how far it is the probability that a row is right.
+
+    rows           rows with a confidence of which is known whether they are near; absent rows are not
+    near, right    share of them that are near, and that are right, whatever their confidence
+    auroc_near     area under the ROC curve: chance that a near row has more confidence than one that is not near, ties
+                   counting half; 0.5 is no better than chance, 1 separates them by a threshold
+    auroc_visible  the same of visible rows against covered ones
+    ece            expected calibration error: mean over rows of |share right - mean confidence| of their tenth
+    brier          mean of (confidence - 1 if right else 0) squared
+    """
+
+    rows: Annotated[int, Measure("rows\n", COUNT)]
+    near: Annotated[Value, Measure("near\n%", PERCENT)]
+    right: Annotated[Value, Measure("right\n%", PERCENT)]
+    auroc_near: Annotated[Value, Measure("AUROC\nnear", UNIT, "more")]
+    auroc_visible: Annotated[Value, Measure("AUROC\nvisible", UNIT, "more")]
+    ece: Annotated[Value, Measure("calibration\nerror", UNIT, "less")]
+    brier: Annotated[Value, Measure("Brier\n", UNIT, "less")]
+
+
+@dataclass(frozen=True)
+class CoverageMeasures:
+    """Whether the posterior's spread covers the error: visible rows with a known true position, and with a std.
+
+    within_..    share of rows whose true position lies within the 50 or 90 % ellipse of a normal distribution with
+                 std_x, std_y and cov_xy; 0.5 and 0.9 for a correct spread
+    factor       by which the std would have to be multiplied for the 50 % ellipse to hold half of the rows
+    """
+
+    rows: Annotated[int, Measure("rows\n", COUNT)]
+    within_50: Annotated[Value, Measure("in the 50 %\nellipse, %", PERCENT)]
+    within_90: Annotated[Value, Measure("in the 90 %\nellipse, %", PERCENT)]
+    factor: Annotated[Value, Measure("std would\nfit times", PX)]
+
+
+@dataclass(frozen=True)
+class JitterMeasures:
+    """How much a track trembles: the median over `rows` of |x_{t-1} - 2 x_t + x_{t+1}| / sqrt(6), in pixels.
+
+    Of noise at rest, independent from frame to frame, it is 1.18 times the standard deviation along an axis; a motion
+    adds its acceleration. `truth_px` is that of the ground truth. Counted are visible rows between two visible ones.
+    """
+
+    rows: Annotated[int, Measure("rows", COUNT)]
+    median_px: Annotated[Value, Measure("median\npx", PX, "less")]
+    truth_px: Annotated[Value, Measure("of the\ntruth", PX)]
+
+
+def measure_jitter(parts: Sequence[Rows]) -> JitterMeasures | None:
+    """None if no part has three visible rows in a row."""
+    jitter: list[Array] = []
+    for part in parts:
+        usable = part.visible & part.placed & np.isfinite(part.at).all(axis=1) & ~(part.later | part.left_out)
+        three = usable[:-2] & usable[1:-1] & usable[2:] & (part.frame[2:] - part.frame[:-2] == 2)
+        both = np.stack([part.at, part.at - part.offset])
+        off = both[:, :-2] - 2 * both[:, 1:-1] + both[:, 2:]
+        jitter.append(np.hypot(off[..., 0], off[..., 1])[:, three] / math.sqrt(6))
+    ours, truth = np.concatenate(jitter, axis=1)
+    return JitterMeasures(len(ours), median(ours), median(truth)) if len(ours) else None
+
+
+def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
+    """None if no row has a status."""
+    parts = [part.take(part.stated) for part in parts]
+    lost, visible, near, judged = (column(parts, name) for name in ("lost", "visible", "near", "judged"))
+    if not len(lost):
+        return None
+    covered = ~visible
+    judged_rows = covered | judged  # a hidden row is gone, wherever it is
+    gone = covered | (judged & ~near)
+    return LostMeasures(
+        rows=len(lost),
+        covered=int(np.sum(covered)),
+        called=int(np.sum(lost)),
+        precision=mean(covered[lost]),
+        precision_gone=mean(gone[lost & judged_rows]),
+        recall=mean(lost[covered]),
+        recall_gone=mean(lost[gone]),
+        false_alarms=mean(lost[visible & judged & near]),
+        tracked_near=mean(near[~lost & judged]),
+    )
+
+
+def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
+    """None if no row has a confidence."""
+    parts = [part.take(~part.init) for part in parts]
+    names = ("confidence", "near", "right", "judged", "visible")
+    confidence, near, right, judged, visible = (column(parts, name) for name in names)
+    finite = np.isfinite(confidence)
+    if not finite.any():
+        return None
+    seen = auroc(confidence[finite], visible[finite])
+    rows = finite & judged
+    confidence, near, right = confidence[rows], near[rows], right[rows]
+    # scores of other tools need not lie between 0 and 1; then they rank rows, and that is all
+    scaled = len(confidence) and np.all((confidence >= 0) & (confidence <= 1))
+    return ConfidenceMeasures(
+        rows=len(confidence),
+        near=mean(near),
+        right=mean(right),
+        auroc_near=auroc(confidence, near),
+        auroc_visible=seen,
+        ece=calibration_error(confidence, right) if scaled else None,
+        brier=float(np.mean((confidence - right) ** 2)) if scaled else None,
+    )
+
+
+def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
+    """None if no row has a std."""
+    parts = [part.take(~part.init) for part in parts]
+    names = ("offset", "std", "cov_xy", "visible", "placed")
+    offset, std, cov_xy, visible, placed = (column(parts, name) for name in names)
+    counted = visible & placed & np.isfinite(offset).all(axis=1)
+    finite = np.isfinite(std).all(axis=1)
+    if not finite.any():
+        return None
+    offset, spread = offset[counted & finite], std[counted & finite]
+    squared = mahalanobis_squared(offset, spread, cov_xy[counted & finite])
+    # the median distance, which the 50 % ellipse would have to reach
+    half = float(np.quantile(squared, 0.5, method="inverted_cdf")) if len(squared) else math.inf
+    return CoverageMeasures(
+        rows=len(squared),
+        within_50=mean(squared <= ELLIPSE_50),
+        within_90=mean(squared <= ELLIPSE_90),
+        factor=math.sqrt(half / ELLIPSE_50) if math.isfinite(half) else None,
+    )
+
+
+def mahalanobis_squared(offset: Array, std: Array, cov_xy: Array | float = 0.0) -> Array:
+    """(R,) squared Mahalanobis distance of offsets (R, 2) for deviations (R, 2) along the axes and a covariance (R,).
+
+    Along an axis without spread it is 0 if the offset is, else infinite.
+    """
+    flat = std == 0
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of a tiny std: infinitely far is right
+        r = np.where(flat.any(axis=1), 0.0, np.clip(cov_xy / np.prod(std, axis=1), -0.999, 0.999))
+        scaled = offset / np.where(flat, 1.0, std)
+        # what y is off beyond what x says of it
+        beyond = np.where(r == 0, scaled[:, 1], (scaled[:, 1] - r * scaled[:, 0]) / np.sqrt(1 - r * r))
+        terms = np.stack([scaled[:, 0], beyond], axis=1) ** 2
+    terms = np.where(flat, np.where(offset == 0, 0.0, np.inf), terms)
+    return np.asarray(terms.sum(axis=1))
+
+
+def auroc(score: Array, positive: Mask) -> Value:
+    """Exact area under the ROC curve of score (R,): the chance that a positive (R,) scores above a negative, ties
+    counting half. None if all rows are positive, or none is.
+    """
+    positives = int(np.sum(positive))
+    negatives = len(score) - positives
+    if not positives or not negatives:
+        return None
+    _, rank, counts = np.unique(score, return_inverse=True, return_counts=True)
+    ranks = np.cumsum(counts) - (counts - 1) / 2  # the mean rank of each value, from 1
+    above = float(np.sum(ranks[rank.reshape(-1)[positive]])) - positives * (positives + 1) / 2
+    return above / (positives * negatives)
+
+
+def calibration_error(confidence: Array, right: Mask, weight: Array | None = None) -> float:
+    """The expected calibration error of confidence (R,) from 0 to 1, in `BINS` bins of equal width: the mean over rows,
+    by their weights (R,), of |share right - mean confidence| of their bin.
+    """
+    bin_of = np.clip(np.searchsorted(np.arange(BINS + 1) / BINS, confidence, side="right") - 1, 0, BINS - 1)
+    weight = np.ones(len(confidence)) if weight is None else weight
+    return float(np.abs(np.bincount(bin_of, weight * (right - confidence))).sum() / weight.sum())

@@ -13,7 +13,6 @@ tracker runs once and its interval is its value; of a single seed of any other n
 
 import contextlib
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,7 +33,6 @@ from facetrack_cli.runs.seeds import SeedPlan, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.trajectory.reader import MAX_FRAME, frame_size_of
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
-from facetrack_cli.video.source import check_file, is_clip, is_image
 
 TAIL: Final = 0.1  # of the rows with a true box: those that tell whether the target is lost at the end
 TAIL_IOU: Final = 0.1
@@ -98,35 +96,10 @@ class Entry:
         return float(values.mean()) - reach, float(values.mean()) + reach
 
     @property
-    def failures(self) -> int:
-        return sum(score.failed for score in self.scores)
-
-    @property
     def frames_per_s(self) -> float | None:
         """All frames over all time: the harmonic mean of the runs, which are equally long."""
         rates = [score.frames_per_s for score in self.scores]
         return len(rates) / sum(1 / rate for rate in rates) if rates and min(rates) > 0 else None
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a recipe stands: from `first` to `last`, the same where it is clear; None where it has no value."""
-
-    entry: Entry
-    first: int | None
-    last: int | None
-
-    @property
-    def text(self) -> str:
-        if self.first is None:
-            return "\N{EN DASH}"
-        return f"{self.first}" if self.first == self.last else f"{self.first}\N{EN DASH}{self.last}"
-
-
-def kind_of(entries: Sequence[Entry]) -> str:
-    """`boxes` or `points`: how the first recipe that ran is measured."""
-    first = next((score for entry in entries for score in entry.scores), None)
-    return "points" if first is None or first.success is None else "boxes"
 
 
 def check_measure(measure: str) -> None:
@@ -137,18 +110,18 @@ def check_measure(measure: str) -> None:
         raise UsageError(f"--rank-by {measure}: is nothing to rank by; there are {', '.join(near)}")
 
 
-def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
-    """All entries in the order of their mean of `measure`; entries without a value come last, in the given order."""
+def rank(entries: Sequence[Entry], measure: str) -> list[tuple[Entry, tuple[int, int] | None]]:
+    """All entries in the order of their mean of `measure`, and where they stand: from the first place to the last, the
+    same where it is clear. Entries without a value come last, in the given order, with None.
+    """
     sign = 1.0 if MEASURES[measure].better == "more" else -1.0
     valued = [entry for entry in entries if entry.mean(measure) is not None]
     valued.sort(key=lambda entry: -sign * (entry.mean(measure) or 0.0))
     bounds = [sorted(sign * end for end in entry.interval(measure)) for entry in valued]
-    places = []
-    for entry, (low, high) in zip(valued, bounds, strict=True):
-        above = sum(other[0] > high for other in bounds)
-        below = sum(other[1] < low for other in bounds)
-        places.append(Place(entry, 1 + above, len(valued) - below))
-    return [*places, *(Place(entry, None, None) for entry in entries if entry not in valued)]
+    above = [sum(other[0] > high for other in bounds) for _, high in bounds]
+    below = [sum(other[1] < low for other in bounds) for low, _ in bounds]
+    places = [(1 + n, len(valued) - m) for n, m in zip(above, below, strict=True)]
+    return [*zip(valued, places, strict=True), *((entry, None) for entry in entries if entry not in valued)]
 
 
 def score_run(
@@ -177,25 +150,20 @@ def score_run(
     error = column(rows, "error")
     finite = np.isfinite(error)
     count, total = (np.bincount(place[finite], weights, len(frame)) for weights in (None, error[finite]))
-    tails = [tail_overlap(part.boxes.overlap) for part in evaluation.parts if part.boxes is not None]
+    overlaps = [part.boxes.overlap[np.isfinite(part.boxes.overlap)] for part in evaluation.parts if part.boxes]
+    tails = [np.median(each[-math.ceil(TAIL * each.size) :]) for each in overlaps if each.size]
     return Score(
         seed=run.seed,
         figures=scalars(evaluation),
-        failed=bool(points and points.lost_for_good) or any(tail is not None and tail < TAIL_IOU for tail in tails),
+        failed=bool(points and points.lost_for_good) or any(tail < TAIL_IOU for tail in tails),
         frames_per_s=run.frames_per_s,
         frame=frame,
         error=np.where(count > 0, total / np.maximum(count, 1), np.nan),
-        hidden=np.unique(np.concatenate([part.frame[part.covered] for part in rows])),
+        hidden=np.unique(np.concatenate([part.frame[~part.visible] for part in rows])),
         success=None if boxes is None else boxes.success,
         precision=None if boxes is None else boxes.precision,
         cumulative=None if points is None else cumulative(rows),
     )
-
-
-def tail_overlap(overlap: Array) -> float | None:
-    """Median IoU over the last tenth, at least one, of the rows (T,) with a true box; None where all are nan."""
-    finite = overlap[np.isfinite(overlap)]
-    return float(np.median(finite[-math.ceil(TAIL * finite.size) :])) if finite.size else None
 
 
 def cumulative(rows: Sequence[Rows]) -> Array | None:
@@ -269,25 +237,14 @@ def run_recipes(
 def default_truth(clip: Path) -> Path:
     """The ground truth of a clip: `<clip>.truth.csv` beside it, else one of `TRUTH_NAMES` in its folder or beside it.
 
-    InputError if there is none, and for one beside several clips, which does not say whose it is.
+    InputError if there is none.
     """
     images = clip.is_dir()
     beside, stem = (clip.resolve().parent, clip.resolve().name) if images else (clip.parent, clip.stem)
-    inside = [clip / name for name in TRUTH_NAMES] if images else []
-    for path in (beside / f"{stem}.truth.csv", *inside):
+    named = [folder / name for folder in ([clip] if images else []) + [beside] for name in TRUTH_NAMES]
+    for path in (beside / f"{stem}.truth.csv", *named):
         if path.is_file():
             return path
-    for path in (beside / name for name in TRUTH_NAMES):
-        if path.is_file():
-            # a comparison's folder has images, too
-            folders = [one for one in beside.iterdir() if one.is_dir() and os.access(one, os.R_OK)]
-            other = [any(map(is_image, one.iterdir())) and not (one / "compare.json").exists() for one in folders]
-            clips = other if images else map(is_clip, beside.iterdir())
-            if (count := sum(clips)) > 1:
-                raise InputError(f"{clip}: {path} is beside {count} clips; if it is of this one, name it with --truth")
-            return path
-    if not (images or is_image(clip)):
-        check_file(clip)
     raise InputError(f"{clip}: there is neither {stem}.truth.csv nor groundtruth.csv beside it; name it with --truth")
 
 
@@ -307,10 +264,12 @@ class Comparison:
     @property
     def measures(self) -> tuple[str, ...]:
         """The measures in the table; the measure that ranks comes first."""
-        return tuple(dict.fromkeys([*filter(None, [self.rank_by]), *USUAL[kind_of(self.entries)]]))
+        first = next((score for entry in self.entries for score in entry.scores), None)
+        kind = "points" if first is None or first.success is None else "boxes"
+        return tuple(dict.fromkeys([*filter(None, [self.rank_by]), *USUAL[kind]]))
 
     @property
-    def places(self) -> list[Place]:
+    def places(self) -> list[tuple[Entry, tuple[int, int] | None]]:
         return rank(self.entries, self.measures[0])
 
     def sheet(self) -> Sheet:
@@ -320,25 +279,27 @@ class Comparison:
         on = f"frames {frames.min()} to {frames.max()}, ground truth {self.truth.name}"
         fastest = max((entry.frames_per_s or 0.0 for entry in self.entries), default=0.0)
         heads = ("rank", "recipe", *map(_head, self.measures), "failed", "frames\nper s", "time a\nframe")
-        rows = tuple(self._row(place, fastest) for place in self.places)
+        rows = tuple(self._row(*place, fastest) for place in self.places)
         return Sheet(f"{clip_name(self.clip)}: {recipes} on {on}", heads, rows, tuple(self.notes()), left=(1,))
 
-    def _row(self, place: Place, fastest: float) -> tuple[str, ...]:
-        entry, rate = place.entry, place.entry.frames_per_s
+    def _row(self, entry: Entry, place: tuple[int, int] | None, fastest: float) -> tuple[str, ...]:
+        rate = entry.frames_per_s
+        text = NO_FIGURE if place is None else "\N{EN DASH}".join(map(str, dict.fromkeys(place)))
         if not entry.scores:
-            return (place.text, entry.label, "not run", *(NO_FIGURE,) * (len(self.measures) + 2))
+            return (text, entry.label, "not run", *(NO_FIGURE,) * (len(self.measures) + 2))
         figures = [figure(MEASURES[name], entry.values(name), spread=not entry.deterministic) for name in self.measures]
         speed = (NO_FIGURE,) * 2 if rate is None else (f"{rate:,.0f}", f"×{fastest / rate:,.2f}")
-        return (place.text, entry.label, *figures, f"{entry.failures} of {len(entry.scores)}", *speed)
+        failed = f"{sum(score.failed for score in entry.scores)} of {len(entry.scores)}"
+        return (text, entry.label, *figures, failed, *speed)
 
     def notes(self) -> list[str]:
         """Notes below the table: how to read it, and why recipes did not run."""
         several = any(len(entry.scores) > 1 for entry in self.entries)
         over = f"Mean ± standard deviation over {self.seeds} seeds" if several else "One run each"
         by, places = self.measures[0], self.places
-        how = f"ranked by {by}, {MEASURES[by].better} is better" if places[0].first else f"not ranked, none has {by}"
+        how = f"ranked by {by}, {MEASURES[by].better} is better" if places[0][1] else f"not ranked, none has {by}"
         lines = [f"{over}; {how}."]
-        if any(place.first != place.last for place in places):
+        if any(place and place[0] != place[1] for _, place in places):
             more = "" if several else "; one seed tells nothing of a difference, give --seeds"
             lines.append(f"Recipes that share ranks: the means ± 2 standard errors overlap{more}.")
         if once := [entry.label for entry in self.entries if entry.deterministic and entry.scores]:
@@ -370,19 +331,18 @@ class Comparison:
             "less_is_better": MEASURES[self.measures[0]].better == "less",
             "complete": self.complete,
             "notes": self.notes(),
-            "recipes": [self._recipe(place) for place in self.places],
+            "recipes": [self._recipe(*place) for place in self.places],
         }
         return document("facetrack-compare", fields, indent=1)
 
-    def _recipe(self, place: Place) -> dict[str, Any]:
-        entry = place.entry
+    def _recipe(self, entry: Entry, place: tuple[int, int] | None) -> dict[str, Any]:
         return {
             "label": entry.label,
-            "rank": None if place.first is None else [place.first, place.last],
+            "rank": place,
             "error": None if entry.error is None else str(entry.error),
             "deterministic": entry.deterministic,
             "warnings": list(dict.fromkeys(entry.warnings)),
-            "failures": entry.failures,
+            "failures": sum(score.failed for score in entry.scores),
             "frames_per_s": None if entry.frames_per_s is None else round(entry.frames_per_s, 2),
             "mean": {n: round(m, 6) for n in MEASURES if (m := entry.mean(n)) is not None},
             "std": {n: round(s, 6) for n in MEASURES if (s := entry.spread(n)) is not None},

@@ -16,21 +16,19 @@ import os
 import platform
 import re
 import zlib
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 from llvmlite import binding
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
 
 from facetrack_cli.core import __version__
-from facetrack_cli.core.errors import FacetrackError, InputError, flat, reading
+from facetrack_cli.core.errors import FacetrackError, InputError, reading
 from facetrack_cli.core.files import read_bounded, write_new
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.recipe.load import load_recipe, put_gallery
@@ -212,8 +210,6 @@ def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> 
         clips = [path for path in sorted(folder.glob("*")) if (is_clip(path) or path.is_dir()) and find_init(path)]
         if not clips:
             raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
-        if twice := sorted(stem for stem, n in Counter(clip.stem for clip in clips).items() if n > 1):
-            raise InputError(f"{folder}: two clips are called {twice[0]}; rename one, goldens are kept by that name")
         new = [Task(place / f"{clip.stem}.{name}.json", clip, recipes[name]) for clip, name in product(clips, recipes)]
         for i, task in enumerate(new):
             with contextlib.suppress(InputError):  # it may be that there is none yet, or none that can be read
@@ -309,17 +305,3 @@ def compared(verdict: Verdict, golden: Golden, now: Golden, changed: list[str]) 
         share = f"at {100 * max(far)[0]:.0f} % of the spread of {golden.seeds} seeds"
         return replace(verdict, message=share, details=(note,))
     return replace(verdict, failed=True, message=off[0], details=tuple(off[1:]))
-
-
-def as_junit(verdicts: Sequence[Verdict]) -> str:
-    """JUnit XML: a test case for each golden, the clip is its class, the recipe its name."""
-    root = ElementTree.Element("testsuites")
-    counts = {"tests": str(len(verdicts)), "failures": str(sum(verdict.failed for verdict in verdicts)), "errors": "0"}
-    suite = ElementTree.SubElement(root, "testsuite", counts, name="facetrack regress")
-    for verdict in verdicts:  # XML cannot hold control characters
-        names = verdict.task.clip.name, Path(verdict.task.recipe).stem
-        clip, recipe, *lines = map(flat, (*names, verdict.message, *verdict.details))
-        case = ElementTree.SubElement(suite, "testcase", classname=clip, name=recipe, time=f"{verdict.seconds:.3f}")
-        if verdict.failed:
-            ElementTree.SubElement(case, "failure", {"message": lines[0]}).text = "\n".join(lines)
-    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

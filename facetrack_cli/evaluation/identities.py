@@ -195,25 +195,20 @@ def assigned(score: Array) -> list[tuple[int, int]]:
     if score.shape[0] > score.shape[1]:
         return sorted((i, j) for j, i in assigned(score.T))
     rows, columns = score.shape
-    u, v = np.zeros(rows), np.zeros(columns)
-    owner = np.full(columns, -1)
+    u, v, owner = np.zeros(rows), np.zeros(columns + 1), np.full(columns + 1, -1)
     for row in range(rows):
-        shortest, via, done = np.full(columns, np.inf), np.full(columns, -1), np.zeros(columns, np.bool_)
-        i, way, at = row, 0.0, -1
-        while i >= 0:
-            reach = way - score[i] - u[i] - v
-            nearer = ~done & (reach < shortest)
+        owner[columns], at = row, columns  # the path begins in a column of its own
+        shortest, via, done = np.full(columns, np.inf), np.full(columns, columns), np.zeros(columns + 1, np.bool_)
+        while owner[at] >= 0:
+            done[at] = True
+            reach = -score[owner[at]] - u[owner[at]] - v[:-1]
+            nearer = ~done[:-1] & (reach < shortest)
             shortest[nearer], via[nearer] = reach[nearer], at
-            at = int(np.argmin(np.where(done, np.inf, shortest)))
-            way, done[at] = float(shortest[at]), True
-            i = int(owner[at])
-        u[row] += way
-        for j in np.flatnonzero(done).tolist():
-            if owner[j] >= 0:
-                u[owner[j]] += way - shortest[j]
-            v[j] -= way - shortest[j]
-        while at >= 0:
-            before = int(via[at])
-            owner[at] = row if before < 0 else owner[before]
-            at = before
-    return sorted((int(i), j) for j, i in enumerate(owner.tolist()) if i >= 0 and score[i, j] > 0)
+            at = int(np.argmin(np.where(done[:-1], np.inf, shortest)))
+            step = shortest[at]
+            u[owner[done]] += step
+            v[done] -= step
+            shortest -= step
+        while at != columns:
+            owner[at], at = owner[via[at]], int(via[at])
+    return sorted((i, j) for j, i in enumerate(owner[:-1].tolist()) if i >= 0 and score[i, j] > 0)

@@ -119,15 +119,6 @@ class Rows:
         return len(self.frame)
 
     @property
-    def covered(self) -> Mask:
-        return self.hidden | self.absent
-
-    @property
-    def by_hand(self) -> Mask:
-        """(R,) given by a correction: a position, or that the part is absent."""
-        return self.later | self.left_out
-
-    @property
     def error(self) -> Array:
         """(R,) pixels; nan where the true position is not known, infinite where ours alone is missing."""
         error = np.hypot(self.offset[:, 0], self.offset[:, 1])
@@ -200,22 +191,6 @@ class Pair(NamedTuple):
         return self.declared_box and all(bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in self)
 
 
-# names of the two parts, tried in this order
-NAMED = {"mouth": (("mouth_left", "mouth_right"),), "eyes": (("eye_left", "eye_right"), ("point_37", "point_46"))}
-
-
-class Unit(NamedTuple):
-    """The length of one target: (F,) pixels, nan where unknown, for increasing frames (F,); `text` explains it."""
-
-    frame: Whole
-    length: Array
-    text: str
-
-    def at(self, frames: Whole) -> Array:
-        """(R,) lengths for frames (R,); nan where there is none."""
-        return at(frames, self.frame, self.length)
-
-
 def at(frames: Whole, known: Whole, values: Array) -> Array:
     """(R, ...) values (F, ...) of the increasing frames `known` (F,) at `frames` (R,); nan for frames not there."""
     result = np.full((len(frames), *values.shape[1:]), np.nan)
@@ -224,56 +199,54 @@ def at(frames: Whole, known: Whole, values: Array) -> Array:
     return result
 
 
-def check_normalise(how: str) -> str:
-    """`how`, if it is one of these ways to give the length in pixels by which errors are normalised. Raises UsageError.
+def normalised_rows(
+    pairs: Sequence[Pair], how: str, reference: Sequence[Trajectory]
+) -> tuple[tuple[Rows, ...], dict[str, str]]:
+    """The rows of each pair, and by target what the length is, as of `lengths_of`."""
+    units, rows = dict[str, str](), dict[str, Rows]()
+    for target in dict.fromkeys(pair.ours.target for pair in pairs):
+        own = [pair for pair in pairs if pair.ours.target == target]
+        lengths, units[target] = lengths_of(how, own, reference)
+        rows |= {pair.ours.name: rows_of(pair, unit) for pair, unit in zip(own, lengths, strict=True)}
+    return tuple(rows[pair.ours.name] for pair in pairs), units
+
+
+def lengths_of(how: str, own: Sequence[Pair], reference: Sequence[Trajectory]) -> tuple[list[Array], str]:
+    """The length in pixels by which the errors of a target are normalised: (R,) for each of its pairs, nan where it is
+    not known; and what it is. It is taken from their ground truth, or from the parts in `reference`. `how`:
 
     size     the largest distance between two points of the target, in the first frame with all of them: the unit of
              recipes. Of a box sqrt(width * height), in each frame. The default.
     A:B      the distance between two parts, in each frame
-    mouth    mouth_left:mouth_right
-    eyes     eye_left:eye_right, or the outer corners of the eyes of a face of 68 points
     NUMBER   so many pixels
+
+    Raises UsageError where the ground truth lacks a part.
     """
-    parts = how.split(":")
-    if how == "size" or how in NAMED or (len(parts) == 2 and all(parts) and parts[0] != parts[1]):
-        return how
-    try:
-        pixels = float(how)
-    except ValueError:
-        pixels = math.nan
-    if not 0 < pixels < math.inf:
-        wanted = "size, mouth, eyes, two parts as nose:mouth_left, or a number of pixels above 0"
-        raise UsageError(f"--normalise {how!r}: give {wanted}")
-    return how
-
-
-def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) -> Unit:
-    """The length of a target with ground truth `truth`, for increasing `frames` (F,); UsageError for another `how`."""
-    if how in NAMED or ":" in how:
-        ends = _pair(how, truth)
+    truth = {pair.truth.part: pair.truth for pair in own}
+    # the size is that of the tracked parts; other parts of the ground truth serve where a length needs them
+    if len(truth) == 1 or how != "size":
+        # a target may have another name in the ground truth than in the trajectory
+        named = [part for part in reference if part.target == own[0].truth.target]
+        alone = reference if len({part.target for part in reference}) == 1 else []
+        truth = {**{part.part: part for part in named or alone}, **truth}
+    frames = np.unique(column((pair.ours for pair in own), "frame"))
+    box = own[0].truth
+    if how == "size" and own[0].declared_box and np.any(box.w > 0):
+        length, what = at(frames, box.frame, np.sqrt(np.maximum(box.w * box.h, 0))), "size, sqrt(width * height)"
+    elif ":" in how:
+        if missing := [part for part in how.split(":") if part not in truth]:
+            names = ", ".join(list(truth)[:8]) + (", ..." if len(truth) > 8 else "")
+            raise UsageError(f"--normalise {how}: the ground truth has no {' and '.join(missing)}; it has {names}")
+        ends = (truth[part] for part in how.split(":"))
         a, b = (np.stack([at(frames, part.frame, part.x), at(frames, part.frame, part.y)]) for part in ends)
-        length, what = np.hypot(*(a - b)), f"{ends[0].part} to {ends[1].part}"
-    elif how == "size" and box:
-        sides = np.sqrt(np.maximum(truth[0].w * truth[0].h, 0))
-        length, what = at(frames, truth[0].frame, sides), "size, sqrt(width * height)"
+        length, what = np.hypot(*(a - b)), how.replace(":", " to ")
     else:
-        size, text = _size(truth, frames) if how == "size" else (float(how), f"{float(how):g} px")
-        return Unit(frames, np.full(len(frames), size), text)
+        size, what = _size([*truth.values()], frames) if how == "size" else (float(how), f"{float(how):g} px")
+        return [np.full(len(pair.ours), size) for pair in own], what
     length = np.where(length > 0, length, np.nan)
     finite = length[np.isfinite(length)]
     typical = f"median {np.median(finite):.1f} px" if len(finite) else "not known in any"
-    return Unit(frames, length, f"{what} in each frame, {typical}")
-
-
-def _pair(how: str, truth: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory]:
-    wanted = NAMED.get(how) or (tuple(how.split(":")),)
-    there = {part.part: part for part in truth}
-    for first, second in wanted:
-        if first in there and second in there:
-            return there[first], there[second]
-    missing = " or ".join(" and ".join(part for part in names if part not in there) for names in wanted)
-    names = ", ".join(list(there)[:8]) + (", ..." if len(there) > 8 else "")
-    raise UsageError(f"--normalise {how}: the ground truth has no {missing}; it has {names}")
+    return [at(pair.ours.frame, frames, length) for pair in own], f"{what} in each frame, {typical}"
 
 
 def _size(truth: Sequence[Trajectory], frames: Whole) -> tuple[float, str]:

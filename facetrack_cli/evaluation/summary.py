@@ -4,30 +4,29 @@
     evaluation.all.points.mean_px
     scalars(evaluation)["lost.precision"]
 
-`Sheet` is any table of results: on a terminal, piped, and as Markdown.
+`Sheet` is any table of results, on a terminal and piped.
 """
 
 import math
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import fill
 from typing import Any, Final, get_args, get_type_hints
 
 import click
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+from rich.cells import cell_len
 
 from facetrack_cli.core.errors import InputError, flat, visible
 from facetrack_cli.core.files import absolute
 from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Whole
 from facetrack_cli.evaluation import accuracy as errors
-from facetrack_cli.evaluation import reliability
 from facetrack_cli.evaluation.accuracy import BoxMeasures, measure_boxes
 from facetrack_cli.evaluation.identities import PeopleMeasures
 from facetrack_cli.evaluation.rows import (
@@ -35,18 +34,14 @@ from facetrack_cli.evaluation.rows import (
     Measure,
     Pair,
     Rows,
-    Unit,
     Value,
-    check_normalise,
     column,
     measures_of,
-    rows_of,
-    unit_of,
+    normalised_rows,
 )
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 WIDTH: Final = 100  # columns of a table that is not printed on a terminal
-MAX_WIDTH: Final = 10_000  # more columns than any table needs
 NO_FIGURE: Final = "\N{EN DASH}"
 
 
@@ -60,37 +55,25 @@ class Sheet:
     notes: tuple[str, ...] = ()
     left: tuple[int, ...] = (0,)
 
-    def markdown(self) -> str:
-        """The table as Markdown."""
-        heads = [head.replace("\n", " ") for head in self.heads]
-        rule = [":--" if i in self.left else "--:" for i in range(len(heads))]
-        lines = [[cell.replace("|", "\\|") for cell in row] for row in (heads, rule, *self.rows)]
-        text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-        return f"{self.title}\n\n{text}\n" + "".join(f"- {note}\n" for note in self.notes)
-
     def show(self) -> None:
-        """Print the table as wide as the terminal, or WIDTH columns; wider where its figures need that."""
-        table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
-        tall = max(head.count("\n") for head in self.heads)
-        for i, head in enumerate(self.heads):
-            lower = Text("\n" * (tall - head.count("\n")) + head)
-            table.add_column(lower, justify="left" if i in self.left else "right", no_wrap=True)
+        """Print the table, as wide as its cells, and the notes, as wide as the terminal, or WIDTH columns."""
+        heads = [head.split("\n") for head in self.heads]
+        tall = max(map(len, heads))
+        table = [[[""] * (tall - len(head)) + head for head in heads]]
         for row in self.rows:  # a recipe has a line for each of its overrides
-            table.add_row(*(Text(re.sub(r"(?<=[:,])(?=[\w.]+=)", "\n  ", visible(cell))) for cell in row))
-        console = Console(width=None if sys.stdout.isatty() else WIDTH, emoji=False, highlight=False, markup=False)
-        width = console.width
-        # rich would end the program with its own code where the reader of a pipe has left, so click prints
-        with console.capture() as text:
-            console.print(Text(flat(self.title), style="bold"), soft_wrap=True)
-            console.print()
-            console.width = max(width, console.measure(table, options=console.options.update(width=MAX_WIDTH)).maximum)
-            console.print(table)
-            console.width = width
-            console.print()
-            for note in self.notes:
-                console.print(Text(visible(note)))
-        for line in text.get().splitlines():
-            click.echo(line.rstrip())
+            table.append([re.sub(r"(?<=[:,])(?=[\w.]+=)", "\n  ", visible(cell)).split("\n") for cell in row])
+        widths = [max(cell_len(line) for cell in cells for line in cell) for cells in zip(*table, strict=True)]
+        click.echo(f"{flat(self.title)}\n")
+        for number, columns in enumerate(table):
+            for line in zip_longest(*columns, fillvalue=""):
+                gaps = [" " * (width - cell_len(cell)) for width, cell in zip(widths, line, strict=True)]
+                padded = (cell + gaps[i] if i in self.left else gaps[i] + cell for i, cell in enumerate(line))
+                click.echo("   ".join(padded).rstrip())
+            if number == 0:
+                click.echo("\N{BOX DRAWINGS LIGHT HORIZONTAL}" * (sum(widths) + 3 * len(widths) - 3))
+        click.echo()
+        for note in self.notes:
+            click.echo(fill(visible(note), get_terminal_size().columns if sys.stdout.isatty() else WIDTH))
 
 
 def clip_name(clip: Path) -> str:
@@ -110,15 +93,11 @@ class PartMeasures:
     part: str
     points: errors.PointMeasures | None
     boxes: BoxMeasures | None
-    lost: reliability.LostMeasures | None
-    confidence: reliability.ConfidenceMeasures | None
-    coverage: reliability.CoverageMeasures | None
-    jitter: reliability.JitterMeasures | None
+    lost: errors.LostMeasures | None
+    confidence: errors.ConfidenceMeasures | None
+    coverage: errors.CoverageMeasures | None
+    jitter: errors.JitterMeasures | None
     people: PeopleMeasures | None = None
-
-    @property
-    def name(self) -> str:
-        return f"{self.target}/{self.part}" if self.part else self.target
 
     @property
     def figures(self) -> dict[str, Value]:
@@ -131,7 +110,7 @@ class PartMeasures:
         return values
 
 
-# all measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `coverage.unknown_std`
+# all measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `jitter.truth_px`
 MEASURES: Final[Mapping[str, Measure]] = {
     f"{group}.{name}": measure
     for group, hint in get_type_hints(PartMeasures).items()
@@ -171,18 +150,17 @@ def evaluate(
     reference: Sequence[Trajectory] = (),
     people: PeopleMeasures | None = None,
 ) -> Evaluation:
-    """Measure the pairs of `match`. Lengths are taken from their ground truth, and from the parts in `reference`.
+    """Measure the pairs of `match`.
 
-    `normalise`: see `check_normalise`; `failure`: the normalised error above which a row has failed; `size`: (width,
-    height) of the frames where it is known, to which GOT-10k clips boxes. Raises InputError without any row, UsageError
-    for a length that the ground truth does not have.
+    `normalise` and `reference`: see `lengths_of`; `failure`: the normalised error above which a row has failed; `size`:
+    (width, height) of the frames where it is known, to which GOT-10k clips boxes. Raises InputError without any row,
+    UsageError for a length that the ground truth does not have.
     """
     # the rows that the ground truth itself calls lost, as a trajectory does that serves as ground truth, are unknown
     pairs = [Pair(*(table.take(pair.truth.status != "lost") for table in pair)) for pair in pairs]
     if not any(len(pair.ours) for pair in pairs):
         raise InputError("there is no row that both the trajectory and the ground truth have; nothing can be measured")
-    units = units_of(pairs, normalise, reference)
-    rows = tuple(rows_of(pair, units[pair.ours.target].at(pair.ours.frame)) for pair in pairs)
+    rows, units = normalised_rows(pairs, normalise, reference)
 
     def measured(target: str, part: str, some: slice, people: PeopleMeasures | None = None) -> PartMeasures:
         own = rows[some]
@@ -192,37 +170,19 @@ def evaluate(
             part,
             points=errors.measure_points(points, failure) if points else None,
             boxes=_boxes(pairs[some], own, size) if len(points) < len(own) else None,
-            lost=reliability.measure_lost(own),
-            confidence=reliability.measure_confidence(own),
-            coverage=reliability.measure_coverage(own),
-            jitter=reliability.measure_jitter(own),
+            lost=errors.measure_lost(own),
+            confidence=errors.measure_confidence(own),
+            coverage=errors.measure_coverage(own),
+            jitter=errors.measure_jitter(own),
             people=people,
         )
 
-    texts = {target: unit.text for target, unit in units.items()}
     parts = tuple(measured(part.target, part.part, slice(i, i + 1)) for i, part in enumerate(rows))
     whole = measured("all", "", slice(None), people)
-    return Evaluation(normalise, failure, rows, texts, parts, whole, (*notes, *_why_undefined(rows, whole, texts)))
-
-
-def units_of(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory]) -> dict[str, Unit]:
-    """By target, the length that normalises its errors."""
-    check_normalise(normalise)
-    units = {}
-    for target in dict.fromkeys(pair.ours.target for pair in pairs):
-        own = [pair for pair in pairs if pair.ours.target == target]
-        truth = {pair.truth.part: pair.truth for pair in own}
-        # the size is that of the tracked parts; other parts of the ground truth serve where a length needs them
-        if len(truth) == 1 or normalise != "size":
-            # a target may have another name in the ground truth than in the trajectory
-            named = [s for s in reference if s.target == own[0].truth.target]
-            alone = reference if len({s.target for s in reference}) == 1 else []
-            truth = {**{s.part: s for s in named or alone}, **truth}
-        frames = np.unique(np.concatenate([pair.ours.frame for pair in own]))
-        box = own[0].declared_box and bool(np.any(own[0].truth.w > 0))
-        series = [own[0].truth] if box and normalise == "size" else list(truth.values())
-        units[target] = unit_of(normalise, series, box=box, frames=frames)
-    return units
+    if whole.points is not None and whole.points.mean_px is not None and whole.points.auc is None:
+        texts = "; ".join(dict.fromkeys(units.values()))
+        notes = [*notes, f"errors are not normalised and nothing is near ({texts}): give --normalise PIXELS"]
+    return Evaluation(normalise, failure, rows, units, parts, whole, tuple(notes))
 
 
 def _boxes(pairs: Sequence[Pair], parts: Sequence[Rows], size: tuple[int, int] | None) -> BoxMeasures:
@@ -243,18 +203,6 @@ def _boxes(pairs: Sequence[Pair], parts: Sequence[Rows], size: tuple[int, int] |
 def scalars(evaluation: Evaluation) -> dict[str, float]:
     """The figures of all parts together, by name; what is not defined is left out."""
     return {name: float(value) for name, value in evaluation.all.figures.items() if value is not None}
-
-
-def _why_undefined(rows: Sequence[Rows], whole: PartMeasures, units: Mapping[str, str]) -> Iterator[str]:
-    if whole.points is not None and whole.points.mean_px is not None and whole.points.auc is None:
-        texts = "; ".join(dict.fromkeys(units.values()))
-        yield f"errors are not normalised and nothing is near ({texts}): give --normalise PIXELS"
-    if column(rows, "init").all():
-        yield "all rows were given to the tracker, so lost, confidence and coverage are not measured"
-        return
-    for group, name in (("lost", "status"), ("confidence", "confidence"), ("coverage", "std")):
-        if getattr(whole, group) is None:
-            yield f"the trajectory has no {name}, so {group} is not measured"
 
 
 CURVES: Final = ("success", "precision", "normalised_precision")
@@ -289,8 +237,6 @@ def _groups(part: PartMeasures) -> dict[str, Any]:
     if part.boxes is not None:
         curves = [(name, getattr(part.boxes, name).tolist()) for name in CURVES]
         groups["boxes"]["curves"] = {name: [v if math.isfinite(v) else None for v in each] for name, each in curves}
-    if part.confidence is not None:
-        groups["confidence"]["bins"] = [asdict(each) for each in part.confidence.bins]
     return groups
 
 

@@ -1,22 +1,21 @@
 """From a name or a path to a checked recipe, or what is wrong with it; the people of `--gallery`; calibrations."""
 
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from functools import lru_cache
 from pathlib import Path, PurePath
-from typing import Any, Final, get_args, get_origin
+from typing import Any, Final
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from facetrack_cli.core.errors import InputError, RecipeError, UsageError, reading
 from facetrack_cli.core.models import model_path, shipped_folder, shipped_recipes
 from facetrack_cli.core.yaml_tree import Node, Problem, Source, Span, YamlProblems, assign, parse, read_source
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, ParticlesRecipe, Recipe, above, completed, to_dict
-from facetrack_cli.recipe.sections import Steps, suggest, type_of, variants
+from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.trackers.appearance.settings import AffineSettings
 
 TASKS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -159,7 +158,7 @@ def _made(path: Path, source: Source, overrides: tuple[str, ...]) -> Recipe:
     root = parse(source)
     if root is None or root.value is None:
         shipped = "start from a shipped recipe: facetrack recipes show factorized"
-        raise YamlProblems(Problem(Span(source, 0, 0, 1), f"the recipe is empty; {shipped}"))
+        raise YamlProblems(Problem(Span(source, 0, 0), f"the recipe is empty; {shipped}"))
     if not isinstance(root.value, dict):
         raise YamlProblems(Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this"))
     for override in overrides:
@@ -175,7 +174,7 @@ def _made(path: Path, source: Source, overrides: tuple[str, ...]) -> Recipe:
     try:
         return kind.model_validate(root.plain(), context={"path": path, "root": root})
     except ValidationError as error:
-        raise YamlProblems(*problems(error, kind, root)) from None
+        raise YamlProblems(*problems(error, root)) from None
 
 
 # --- the people of `--gallery` ---------------------------------------------------------------------------------------
@@ -190,11 +189,9 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
     UsageError where there is nobody to recognise, or nothing that recognises, and InputError for no such file.
     """
     if file is None:
-        for recipe in recipes:
-            if wants_gallery(recipe):
-                remedy = f"give --gallery FILE, {_MADE_BY}, or name one in the recipe, in recognition.gallery"
-                who = f"{recipe.name} says who somebody is, of the people of a gallery"
-                raise UsageError(f"--gallery is missing: {who}; {remedy}")
+        for recipe in filter(wants_gallery, recipes):
+            remedy = f"give --gallery FILE, {_MADE_BY}, or name one in the recipe, in recognition.gallery"
+            raise UsageError(f"--gallery is missing: {recipe.name} recognises the people of a gallery; {remedy}")
         return list(recipes)
     gallery_file(file)
     takes = _recognising if any(map(_recognising, recipes)) else _affine
@@ -275,25 +272,16 @@ def _bare(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in settings.items() if key not in _FREE}
 
 
-# --- what pydantic finds in a recipe, as problems with a place in the text and a remedy -------------------------------
-
-_NAMES = "a name has small letters, digits and _, begins with a letter, and is not long"
-# of what pydantic says, the words that people who write recipes would use
-_PLAIN: Final = {
-    "(Input|String|Number|List|Tuple|Dictionary) should": "must",
-    "greater than or equal to": "at least", "less than or equal to": "at most", " after validation": "",
-    "a valid integer.*": "a whole number", "a valid string.*": "a text", "a valid tuple": "a list",
-    "a valid boolean.*": "true or false", "a valid ": "a ",
-}  # fmt: skip
+# --- what pydantic finds in a recipe, as problems with a place in the text -------------------------------------------
 
 
-def problems(error: ValidationError, model: type[BaseModel], root: Node) -> list[Problem]:
+def problems(error: ValidationError, root: Node) -> list[Problem]:
     """Everything that the error lists, in the order of the text."""
-    listed = [problem for details in error.errors(include_url=False) for problem in _problems(details, model, root)]
+    listed = [problem for details in error.errors(include_url=False) for problem in _problems(details, root)]
     return sorted(listed, key=lambda p: (not p.span.source.is_file, p.span.line, p.span.column))
 
 
-def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iterator[Problem]:
+def _problems(details: ErrorDetails, root: Node) -> Iterator[Problem]:
     kind, path = details["type"], details["loc"]
     if kind == "refused":
         for refusal in details["ctx"]["refusals"]:
@@ -301,83 +289,35 @@ def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iter
             yield Problem(node.key if refusal.at_key and node.key else _value_span(node), refusal.message)
         return
     node, keys = root.at(path)
-    where, at = _dotted(keys), node.key or node.span
-    if kind == "missing":
-        what = f"item {path[-1] + 1}" if isinstance(path[-1], int) else f'the key "{path[-1]}"'
-        section = f'"{where}"' if where else "the recipe"
-        yield Problem(at, f"{section} lacks {what}; add it")
+    where = ".".join(keys).replace(".[", "[") or "the recipe"
+    if kind in ("missing", "union_tag_not_found"):
+        key = "type" if kind != "missing" else path[-1] if isinstance(path[-1], str) else f"[{path[-1] + 1}]"
+        yield Problem(node.key or node.span, f'{where} lacks "{key}"; add it')
     elif kind == "extra_forbidden":
-        known = [name for owner in _models_at(model, path[:-1])[:1] for name in owner.model_fields]
-        names = suggest(str(path[-1]), known, "the keys there are")
-        inside = f' in "{_dotted(keys[:-1])}"' if keys[:-1] else ""
-        yield Problem(at, f'unknown key "{path[-1]}"{inside}; {names}')
-    elif kind.startswith("union_tag"):
-        types = [type_of(member) for member in _models_at(model, tuple(keys))]
-        chosen = node.value.get("type") if isinstance(node.value, dict) else None
-        if chosen is None:
-            yield Problem(at, f'"{where}" lacks the key "type"; it is one of: {", ".join(types)}')
-        else:
-            named = suggest(str(chosen.value), types, "it is one of")
-            yield Problem(chosen.span, f"{where}.type cannot be {_shown(chosen.value)}; {named}")
+        yield Problem(node.key or node.span, f'unknown key "{where}"; correct it, or remove it')
+    elif kind == "union_tag_invalid":
+        chosen, _ = node.at(["type"])
+        yield Problem(chosen.span, f"{where}.type is one of {details['ctx']['expected_tags']}, not {_shown(chosen)}")
     elif path[-1] == "[key]":  # how pydantic calls the name itself in a mapping from any name
-        yield Problem(at, f'"{keys[-1]}" cannot be one of {_dotted(keys[:-1])}; {_NAMES}')
-    elif kind != "too_short" or _length(node) < details["ctx"]["min_length"]:  # items that are wrong do not count there
-        yield Problem(_value_span(node), f"{where or 'the recipe'} {_said(details, node)}")
-
-
-def _said(details: ErrorDetails, node: Node) -> str:
-    """What pydantic says, with what stands in the text."""
-    said = details["msg"]
-    for theirs, plain in _PLAIN.items():
-        said = re.sub(theirs, plain, said)
-    if details["type"] in ("model_type", "model_attributes_type", "dict_type"):
-        said = "must be a mapping of keys"
-    elif details["type"] == "string_pattern_mismatch":
-        said = f"does not fit: {_NAMES}"
-    return said if ", not " in said else f"{said}, not {_shown(node.value)}"
-
-
-def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
-    """The models that may stand at a path: one, or all members of a union whose member the path does not name."""
-    here = [model]
-    named_by_user = False  # the key of a mapping from any name to a model
-    for step in path:
-        if named_by_user:
-            named_by_user = False
-            continue
-        if named := [kind for kind in here if len(here) > 1 and type_of(kind) == step]:
-            here = named
-            continue
-        fields = [kind.model_fields[step] for kind in here if isinstance(step, str) and step in kind.model_fields]
-        named_by_user = any(get_origin(info.annotation) is dict for info in fields)
-        here = [below for info in fields for below in _models_in(info.annotation)]
-    return here
-
-
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return variants(annotation)
-    return [model for member in get_args(annotation) for model in _models_in(member)]
-
-
-def _length(node: Node) -> int:
-    return len(node.value) if isinstance(node.value, list | dict) else 0
+        yield Problem(
+            node.key or node.span, f"{where}: a name has small letters, digits and _, and begins with a letter"
+        )
+    elif (
+        kind != "too_short" or len(node.plain()) < details["ctx"]["min_length"]
+    ):  # items that are wrong do not count there
+        said = (
+            "must be a mapping of keys"
+            if kind in ("model_type", "dict_type")
+            else details["msg"].replace("tuple", "list")
+        )
+        yield Problem(_value_span(node), f"{where}: {said}" + f", not {_shown(node)}" * (", not " not in said))
 
 
 def _value_span(node: Node) -> Span:
     """The place of a wrong value; of a section, and of an empty value, the place of its key."""
-    nothing = node.span.end <= node.span.column
-    return node.key if node.key is not None and (nothing or isinstance(node.value, dict)) else node.span
+    return node.key if node.key is not None and (node.value is None or isinstance(node.value, dict)) else node.span
 
 
-def _dotted(keys: Sequence[str]) -> str:
-    return ".".join(keys).replace(".[", "[")
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, str):
-        short = value if len(value) <= 40 else value[:40] + "..."
-        return f'the text "{" ".join(short.split())}"'
-    if value is None or isinstance(value, bool):
-        return "empty (null)" if value is None else str(value).lower()
-    return "a mapping" if isinstance(value, dict) else "a list" if isinstance(value, list) else str(value)
+def _shown(node: Node) -> str:
+    text = json.dumps(node.plain(), ensure_ascii=False)
+    return text if len(text) <= 60 else f"{text[:60]}..."

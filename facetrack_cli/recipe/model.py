@@ -33,11 +33,10 @@ from facetrack_cli.recipe.sections import (
 from facetrack_cli.trackers.appearance.settings import RecognitionSettings
 from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.hands.settings import HandsSettings
-from facetrack_cli.trackers.skin.settings import ExclusionSettings, SkinCloudSettings
+from facetrack_cli.trackers.skin.settings import ExclusionSettings
 
 MAX_SEED: Final = 2**63 - 1
 S = TypeVar("S", bound=Kind)
-MAX_HYPOTHESES = 5_000_000  # particles times parts: some gigabytes
 TargetName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
 
@@ -85,10 +84,6 @@ class ParticleFilterSettings(Section):
         return self.target.points
 
     @property
-    def hypotheses(self) -> int:
-        return self.filter.particles * max(len(self.points), 1)
-
-    @property
     def components(self) -> dict[str, Component]:
         """What the tracker is built from, by key, but for what is not given."""
         sections = {key: getattr(self, key) for key in ("target", *_KINDS)}
@@ -106,19 +101,14 @@ class ParticleFilterSettings(Section):
             yield Refusal(("confidence", "calibration"), message)
         if self.head is not None and not self.points:
             yield Refusal(("head",), "head carries points of a face; remove it, or follow points")
-        if self.hypotheses > MAX_HYPOTHESES:
-            message = f"particles times parts is {self.hypotheses:,}; no more than {MAX_HYPOTHESES:,} fit into memory"
-            yield Refusal(("filter", "particles"), message)
 
     def _mismatch(self, key: str, section: Component) -> Refusal:
         """The error for a section that does not go with the type of the target."""
         why = f'does not go with target type "{self.target.type}"'
         if not isinstance(section, Kind):
             return Refusal((key,), f"{key} {why}; remove it, or follow an affine target")
-        fitting = [
-            name for name, kind in sections.registered(_KINDS[key]).items() if self.target.type in kind.goes_with
-        ]
-        message = f'{key} type "{section.type}" {why}; write {" or ".join(fitting) or "null"}'
+        fits = [name for name, kind in sections.registered(_KINDS[key]).items() if self.target.type in kind.goes_with]
+        message = f'{key} type "{section.type}" {why}; write {" or ".join(fits) or "null"}'
         return Refusal((key, "type"), message)
 
 
@@ -204,11 +194,6 @@ class Recipe(Section):
         """Whether another seed may give another track."""
         return True
 
-    @property
-    def judges(self) -> bool:
-        """Whether it may call a part lost."""
-        return not self.filters or any(settings.likelihood.judges for settings in self.filters.values())
-
     def lost_below(self, target: str) -> float:
         """A part of this target is lost while its confidence stays below this."""
         settings = self.filters.get(target) or next(iter(self.filters.values()), None)
@@ -217,7 +202,7 @@ class Recipe(Section):
 
     def span(self, key: str) -> Span:
         """The place of a key of this recipe, as of `prior.file`, or of the nearest above it."""
-        nowhere = Span(Source(str(self._path), "", self._path.parent), 0, 0, 1)
+        nowhere = Span(Source(str(self._path), "", self._path.parent), 0, 0)
         return nowhere if self._root is None else self._root.at(key.split("."))[0].span
 
     def error(self, key: str, message: str) -> RecipeError:
@@ -296,21 +281,15 @@ class ParticlesRecipe(Recipe):
             if settings.points:
                 message = "several targets are regions, clouds or affine; follow points by a recipe of their own"
                 yield Refusal(("targets", name, "target", "type"), message)
-            if isinstance(settings.likelihood, SkinCloudSettings) and settings.likelihood.learn_from not in (
-                None,
-                *names,
-            ):
-                message = f'there is no target "{settings.likelihood.learn_from}" to learn from; {choice}'
+            learn_from = getattr(settings.likelihood, "learn_from", None)
+            if learn_from is not None and learn_from not in names:
+                message = f'there is no target "{learn_from}" to learn from; {choice}'
                 yield Refusal(("targets", name, "likelihood", "learn_from"), message)
         for i, name in enumerate(self.exclusion.first if self.exclusion is not None else ()):
             if name not in names:
                 yield Refusal(("exclusion", "first", i), f'there is no target "{name}"; {choice}')
         if self.hands is not None and (taken := [name for name in HANDS if name in self.targets]):
             yield Refusal(("targets", taken[0]), f"{taken[0]} is one of hands; remove it, or hands")
-        hypotheses = sum(settings.hypotheses for settings in self.filters.values())
-        if hypotheses > MAX_HYPOTHESES:
-            message = f"the targets have {hypotheses:,} particles; no more than {MAX_HYPOTHESES:,} fit into memory"
-            yield Refusal(("targets",), message)
 
 
 KINDS: Mapping[str, type[Recipe]] = {type_of(kind): kind for kind in (ParticleRecipe, ParticlesRecipe, OpenCvRecipe)}

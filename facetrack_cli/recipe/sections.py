@@ -210,10 +210,6 @@ def add(section: type[Kind]) -> None:
     if kind is None or not name:
         bases = ", ".join(base.__name__ for base in KINDS)
         raise TypeError(f'{section!r} is no section: derive it from one of {bases}, with type: Literal["its_name"]')
-    if kind is not TargetSettings and not section.goes_with:
-        raise TypeError(f'{section.__name__} goes with no type of target: add goes_with = ("points",), as it may be')
-    if kind is not TargetSettings and not hasattr(section, "engine") and section.build is kind.build:
-        raise TypeError(f"{section.__name__} builds nothing: give it a method build(self, context)")
     taken = registered(kind).get(name, section)
     if (taken.__module__, taken.__qualname__) != (section.__module__, section.__qualname__):
         noun = kind.__name__.removesuffix("Settings").lower()
@@ -225,11 +221,6 @@ def type_of(section: type[BaseModel]) -> str:
     """The name of a type in recipes; empty for a section that has no types."""
     field = section.model_fields.get("type")
     return str(get_args(field.annotation)[0]) if field and typing.get_origin(field.annotation) is Literal else ""
-
-
-def variants(section: type[BaseModel]) -> list[type[BaseModel]]:
-    """The models that may stand where `section` is written: all types of a kind, or the section itself."""
-    return list(registered(section).values()) if section in KINDS and issubclass(section, Kind) else [section]
 
 
 @dataclass(frozen=True, slots=True)
@@ -381,8 +372,8 @@ class FactorizedSettings(LooksAheadSettings):
     engine = "facetrack_cli.engine.filters:factorized"
     goes_with = ("points",)  # it resamples parts apart, and the other targets are one part
     type: Literal["factorized"]
-    reweight: Literal["prior", "transition", "both"] = "prior"
-    """By the shape prior (eq. 11), by the particles of the last frame (eq. 7), or, beyond the paper, by both."""
+    reweight: Literal["prior", "transition"] = "prior"
+    """By the shape prior (eq. 11), or by the particles of the last frame (eq. 7)."""
     from_prior: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Share of a part's sub-particles that is proposed from the prior given the other parts; as published 0."""
 

@@ -170,7 +170,7 @@ def read_init(path: Path) -> Start:
         start = record.start_from(name)
         return replace(start, corrections=tuple(sorted(start.corrections, key=lambda fix: fix.frame)))
     except ValidationError as error:
-        refused = problems(error, StartRecord, tree)
+        refused = problems(error, tree)
     except YamlProblems as error:
         refused = [*error.problems]
     raise InputError(f"{refused[0]}{f' (and {len(refused) - 1} more)' if len(refused) > 1 else ''}")

@@ -113,7 +113,6 @@ def test_a_single_picture_each_is_told_and_without_copies_refused(facetrack, cli
     ("arguments", "code", "said"),
     [
         (["IN/absent"], 3, "No such file or directory"),
-        (["IN/people", "-o", "own.npy"], 2, "own.npy"),
         (["IN/people", "-o", "no/own.npz"], 2, "no folder no"),
         (["IN/people", "--template", "30"], 2, "26x30"),
         (["IN/people", "--template", "3x900"], 2, "from 6 to 128"),

@@ -30,7 +30,6 @@ def completed(line):
         ("run --config fac", "file,fac", [name for name in RECIPES if name.startswith("fac")]),
         ("recipes show sk", "file,sk", [name for name in RECIPES if name.startswith("sk")]),
         ("recipes sh", None, ["show"]),
-        ("completion z", None, ["zsh"]),
         ("models g", None, ["get"]),
         ("models get m", None, ["mesh"]),
         ("run cl", "file,cl", []),
@@ -52,10 +51,11 @@ def test_recipes_are_completed_without_loading_anything_heavy():
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_script_of_a_shell(shell, capsys):
-    assert main(["completion", shell]) == 0
-    said, err = capsys.readouterr()
-    assert f"_FACETRACK_COMPLETE={shell}_complete" in said and err == ""
+def test_the_script_of_a_shell(shell):
+    if shell == "bash" and not shutil.which("bash"):
+        pytest.skip("Click asks Bash for its version")
+    said = facetrack(_FACETRACK_COMPLETE=f"{shell}_source").stdout
+    assert f"_FACETRACK_COMPLETE={shell}_complete" in said
     if shutil.which(shell):
         subprocess.run([shell, "-n"], input=said, text=True, check=True)
 
@@ -93,8 +93,11 @@ def test_the_order_is_command_line_environment_ours(given, words, variables, opt
 
 @pytest.mark.parametrize(
     ("name", "value", "said"),
-    [("RUN_JOBS", "x", "'x' is not a valid whole number"), ("LOG_FORMAT", "xml", "'xml' is not one of 'text', 'json'")],
+    [
+        ("RUN_JOBS", "x", "'x' is not a valid integer range"),
+        ("LOG_FORMAT", "xml", "'xml' is not one of 'text', 'json'"),
+    ],
 )
 def test_a_wrong_variable_is_one_line(given, name, value, said):
     line = refusal(given("run", "a.mp4", **{name: value}), 2)
-    assert line.startswith(f"facetrack: error: Invalid value for FACETRACK_{name}: {said}")
+    assert line.startswith("facetrack: error: Invalid value for ") and said in line

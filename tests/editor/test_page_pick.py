@@ -333,7 +333,7 @@ def test_overwrite_begins_with_the_file(tmp_path, monkeypatch, facetrack):
     assert read_init(out).targets["face"].windows == {"nose": (9, 9)}
     out.write_text("frame: x\n")
     code, printed, err = facetrack("init", "IN/face", "--pick", "--open", "--overwrite", "--init-frame", 1, "-o", out)
-    assert code == 0 and "warning" in err and "frame must be a whole number" in err and "begins without it" in err
+    assert code == 0 and "warning" in err and "should be a valid integer" in err and "begins without it" in err
     assert seen[1] == {"frame": 1, "targets": {}}
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.engine.confidence import RISES
-from facetrack_cli.evaluation.reliability import ELLIPSE_90
+from facetrack_cli.evaluation.accuracy import ELLIPSE_90
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.samples import from_tools
 

@@ -9,18 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import UsageError
-from facetrack_cli.evaluation import reliability
-from facetrack_cli.evaluation.accuracy import auc, lost_for_good, measure_points
-from facetrack_cli.evaluation.reliability import (
+from facetrack_cli.evaluation.accuracy import (
     ELLIPSE_50,
     ELLIPSE_90,
+    auc,
+    auroc,
+    lost_for_good,
     mahalanobis_squared,
     measure_confidence,
     measure_coverage,
     measure_jitter,
     measure_lost,
+    measure_points,
 )
-from facetrack_cli.evaluation.rows import Pair, check_normalise, rows_of, unit_of
+from facetrack_cli.evaluation.rows import Pair, lengths_of, rows_of
 from facetrack_cli.trajectory.trajectory import one_part
 
 UNIT = 12.0  # a sixth of it, within which a point is near, is 2; a quarter, beyond which it is lost for good, is 3
@@ -49,10 +51,10 @@ def test_errors_in_pixels_and_normalised():
     assert found.mean_px == 1.5 and found.median_px == 1.5
     assert found.std_px == pytest.approx(math.sqrt(1.25))
     assert found.p95_px == pytest.approx(2.85)  # between 2 and 3, at 0.95 * 3 = 2.85 of the places 0 to 3
-    assert found.mean_normalised == pytest.approx(0.075) and found.median_normalised == pytest.approx(0.075)
+    assert found.mean_normalised == pytest.approx(0.075)
     assert found.failure_rate == 0.25  # 3 / 20 is above 0.1, 2 / 20 is not
     assert found.auc == pytest.approx((1 + 0 + 0.5 + 0) / 4)
-    assert found.hidden_mean_px == found.hidden_median_px == 9
+    assert found.hidden_mean_px == 9
     found = measure_points([rows([1, 1, 1], part="a"), rows([5], part="b")])  # every row counts once
     assert found.rows == 4 and found.mean_px == 2
 
@@ -107,40 +109,41 @@ TRUTH = [
     points("mouth_left", [(0, 0), (0, 3)]),
     points("mouth_right", [(6, 8), (4, 0)]),
 ]
-EYES = [points("point_37", [(0, 0)], [3]), points("point_46", [(3, 4)], [3])]
 BOX = [points("box", [(0, 0), (1, 1), (2, 2)], (0, 1, 2), w=[4, 9, 0], h=[9, 16, 2])]
 SHUT = [points("a", [(1, 1)], [0]), points("b", [(1, 1)], [0])]
 
 
+def lengths(how, truth, frames, reference=()):
+    own = [Pair(*(part.take(np.isin(part.frame, frames)),) * 2) for part in truth]
+    return lengths_of(how, own, reference)
+
+
 @pytest.mark.parametrize(
-    ("how", "truth", "frames", "lengths"),
+    ("how", "truth", "frames", "expected"),
     [
         ("size", TRUTH, [0, 1], [5, 5]),  # frame 1 is the first with all points
-        ("mouth", TRUTH, [0, 1], [10, 5]),
+        ("mouth_left:mouth_right", TRUTH, [0, 1], [10, 5]),
         ("nose:mouth_right", TRUTH, [0, 1], [math.nan, 4]),
         ("7.5", TRUTH, [0, 1], [7.5, 7.5]),
-        ("eyes", EYES, [3], [5]),
         ("size", BOX, [0, 1, 2], [6, 12, math.nan]),
         ("a:b", SHUT, [0], [math.nan]),  # 0 divides nothing
         ("size", SHUT, [0], [math.nan]),
         ("size", TRUTH[:1], [0, 1], [math.nan] * 2),
+        ("size", TRUTH, [0], [math.nan]),
     ],
 )
-def test_lengths(how, truth, frames, lengths):
-    check_normalise(how)
-    unit = unit_of(how, truth, box=truth is BOX, frames=np.array(frames))
-    np.testing.assert_allclose(unit.at(np.array(frames)[::-1]), lengths[::-1])
-    assert math.isnan(unit.at(np.array([50]))[0]) and unit.text
+def test_lengths(how, truth, frames, expected):
+    found, text = lengths(how, truth, frames)
+    for each in found:
+        np.testing.assert_allclose(each, expected)
+    assert len(found) == len(truth) and text
 
 
-def test_lengths_that_are_not_there():
-    assert "no frame" in unit_of("size", TRUTH, box=False, frames=np.array([0])).text
-    for how in ("eyes", "mouth_left:chin"):
-        with pytest.raises(UsageError, match=r"the ground truth has no .*; it has nose, mouth_left, mouth_right"):
-            unit_of(how, TRUTH, box=False, frames=np.array([0, 1]))
-    for how in ("", "width", "a:", ":b", "a:b:c", "a:a", "0", "-3", "nan", "inf", "3px"):
-        with pytest.raises(UsageError, match="--normalise"):
-            check_normalise(how)
+def test_lengths_that_are_of_other_parts_or_not_there():
+    assert "no frame" in lengths("size", TRUTH, [0])[1]
+    assert lengths("mouth_left:mouth_right", TRUTH[:1], [0, 1], TRUTH)[0][0].tolist() == [10, 5]
+    with pytest.raises(UsageError, match=r"the ground truth has no chin; it has nose, mouth_left, mouth_right"):
+        lengths("mouth_left:chin", TRUTH, [0, 1])
 
 
 def test_what_is_measured_as_a_box():
@@ -160,7 +163,6 @@ def test_lost_against_the_truth():
     assert found.precision_gone == 2 / 5 and found.recall_gone == 2 / 5
     assert found.false_alarms == 3 / 5  # of 0, 1, 2, 7, 9: rows 1, 7, 9
     assert found.tracked_near == 2 / 5  # of 0, 2, 3, 4, 8: rows 0, 2
-    assert found.tracked_visible_near == 2 / 3  # of 0, 2, 8
 
 
 def test_nothing_to_count_is_not_zero_and_a_row_of_unknown_place_counts_by_its_visibility():
@@ -178,7 +180,7 @@ def test_nothing_to_count_is_not_zero_and_a_row_of_unknown_place_counts_by_its_v
 def test_the_given_row_is_left_out():
     given_row = {"ours": statuses("itl"), "confidence": [1.0, 0.5, 0.5], "std_x": [0.0, 1, 1], "std_y": [0.0, 1, 1]}
     part, measures = rows([0, 0, 0], **given_row), (measure_lost, measure_confidence, measure_coverage)
-    assert [measure([part]).rows for measure in measures] == [2, 2, 2] and measure_coverage([part]).zero_std == 0
+    assert [measure([part]).rows for measure in measures] == [2, 2, 2]
     silent = [rows([0, 0, 0], ours="", confidence=[1.0, 0.5, 0.5])]  # without any status
     assert measure_lost(silent) is measure_coverage(silent) is None and measure_confidence(silent).rows == 2
 
@@ -188,9 +190,6 @@ def test_confidence_in_bins():
     found = measure_confidence([rows(errors, "vvvhvva", confidence=[1.0, 0.9, 0.95, 0.2, 0.1, 0.0, 0.05])])
     # the absent row is not near, whatever its offset
     assert found.rows == 7 and found.near == 3 / 7
-    filled = [(b.low, b.high, b.rows, b.right) for b in found.bins if b.rows]
-    assert filled == [(0.0, 0.1, 2, 0.0), (0.1, 0.2, 1, 0.0), (0.2, 0.3, 1, 1.0), (0.9, 1.0, 3, 2 / 3)]
-    assert len(found.bins) == 10 and found.bins[5].right is found.bins[5].mean_confidence is None
     gaps = 2 * 0.025 + 1 * 0.1 + 1 * 0.8 + 3 * (0.95 - 2 / 3)
     assert found.ece == pytest.approx(gaps / 7)
     assert found.brier == pytest.approx((0 + 0.1**2 + 0.95**2 + 0.8**2 + 0.1**2 + 0 + 0.05**2) / 7)
@@ -198,7 +197,7 @@ def test_confidence_in_bins():
     assert found.auroc_near == pytest.approx((4 + 3 + 3) / 12)
     assert found.auroc_visible == pytest.approx((2 + 2 + 2 + 1 + 0) / 10)
     found = measure_confidence([rows([0, 9], confidence=[7.5, -2.0])])  # which is no confidence, and ranks rows
-    assert found.auroc_near == 1.0 and found.ece is found.brier is None and found.bins == ()
+    assert found.auroc_near == 1.0 and found.ece is found.brier is None
     assert measure_confidence([rows([0, 9])]) is None
     alike = measure_confidence([rows([0, 0], confidence=[1.0, 0.0])])
     assert alike.auroc_near is alike.auroc_visible is None and alike.near == 1.0
@@ -208,19 +207,19 @@ def test_confidence_in_bins():
 def test_auroc_counts_pairs(pairs):
     score, positive = np.array([p[0] for p in pairs], dtype=float), np.array([p[1] for p in pairs], dtype=bool)
     above = [(a > b) + 0.5 * (a == b) for a in score[positive] for b in score[~positive]]
-    assert reliability.auroc(score, positive) == (pytest.approx(np.mean(above)) if above else None)
+    assert auroc(score, positive) == (pytest.approx(np.mean(above)) if above else None)
 
 
 def test_coverage_of_ellipses_and_rows_without_a_spread():
     # along x alone, in std: the 50 % ellipse reaches 1.1774 and the 90 % one 2.1460
     found = measure_coverage([rows([1.17, 1.18, 2.14, 2.15, 0, 5], "vvvvvh", std_x=[1.0] * 6, std_y=[2.0] * 6)])
-    assert (found.rows, found.zero_std, found.unknown_std) == (5, 0, 0)
+    assert found.rows == 5
     assert found.within_50 == 2 / 5 and found.within_90 == 4 / 5
     assert found.factor == pytest.approx(1.18 / math.sqrt(ELLIPSE_50))
     std = {"std_x": [0.0, 0.0, 1.0, math.nan, 1.0], "std_y": [0.0, 1.0, 0.0, 1.0, 1.0]}
     found = measure_coverage([rows([0, 1, 1, 1, math.nan], **std)])
     # exactly right; no spread where it is off; none where it is not; unknown; no position
-    assert (found.rows, found.zero_std, found.unknown_std) == (3, 3, 1)
+    assert found.rows == 3
     assert found.within_50 == found.within_90 == 2 / 3
     assert measure_coverage([rows([0, 1])]) is None
     nowhere = measure_coverage([rows([1], "h", std_x=[1.0], std_y=[1.0])])

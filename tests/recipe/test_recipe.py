@@ -45,21 +45,15 @@ def write(tmp_path):
 
 
 def refused(path, *overrides):
-    """The error of a recipe: (line, column, message, excerpt), or (None, None, ...) where the place is the option's."""
+    """The error of a recipe: (line, column, message), or (None, None, message) where the place is the option's."""
     with pytest.raises(RecipeError) as caught:
         load_recipe(path, overrides)
     assert caught.value.exit_code == ExitCode.USAGE
     said = str(caught.value)
     assert "\n" not in said
     if found := re.match(re.escape(path) + r":(\d+):(\d+): (.*)", said):
-        return int(found[1]), int(found[2]), found[3], caught.value.excerpt
-    return None, None, said, caught.value.excerpt
-
-
-def under_caret(excerpt):
-    """What of the text the carets of an excerpt stand under."""
-    line, carets = excerpt.splitlines()
-    return line[carets.index("^") : carets.rindex("^") + 1]
+        return int(found[1]), int(found[2]), found[3]
+    return None, None, said
 
 
 # the shipped recipes
@@ -103,7 +97,10 @@ def test_the_type_of_a_recipe_says_which_keys_it_has(write):
         ("type: open_cv\ntracker: mil", r':1:7: unknown type of recipe "open_cv"; did you mean "opencv"\?'),
         ("type: [opencv]\ntracker: mil", r":1:7: unknown type of recipe"),
         ("type: opencv\ntracker: mil\nfilter: {type: sir}", r':3:1: unknown key "filter"'),
-        ("type: opencv\ntracker: goturn", r":2:10: tracker must be 'mil', 'csrt', 'kcf' or 'mosse', not the text"),
+        (
+            "type: opencv\ntracker: goturn",
+            r""":2:10: tracker: Input should be 'mil', 'csrt', 'kcf' or 'mosse', not "goturn\"""",
+        ),
     ):
         with pytest.raises(RecipeError, match=said):
             load_recipe(write(f"{text}\ndescription: d\n"))
@@ -149,9 +146,8 @@ def test_files_are_sought_beside_the_recipe_then_among_the_shipped(write, tmp_pa
     mine = load_recipe(path, ["prior.file=own.npz"])
     assert resolve_file(mine, "own.npz", "prior.file").resolve() == tmp_path / "own.npz"
     bad = load_recipe(write(text.replace("mouth_prior.npz", "mouse_prior.npz"), "recipes/mine.yaml"))
-    with pytest.raises(RecipeError, match=r'mine.yaml:\d+:9: there is no file "mouse_prior.npz"') as caught:
+    with pytest.raises(RecipeError, match=r'mine.yaml:\d+:9: there is no file "mouse_prior.npz"'):
         resolve_file(bad, "mouse_prior.npz", "prior.file")
-    assert under_caret(caught.value.excerpt) == "mouse_prior.npz"
     assert len(check_recipe(str(bad.path))) == 1
 
 
@@ -159,7 +155,6 @@ def test_an_error_of_building_points_into_the_recipe(write):
     path = write(GOOD)
     error = load_recipe(path).error("filter.particles", "too few; add some")
     assert str(error) == f"{path}:13:14: too few; add some"
-    assert under_caret(error.excerpt) == "10"
     error = load_recipe(path, ["filter.particles=11"]).error("filter.particles", "too few")
     assert str(error) == "--set filter.particles=11: too few"
 
@@ -209,81 +204,74 @@ def test_overrides_in_order_and_of_every_kind():
 
 
 @pytest.mark.parametrize(
-    ("override", "message", "under"),
+    ("override", "message"),
     [
-        ("filter.particels=200", 'unknown key "particels" in "filter"; did you mean "particles"?', "particels"),
-        ("filter.particles='200'", "must be a whole number, not the text \"200\"", "'200'"),
-        ("target.type=sphere", "it is one of: points, region, cloud, affine", "sphere"),
-        ("seed.x=1", '"seed" holds no keys', "x"),
-        ("seed", "write --set KEY=VALUE", "seed"),
-        ("=1", "no value, or no name, is given", "="),
-        ("a..b=1", "no value, or no name, is given", "a..b"),
-        ("filter=[a", "not valid YAML", " "),
-        ("seed=!!python/object:x 1", 'the tag "', "!!python/object:x 1"),
-        ("seed=é{", "must be a whole number", "é{"),
+        ("filter.particels=200", 'unknown key "filter.particels"; correct it, or remove it'),
+        ("filter.particles='200'", 'filter.particles: Input should be a valid integer, not "200"'),
+        ("target.type=sphere", "target.type is one of 'points', 'region', 'cloud', 'affine'"),
+        ("seed.x=1", '"seed" holds no keys'),
+        ("seed", "write --set KEY=VALUE"),
+        ("=1", "no value, or no name, is given"),
+        ("a..b=1", "no value, or no name, is given"),
+        ("filter=[a", "not valid YAML"),
+        ("seed=!!python/object:x 1", 'the tag "'),
+        ("seed=é{", "seed: Input should be a valid integer"),
     ],
-)  # fmt: skip
-def test_a_wrong_override_is_shown_with_a_caret(override, message, under):
-    line, _, said, excerpt = refused("sir", override)
+)
+def test_a_wrong_override_is_named(override, message):
+    line, _, said = refused("sir", override)
     assert line is None and said.startswith(f"--set {override}: ")
     assert message in said
-    text, carets = excerpt.splitlines()
-    assert text == f"    {override}"
-    assert text.ljust(len(carets))[carets.index("^") : carets.rindex("^") + 1] == under
 
 
 # what is refused, and where
 
 WRONG = {
-    "unknown key": (GOOD + "sed: 3\n", 14, 1, 'unknown key "sed"; did you mean "seed"?', "sed"),
-    "missing key": (GOOD.replace("  particles: 10\n", ""), 11, 1, '"filter" lacks the key "particles"', "filter"),
-    "missing type": (GOOD.replace("  type: sir\n", ""), 11, 1, 'lacks the key "type"; it is one of: sir,', "filter"),
-    "unknown type": (GOOD.replace("sir", "siri"), 12, 9, 'the text "siri"; did you mean "sir"?', "siri"),
-    "text for number": (GOOD.replace("10", '"10"'), 13, 14, 'must be a whole number, not the text "10"', '"10"'),
-    "bool for int": (GOOD.replace("10", "true"), 13, 14, "must be a whole number, not true", "true"),
-    "zero particles": (GOOD.replace("10", "0"), 13, 14, "must be at least 1, not 0", "0"),
-    "zero length": (GOOD.replace("0.05", "0"), 8, 10, "must be a length above 0", "0"),
-    "NaN": (GOOD.replace("0.05", ".nan"), 8, 10, ".nan is not a finite number", ".nan"),
-    "digits": (GOOD.replace("10", "1" * 40), 13, 14, "must be a whole number", "1" * 40),
-    "scalar section": (GOOD + "confidence: 3\n", 14, 13, "must be a mapping of keys, not 3", "3"),
+    "unknown key": (GOOD + "sed: 3\n", 14, 1, 'unknown key "sed"; correct it'),
+    "missing key": (GOOD.replace("  particles: 10\n", ""), 11, 1, 'filter lacks "particles"; add it'),
+    "missing type": (GOOD.replace("  type: sir\n", ""), 11, 1, 'filter lacks "type"; add it'),
+    "unknown type": (GOOD.replace("sir", "siri"), 12, 9, "filter.type is one of 'sir', 'auxiliary'"),
+    "text for number": (GOOD.replace("10", '"10"'), 13, 14, 'should be a valid integer, not "10"'),
+    "bool for int": (GOOD.replace("10", "true"), 13, 14, "should be a valid integer, not true"),
+    "zero particles": (GOOD.replace("10", "0"), 13, 14, "should be greater than or equal to 1, not 0"),
+    "zero length": (GOOD.replace("0.05", "0"), 8, 10, "must be a length above 0"),
+    "NaN": (GOOD.replace("0.05", ".nan"), 8, 10, ".nan is not a finite number"),
+    "digits": (GOOD.replace("10", "1" * 40), 13, 14, "Input should be a valid integer"),
+    "scalar section": (GOOD + "confidence: 3\n", 14, 13, "must be a mapping of keys, not 3"),
     "part of no target": (GOOD.replace("0.05", "{nos: 1, default: 1}"), 8, 11,
-                          '"nos" in motion.sigma is no part of the target; did you mean "nose"?', "nos"),
-    "part without value": (GOOD.replace("0.05", "{nose: 1}"), 8, 3, "motion.sigma has no value for chin", "sigma"),
-    "part twice": (GOOD.replace("[nose, chin]", "[nose, nose]"), 4, 10, 'part "nose" is named twice', "[nose, nose]"),
-    "part's name": (GOOD.replace("chin", "Chin"), 4, 17, 'does not fit: a name has small', "Chin"),
-    "no parts": (GOOD.replace("[nose, chin]", "[]"), 4, 10, "must have at least 1 item, not 0", "[]"),
-    "scale for l1": (GOOD.replace("colour_ratio", "colour_ratio\n  scale: 1"), 11, 10, "no meaning for robust", "1"),
-    "enum": (GOOD.replace("colour_ratio", "colour_ratio\n  robust: l3"), 11, 11, "must be 'l1' or 'geman", "l3"),
-    "repeated key": (GOOD + "motion: 3\n", 14, 1, 'the key "motion" is repeated (first on line 6)', "motion"),
-    "anchor": (GOOD.replace("10", "&n 10"), 13, 14, '"&n" is an anchor', "&n 10"),
-    "tag": (GOOD.replace("10", "!!python/object:os.system x"), 13, 14, "is not allowed; remove it", None),
-    "half a character": (GOOD + 'seed: "\\ud800"', 14, 7, "half of a surrogate pair", None),
-    "complex key": (GOOD + "? [a]\n: b\n", 14, 3, "a key must be a name", "[a]"),
-    "open bracket": (GOOD.replace("chin]", "chin"), 5, 10, "not valid YAML: while parsing a flow sequence", ":"),
-    "list": ("- a\n- b\n", 1, 1, "a recipe is a mapping of keys", "-"),
-    "empty": ("", 1, 1, "the recipe is empty; start from a shipped", None),
-    "deep": (GOOD + "seed: " + "[" * 5000, 14, 27, "nested more than 20 deep", "["),
-    "not UTF-8": (b"seed: \xff\xfe", 1, 1, "byte 7 is not UTF-8", None),
-    "two documents": (GOOD + "---\n" + GOOD, 14, 1, "expected a single document", None),
-    "escape": (GOOD + 'seed: "\\UFFFFFFFF"', 1, 1, "not valid YAML", None),
-    "too large": ("#" * (MAX_BYTES + 1), 1, 1, "larger than 100 kB", None),
-    "long line": (GOOD.replace("[nose, chin]", "[nose, " + "a, " * 60 + "Chin]"), 4, 197, "does not fit", "Chin"),
-    "wide characters": (GOOD + "confidence: {脸脸: 1}\n", 14, 14, 'unknown key "脸脸" in "confidence"', None),
+                          '"nos" in motion.sigma is no part of the target; did you mean "nose"?'),
+    "part without value": (GOOD.replace("0.05", "{nose: 1}"), 8, 3, "motion.sigma has no value for chin"),
+    "part twice": (GOOD.replace("[nose, chin]", "[nose, nose]"), 4, 10, 'part "nose" is named twice'),
+    "part's name": (GOOD.replace("chin", "Chin"), 4, 17, "target.parts[2]: String should match pattern"),
+    "no parts": (GOOD.replace("[nose, chin]", "[]"), 4, 10, "should have at least 1 item after validation, not 0"),
+    "scale for l1": (GOOD.replace("colour_ratio", "colour_ratio\n  scale: 1"), 11, 10, "no meaning for robust"),
+    "enum": (GOOD.replace("colour_ratio", "colour_ratio\n  robust: l3"), 11, 11, "should be 'l1' or 'geman"),
+    "repeated key": (GOOD + "motion: 3\n", 14, 1, 'the key "motion" is repeated (first on line 6)'),
+    "anchor": (GOOD.replace("10", "&n 10"), 13, 14, '"&n" is an anchor'),
+    "tag": (GOOD.replace("10", "!!python/object:os.system x"), 13, 14, "is not allowed; remove it"),
+    "half a character": (GOOD + 'seed: "\\ud800"', 14, 7, "half of a surrogate pair"),
+    "complex key": (GOOD + "? [a]\n: b\n", 14, 3, "a key must be a name"),
+    "open bracket": (GOOD.replace("chin]", "chin"), 5, 10, "not valid YAML: while parsing a flow sequence"),
+    "list": ("- a\n- b\n", 1, 1, "a recipe is a mapping of keys"),
+    "empty": ("", 1, 1, "the recipe is empty; start from a shipped"),
+    "deep": (GOOD + "seed: " + "[" * 5000, 14, 27, "nested more than 20 deep"),
+    "not UTF-8": (b"seed: \xff\xfe", 1, 1, "byte 7 is not UTF-8"),
+    "two documents": (GOOD + "---\n" + GOOD, 14, 1, "expected a single document"),
+    "escape": (GOOD + 'seed: "\\UFFFFFFFF"', 1, 1, "not valid YAML"),
+    "too large": ("#" * (MAX_BYTES + 1), 1, 1, "larger than 100 kB"),
+    "long line": (GOOD.replace("[nose, chin]", "[nose, " + "a, " * 60 + "Chin]"), 4, 197, "should match pattern"),
+    "wide characters": (GOOD + "confidence: {脸脸: 1}\n", 14, 14, 'unknown key "confidence.脸脸"'),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("case", WRONG)
 def test_wrong_recipe(case, write):
-    text, line, column, message, under = WRONG[case]
+    text, line, column, message = WRONG[case]
     path = write(text)
     assert load_recipe(write(GOOD, "good.yaml"))  # what is refused is the change
-    found_line, found_column, said, excerpt = refused(path)
+    found_line, found_column, said = refused(path)
     assert (found_line, found_column) == (line, column)
     assert message in said
-    assert all(char.isprintable() or char == "\n" for char in excerpt)
-    assert max(map(len, excerpt.splitlines()), default=0) < 120
-    if under is not None:
-        assert under_caret(excerpt) == under
 
 
 def test_all_errors_are_listed_in_the_order_of_the_text(write):
@@ -304,7 +292,7 @@ def test_any_text_is_a_tree_or_is_refused(text):
         tree = parse(Source("any", text, Path()))
     except YamlProblems as refused:
         for problem in refused.problems:
-            assert str(problem).startswith("any:") and "^" in problem.span.excerpt()
+            assert str(problem).startswith("any:")
     else:
         json.dumps(None if tree is None else tree.plain(), allow_nan=False)
 

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from facetrack_cli.cli.options import FIGURES
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.evaluation.reliability import reliability_bins
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report.figures import compare, page
 from facetrack_cli.report.figures import style as plot_style
@@ -299,18 +298,6 @@ def test_error_over_time_has_the_median_and_what_is_hidden():
     (shade,) = axes.patches
     assert (shade.get_x(), shade.get_x() + shade.get_width()) == (104.5, 109.5)
     assert plot_style.render(figure, "svg").startswith(b"<?xml")
-
-
-def test_calibration_shows_share_and_count():
-    confidence = np.r_[np.full(30, 0.95), np.full(10, 0.15)]
-    near = np.r_[np.ones(24, bool), np.zeros(16, bool)]
-    bins = reliability_bins(confidence, near, confidence > 0.5)
-    upper, lower = compare.calibration_figure(bins).axes
-    points = {line.get_label(): line.get_xydata() for line in upper.lines}
-    assert np.allclose(points["right"], [(0.15, 0), (0.95, 0.8)])
-    assert np.allclose(points["visible in the ground truth"], [(0.15, 0), (0.95, 1)])
-    assert [bar.get_height() for bar in lower.patches] == [10, 30]
-    assert "0.150" in headings(upper)[1]
 
 
 @pytest.mark.one_in(2)

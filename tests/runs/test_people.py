@@ -154,8 +154,9 @@ def test_the_cast_is_shown_and_corrected(ran, copy, capsys):
     assert [one.name for one in after.people] == ["person_1", "Grace", "person_3"]
     assert (ran / before.people[1].still).read_bytes() == (copy / after.people[1].still).read_bytes()
     capsys.readouterr()
-    assert main(["people", str(copy), "--merge", "person_3=person_1", "--json", "-q"]) == 0
-    people = json.loads(capsys.readouterr().out)
+    assert main(["people", str(copy), "--merge", "person_3=person_1", "-q"]) == 0
+    assert capsys.readouterr().out == ""
+    people = json.loads((copy / "people.json").read_bytes())
     assert [one["name"] for one in people["people"]] == ["person_1", "Grace"]
     assert people["corrections"] == ["split person_1@0:06", "rename person_2=Grace", "merge person_3=person_1"]
     before, after = (read_trajectory(folder / "trajectory.json") for folder in (ran, copy))
@@ -176,7 +177,7 @@ def test_names_that_are_none_are_refused_wherever_they_come_from(copy, capsys, n
     told = (copy / "people.json").read_text().replace("person_1", json.dumps(name)[1:-1])
     (copy / "people.json").write_text(told)
     (copy / "run.json").unlink()
-    assert main(["people", str(copy), "--json"]) == ExitCode.INPUT
+    assert main(["people", str(copy)]) == ExitCode.INPUT
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "people.json" in said and "internal" not in said
 
@@ -192,7 +193,6 @@ def test_a_gallery_has_names_that_are_some(tmp_path):
 def test_a_film_without_its_rows_is_one_line(copy, capsys):
     for path in copy.glob("trajectory.*"):
         path.unlink()
-    assert main(["people", str(copy), "--json"]) == 0 and '"times"' in capsys.readouterr().out
     for options in ([], ["--split", "person_1@0:01"], ["--rename", "person_1=Ann"]):
         assert main(["people", str(copy), *options]) == 3
         assert capsys.readouterr().err.startswith(f"facetrack: error: {copy}: cannot be read: Is a directory; name a ")
@@ -362,7 +362,6 @@ def test_intervals_are_csv_and_tiers_and_in_python(ran, tmp_path, capsys):
         key=lambda span: span[1:],
     )
     assert float(rows[1]["begin_s"]) == pytest.approx(45 / 25)
-    assert main(["people", str(ran), "--csv", "--json"]) == ExitCode.USAGE
     assert main(["export", str(ran), "--to", "eaf", "-o", str(tmp_path / "film.eaf")]) == 0
     tiers = {tier.get("TIER_ID"): tier for tier in ET.parse(tmp_path / "film.eaf").iter("TIER")}
     for name in people.names:

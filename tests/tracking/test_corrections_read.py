@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.evaluation.accuracy import measure_points
-from facetrack_cli.evaluation.reliability import measure_confidence, measure_coverage, measure_lost
+from facetrack_cli.evaluation.accuracy import measure_confidence, measure_coverage, measure_lost, measure_points
 from facetrack_cli.evaluation.rows import match
 from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.report import make

@@ -15,9 +15,10 @@ from pydantic import Field
 from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.protocols import Motion
-from facetrack_cli.recipe import FilterSettings, LikelihoodSettings, Refusal, Section, sections
+from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import completed, json_schema, rebuild, register, to_dict
+from facetrack_cli.recipe.sections import FilterSettings, LikelihoodSettings, Refusal, Section
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.smoothed import lagged
@@ -145,11 +146,13 @@ def test_rows_by_the_motion_are_smoothed(registry):
 
 
 def test_messages_recipes_that_are_read_back_the_schema_and_the_tables_know_of_it(plugged):
-    assert refused("likelihood.type=grey_diference").endswith('did you mean "grey_difference"?')
+    assert refused("likelihood.type=grey_diference").endswith("""'grey_difference', not "grey_diference\"""")
     wrong = 'likelihood type "grey_difference" does not go with target type "region"; write product or skin_ncc'
     assert wrong in refused(PLUGGED, config="histogram")
     assert "write colour_ratio or window_ncc or grey_difference" in refused("likelihood={type: skin}")
-    assert "likelihood.sigma must be at most 255, not 300" in refused("likelihood={type: grey_difference, sigma: 300}")
+    assert "sigma: Input should be less than or equal to 255, not 300" in refused(
+        "likelihood={type: grey_difference, sigma: 300}"
+    )
     settings = to_dict(plugged["recipe"])
     assert settings["likelihood"] == {"type": "grey_difference", "sigma": 8.0} and completed(settings) == settings
     assert completed({**settings, "likelihood": {"type": "grey_difference"}})["likelihood"]["sigma"] == 20.0
@@ -192,19 +195,12 @@ def likelihood(**changes):
     return type("Another", (LikelihoodSettings,), body)
 
 
-def nothing_built(base):
-    return type("Another", (base,), {"goes_with": ("points",), "__annotations__": {"type": Literal["x"]}})
-
-
 def test_what_is_no_section_is_refused(registry):
     for section, error, why in (
         *(
             (nothing, TypeError, "is no section: derive it from one of")
             for nothing in (int, Section, likelihood(name=""))
         ),
-        (likelihood(goes_with=()), TypeError, r'Another goes with no type of target: add goes_with = \("points",\)'),
-        (nothing_built(LikelihoodSettings), TypeError, "Another builds nothing: give it a method build"),
-        (nothing_built(FilterSettings), TypeError, "Another builds nothing"),
         (likelihood(name="colour_ratio"), ValueError, 'type "colour_ratio" is taken by .*; choose another'),
     ):
         with pytest.raises(error, match=why):
@@ -212,7 +208,7 @@ def test_what_is_no_section_is_refused(registry):
     register(Known)
     with pytest.raises(ValueError, match='the likelihood type "known" is taken by'):
         register(likelihood(name="known"))
-    assert 'likelihood.type cannot be the text "another"' in refused("likelihood.type=another")
+    assert refused("likelihood.type=another").endswith('not "another"')
 
 
 def test_a_section_may_have_rules_of_its_own(registry):

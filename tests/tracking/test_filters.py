@@ -165,16 +165,6 @@ def test_prior_reweighting_is_the_product_of_marginals_and_prior():
     np.testing.assert_allclose(covs, exact_cov, atol=0.04)
 
 
-def test_both_ratios_are_the_transition_times_the_prior():
-    """Eq. 7 times eq. 11 is the posterior of a model in which the shape prior is a factor of the transition."""
-    start = np.eye(K) + 0.7
-    ys = simulate(3, start)[:1]
-    exact, cov, _ = kalman(ys, start, tied=True)
-    runs = [run(factorized("both", look_ahead="none"), ys, start, 1000, seed, tied=True) for seed in range(4)]
-    assert np.abs(np.mean([means for means, *_ in runs], axis=0) - exact).max() < 0.08
-    assert np.abs(np.mean([covs for _, covs, _ in runs], axis=0) - cov).max() < 0.1
-
-
 @pytest.mark.parametrize(
     "step",
     [

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 Words: TypeAlias = tuple[tuple[str, ...], ...]
 _NAMES = words("A=B", "([^=]*)=(.*)", "give two names, as person_3=person_1")
-_NAME = words("A=NAME", "([^=]*)=(.*)", "give two names, as person_3=person_1")
 _TRACK = words("A@TIME=B", "(.*)@([^@=]*)=([^@]*)", "give a name, a time and a name, as person_2@1:23=person_1")
 
 
@@ -61,21 +60,14 @@ def fix_command(
     trajectories and the annotated video again, and RUN_DIR/corrected.init.yaml, with which facetrack run makes the same
     trajectory. The page goes on after it, until Done.
 
-    The rows of a smoothed run are given the whole clip, and targets that exclude each other move each other: at Save
-    all of such a run is tracked again.
-
     With --import, the corrections are what differs from the run in a file of an annotation tool, to which facetrack
     export --to cvat, labelstudio or eaf has brought it: parts that were moved, and parts that were marked as not
     visible. Of ELAN's .eaf the segments of the tiers seen and absent count, and of a film without --person the
     participants, who are the names of its people.
 
-    The video is drawn from the rows, which do not hold the particles: they are no longer in it.
-
     \b
     Examples:
       facetrack fix out
-      facetrack fix out --clip /archive/clip.mp4 --open
-      facetrack fix out --init corrected.init.yaml --no-video
       facetrack fix out --import annotations.xml
       facetrack fix film --person Eileen@0:03
     """
@@ -158,11 +150,11 @@ def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: 
     return ExitCode.DONE
 
 
-@click.command(cls=Command, basic="merge split rename give save edit clip no_video as_json as_csv overwrite quiet")
+@click.command(cls=Command, basic="merge split rename give save edit clip no_video as_csv overwrite quiet")
 @click.argument("folder", type=options.RUN)
 @option("--merge", type=_NAMES, multiple=True, help="A is B: both are one person, under the name of B.")
 @option("--split", type=moment("A@TIME"), multiple=True, help="From that time on (1:23, or 2075f) A is somebody else.")
-@option("--rename", type=_NAME, multiple=True, help="The name of A.")
+@option("--rename", type=_NAMES, multiple=True, help="The name of A.")
 @option(
     "--save", type=options.NPZ,
     help="Save what these people look like, for run --faces all --gallery FILE.npz.",
@@ -175,13 +167,12 @@ def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: 
 @options.page_options
 @options.clip
 @flag("--no-video", help="Do not draw annotated.mp4 again.")
-@flag("--json", "as_json", help="Print people.json.")
 @flag("--csv", "as_csv", help="Print when each person is seen, a row an interval.")
 @flag("--overwrite", help="Replace the file of --save.")
 @flag("--quiet", "-q", help="Say nothing but errors, and print no table.")
 def people_command(
     folder: Path, merge: Words, split: Words, rename: Words, save: Path | None, give: Words, edit: bool,
-    page: options.Page, clip: Path | None, no_video: bool, as_json: bool, as_csv: bool, overwrite: bool, quiet: bool,
+    page: options.Page, clip: Path | None, no_video: bool, as_csv: bool, overwrite: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Show who is in a film, and correct it.
 
@@ -192,10 +183,7 @@ def people_command(
     Examples:
       facetrack people out
       facetrack people out --rename person_1=Anna --rename person_2=Ben
-      facetrack people out --merge person_3=person_1
-      facetrack people out --page --open
       facetrack people out --split person_2@1:23
-      facetrack people out --json | jq '.people[].name'
       facetrack people out --csv > intervals.csv
       facetrack people out --save people.npz
     """
@@ -204,8 +192,7 @@ def people_command(
     from facetrack_cli.runs.people import people_in, recast, save_looks
     from facetrack_cli.trajectory.views import Clock
 
-    refuse((as_json and as_csv, "--json and --csv both go to standard output; give one of them"))
-    others = split or give or merge or rename or save is not None or as_json or as_csv
+    others = split or give or merge or rename or save is not None or as_csv
     refuse((edit and others, "--page corrects on the page alone; correct, save and print in a command without it"))
     people = people_in(folder)
     clock = Clock(read_run(folder) if split or give else None, people.fps)
@@ -223,8 +210,8 @@ def people_command(
         left = f"{save} was not written" + "; the changes are" * bool(changes)
         with working(quiet, folder, left) as (stop, shown):
             shown.say(f"{save}: {', '.join(save_looks(folder, save, clip, shown.looked, stop))}")
-    if as_json or as_csv:
-        click.echo(people.text().decode() if as_json else _intervals(people), nl=False)
+    if as_csv:
+        click.echo(_intervals(people), nl=False)
     elif not quiet:
         _show(people, Clock(read_run(folder), people.fps))
     return 0
@@ -312,7 +299,6 @@ def export_command(
     \b
     Examples:
       facetrack export out/ --to mot
-      facetrack export out/trajectory.csv --to dlc -o clip.csv
       facetrack export out/ --to otb --target face/nose -o -
       facetrack export out/trajectory.csv --to eaf --media clip.mp4
       facetrack export out/ --to elan --into session.eaf --overwrite
@@ -401,13 +387,10 @@ def report_command(
     Of a folder with the runs of a batch the page is batch.html: a table of the clips, the worst first, with a still of
     each and links to its files.
 
-    The images are drawn from the clip.
-
     \b
     Examples:
       facetrack report out
       facetrack report out --truth clip.truth.csv -o paper/supplement.html
-      facetrack report out --clip /archive/clip.mp4 --overwrite
       facetrack report results
     """
     from facetrack_cli.core.files import check_new, check_plain, write_new
@@ -461,8 +444,6 @@ def plot_command(
     Examples:
       facetrack plot out/
       facetrack plot out/ --truth clip.truth.csv -o page.pdf
-      facetrack plot out/trajectory.csv --target face/nose -o nose.svg
-      facetrack plot out/ --truth groundtruth_rect.txt --partial --overwrite
       facetrack plot out/ --measure mouth_opening,blink -o figure.pdf
     """
     from facetrack_cli.report.figures.page import measures_figure, page_figure

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import math
 import os
+import re
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,45 +15,41 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE_OR_DASH, Command, extent_options, flag, option, refuse, say, truth_options
-from facetrack_cli.core.errors import ExitCode, InputError, UsageError, flat
+from facetrack_cli.core.errors import ExitCode, UsageError, flat
 
 if TYPE_CHECKING:
-    from facetrack_cli.evaluation.compare import Comparison
-    from facetrack_cli.runs.progress import Progress
-    from facetrack_cli.trajectory.trajectory import Trajectory
+    pass
 
-TABLES = ("compare.json", "compare.csv", "compare.md")
+TABLES = ("compare.json", "compare.csv")
 PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
 
 
 # --- eval ------------------------------------------------------------------------------------------------------------
 
 
-def _failure(value: str) -> float:
-    try:
-        share = float(value)
-    except ValueError:
-        share = 0.0
-    if not 0 < share <= 100:
-        raise click.BadParameter(f"{value!r}: give a normalised error above 0, as 0.1 or 0.08")
-    return share
+def _length(value: str) -> str:
+    """What `lengths_of` in evaluation/rows.py takes."""
+    with contextlib.suppress(ValueError):
+        if value == "size" or re.fullmatch("[^:]+:[^:]+", value) or 0 < float(value) < math.inf:
+            return value
+    raise click.BadParameter(f"{value!r}: give size, two parts as nose:mouth_left, or a number of pixels above 0")
 
 
-@click.command(cls=Command, basic="truth partial target normalise people json_file csv_file plot overwrite")
+@click.command()
 @click.argument("trajectory", type=options.TRAJECTORY)
 @option(
     "--truth", type=options.FILE,
-    help="File or folder of ground truth [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
+    help="File or folder of ground truth [default: of the clip that a JSON trajectory names, as compare finds it].",
 )  # fmt: skip
 @truth_options
 @options.format_of("--format", "How to read TRAJECTORY if another tracker wrote it: one of the same")
 @option(
-    "--normalise", type=options.Text("LENGTH"), default="size",
+    "--normalise", type=options.Text("LENGTH", _length), default="size",
     help="Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
-    "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
+    "box the root of its area), two parts as A:B, or a number of pixels.",
 )  # fmt: skip
 @option(
-    "--failure", type=options.Text("SHARE", _failure), default="0.1",
+    "--failure", type=click.FloatRange(0, 100, min_open=True), metavar="SHARE", default=0.1,
     help="A point has failed above this normalised error; 300-W takes 0.08.",
 )  # fmt: skip
 @flag(
@@ -59,11 +59,10 @@ def _failure(value: str) -> float:
 )
 @option("--json", "json_file", type=FILE_OR_DASH, help="Write all measures as JSON; - is standard output.")
 @option("--csv", "csv_file", type=FILE_OR_DASH, help="Write a row a part and one of all as CSV; - is standard output.")
-@option("--plot", type=options.PNG, help="Draw how far confidence can be trusted (needs [plot]).")
 @options.overwrite
 def eval_command(
     trajectory: Path, truth: Path | None, reference: options.TruthOptions, format: str, normalise: str, failure: float,
-    people: bool, json_file: str | None, csv_file: str | None, plot: Path | None, overwrite: bool,
+    people: bool, json_file: str | None, csv_file: str | None, overwrite: bool,
 ) -> None:  # fmt: skip
     """Measure a trajectory against ground truth.
 
@@ -76,17 +75,13 @@ def eval_command(
     \b
     Examples:
       facetrack eval out/ --truth clip.truth.csv
-      facetrack eval out/ --truth groundtruth_rect.txt --json eval.json
-      facetrack eval out/ --truth annot/ --partial --normalise eyes
+      facetrack eval out/ --truth annot/ --partial --normalise point_37:point_46
       facetrack eval film/ --truth film.truth.csv --people
-      facetrack eval results/MIL.txt --truth groundtruth_rect.txt
-      for run in runs/*/; do
-        facetrack eval "$run" --truth clip.truth.csv --csv - | tail -n 1
-      done
+      facetrack eval results/MIL.txt --truth groundtruth_rect.txt --json -
     """
     from facetrack_cli.core.files import check_new, write_new
+    from facetrack_cli.evaluation.compare import default_truth
     from facetrack_cli.evaluation.identities import identified
-    from facetrack_cli.evaluation.rows import check_normalise
     from facetrack_cli.evaluation.summary import evaluate, show, to_csv, to_json
     from facetrack_cli.run_folder.manifest import check_run, other_clip
     from facetrack_cli.trajectory.formats.boxes import read_results
@@ -94,17 +89,16 @@ def eval_command(
 
     both = json_file == csv_file == "-"
     refuse((both, "--json - and --csv - both name standard output; write one of them to a file"))
-    if plot is not None:
-        from facetrack_cli.report.figures.compare import calibration_figure  # with it the tracker is loaded
-        from facetrack_cli.report.figures.style import need_matplotlib, render
-
-        need_matplotlib()
-    check_normalise(normalise)
     check_run(trajectory)
     ours = read_results(trajectory, format)
-    theirs = reference.read(truth or _truth_beside(ours), ours)
     clip = clip_of(ours)
-    for file in (json_file, csv_file, plot):
+    if truth is None:
+        if clip is None:
+            unnamed = "does not name its clip, beside which the ground truth might be"
+            raise UsageError(f"{ours.path}: {unnamed}; give --truth FILE")
+        truth = default_truth(clip)
+    theirs = reference.read(truth, ours)
+    for file in (json_file, csv_file):
         if file is not None and file != "-":
             check_new(Path(file), overwrite=overwrite, inputs=(ours.path, theirs.path, clip))
     other = None if clip is None else other_clip(ours, clip)
@@ -118,13 +112,6 @@ def eval_command(
     how: dict[str, Any] = {"normalise": normalise, "failure": failure, "size": frame_size_of(ours)}
     evaluation = evaluate(pairs, notes, reference=theirs.parts, people=persons, **how)
 
-    if plot is not None:
-        confidence = evaluation.all.confidence
-        if confidence is None or not confidence.bins:
-            nothing = "has no confidence from 0 to 1 in rows with known ground truth to draw; leave --plot out"
-            raise InputError(f"{ours.path}: {nothing}")
-        write_new(plot, render(calibration_figure(confidence.bins)), overwrite=overwrite)
-        say(f"{trajectory} -> {plot}")
     printed = ""
     for text_of, file in ((to_json, json_file), (to_csv, csv_file)):
         if file == "-":
@@ -139,19 +126,6 @@ def eval_command(
         show(evaluation, ours, theirs)
 
 
-def _truth_beside(ours: Trajectory) -> Path:
-    """The ground truth beside the clip of a JSON trajectory."""
-    from facetrack_cli.trajectory.reader import clip_of, is_there
-
-    if (clip := clip_of(ours)) is None:
-        unnamed = "does not name its clip, beside which the ground truth might be"
-        raise UsageError(f"{ours.path}: {unnamed}; give --truth FILE")
-    beside = clip.with_name(f"{clip.stem}.truth.csv") if clip.name else clip
-    if not is_there(beside):
-        raise UsageError(f"{ours.path}: beside its clip there is no {beside}; give --truth FILE")
-    return beside
-
-
 # --- compare ---------------------------------------------------------------------------------------------------------
 
 
@@ -161,28 +135,26 @@ def _truth_beside(ours: Trajectory) -> Path:
     "--config", type=options.RECIPE, multiple=True, required=True,
     help="Recipe: a file, a name, or either with its own keys, as sir:filter.particles=500; repeat for each.",
 )  # fmt: skip
-@option("--seeds", type=options.Whole(min=1), default=10, help="Runs of each, seed 0 on.")
+@option("--seeds", type=click.IntRange(1), default=10, help="Runs of each, seed 0 on.")
 @option("--rank-by", type=options.Text("MEASURE"), help="Rank by this, as points.median_px or boxes.precision_20.")
 @options.set_("Override a key of all; repeatable.")
 @option("--gallery", type=options.GALLERY, help="People to recognise, as facetrack gallery fit writes them.")
 @option(
     "--truth", type=options.FILE,
     help="Ground truth [default: <clip>.truth.csv, else groundtruth.csv, groundtruth_rect.txt or groundtruth.txt in "
-    "the folder of this clip alone].",
+    "its folder].",
 )  # fmt: skip
 @truth_options
 @extent_options
 @option("-o", "--out", type=options.FOLDER, help="Folder for results [default: ./<clip>-compare].")
-@flag("--json", "as_json", help="Print JSON instead of the table.")
-@flag("--csv", "as_csv", help="Print CSV instead of the table.")
-@flag("--no-plots", help="Draw nothing.")
+@flag("--no-plots", help="Draw nothing; plots need the extra [plot].")
 @options.overwrite
 @options.jobs("Processes that share the runs.")
 @flag("--quiet", "-q", help="Print the table, and nothing else but errors.")
 def compare_command(
     clip: Path, config: tuple[str, ...], seeds: int, rank_by: str | None, overrides: tuple[str, ...],
     gallery: str | None, truth: Path | None, reference: options.TruthOptions, extent: options.Extent,
-    out: Path | None, as_json: bool, as_csv: bool, no_plots: bool, overwrite: bool, jobs: int, quiet: bool,
+    out: Path | None, no_plots: bool, overwrite: bool, jobs: int, quiet: bool,
 ) -> int:  # fmt: skip
     """Run recipes on a clip with ground truth, and rank them.
 
@@ -193,29 +165,21 @@ def compare_command(
     Boxes are ranked by success AUC, points by the mean normalised error. Recipes whose means +- 2 standard errors
     overlap share their ranks: the runs do not tell them apart.
 
-    \b
-    The folder gets compare.json, compare.csv (a row a recipe and seed),
-    compare.md, and
-      success.png, precision.png    of boxes
-      cumulative.png                of points
-      error.png                     over time: median and 10-90 % of the
-                                    seeds, hidden spans shaded
+    The folder gets compare.json, compare.csv (a row a recipe and seed), and plots of success, precision and cumulative
+    error, and of the error over time: the median and 10-90 % of the seeds.
 
     \b
     Examples:
       facetrack compare clip.mp4 --config factorized --config sir
       facetrack compare clip.mp4 --config mil --config csrt --seeds 20 -j 2
-      facetrack compare hands.mp4 --target left_hand \\
-        --config histogram --config contour_histogram
       facetrack compare frames/ --truth groundtruth.txt \\
         --config sir:filter.particles=100 --config sir:filter.particles=500
-      facetrack compare clip.mp4 --config adaptive --config mine.yaml \\
-        --gallery people.npz
-      facetrack compare clip.mp4 --config a.yaml --config b.yaml --csv -q
     """
-    from facetrack_cli.core.files import check_folder, make_folder, remove_folders
+    from facetrack_cli.core.files import check_folder, make_folder, remove_folders, write_new
     from facetrack_cli.evaluation import compare
     from facetrack_cli.evaluation.compare import Comparison
+    from facetrack_cli.report.figures.compare import compare_figures
+    from facetrack_cli.report.figures.style import need_matplotlib
     from facetrack_cli.runs.batch import title
     from facetrack_cli.runs.plan import ClipRequest
     from facetrack_cli.runs.progress import progress
@@ -227,11 +191,11 @@ def compare_command(
     if rank_by is not None:
         compare.check_measure(rank_by)
     asked = [(name, (*overrides, *own)) for name, own in map(variant, config)]
-    seeded = any(key.partition("=")[0].strip() == "seed" for _, keys in asked for key in keys)
-    refuse((seeded, "the recipe's seed has no effect here: every recipe runs with the seeds 0 to --seeds - 1"))
     recipes = dict(zip(labels(config), load_recipes(asked, gallery), strict=True))
     file = truth or compare.default_truth(clip)
     rows = reference.read(file)
+    if not no_plots:
+        need_matplotlib()
     folder = out or Path(f"{title(clip)}-compare")
     check_folder(folder, [*TABLES, *(() if no_plots else PLOTS)], overwrite=overwrite, inputs=[clip])
     made = make_folder(folder)
@@ -245,13 +209,13 @@ def compare_command(
                 shown.say(f"facetrack: {stop.reason} before a run was complete; nothing was written")
                 return stop.code or ExitCode.FAULT
             comparison = Comparison(clip, file, seeds, tuple(entries), rank_by, stop.code is None)
-            try:
-                names = _write(comparison, folder, shown, plots=not no_plots, overwrite=overwrite)
-            finally:  # what took long is not lost for a full disk
-                if as_json or as_csv:
-                    click.echo(comparison.json() if as_json else comparison.csv(), nl=False)
-                else:
-                    comparison.sheet().show()
+            comparison.sheet().show()  # before it is written: what took long is not lost for a full disk
+            texts = comparison.json(), comparison.csv()
+            tables = ((name, text.encode(errors="backslashreplace")) for name, text in zip(TABLES, texts, strict=True))
+            names = []
+            for name, content in itertools.chain(tables, () if no_plots else compare_figures(comparison)):
+                write_new(folder / name, content, overwrite=overwrite)
+                names.append(name)
             shown.say(f"{clip} -> {folder}{os.sep} ({', '.join(names)})")
             failed = sum(entry.error is not None for entry in entries)
             if failed:
@@ -259,28 +223,6 @@ def compare_command(
         return stop.code or (ExitCode.BATCH if failed else ExitCode.DONE)
     finally:
         remove_folders(made)  # if they are empty
-
-
-def _write(comparison: Comparison, folder: Path, shown: Progress, *, plots: bool, overwrite: bool) -> list[str]:
-    """Write all files, without matplotlib all but the plots; their names."""
-    from facetrack_cli.core.files import write_new
-    from facetrack_cli.report.figures.compare import compare_figures
-    from facetrack_cli.report.figures.style import need_matplotlib
-
-    texts = comparison.json(), comparison.csv(), comparison.sheet().markdown()
-    files = [(name, text.encode(errors="backslashreplace")) for name, text in zip(TABLES, texts, strict=True)]
-    for name, content in files:
-        write_new(folder / name, content, overwrite=overwrite)
-    if plots:
-        try:
-            need_matplotlib()
-        except UsageError as e:
-            shown.say(f"facetrack: warning: no plots: {e}")
-        else:
-            for name, png in compare_figures(comparison):
-                write_new(folder / name, png, overwrite=overwrite)
-                files.append((name, png))
-    return [name for name, _ in files]
 
 
 # --- regress ---------------------------------------------------------------------------------------------------------
@@ -295,14 +237,12 @@ def _write(comparison: Comparison, folder: Path, shown: Progress, *, plots: bool
 @options.set_("Check with this key changed; repeatable.")
 @option("--gallery", type=options.FILE, help="People that recipes with recognition know; a golden remembers its own.")
 @flag("--update", help="Record goldens instead: of --config, else of all that have one.")
-@option("--stop", type=options.Whole(min=2), help="Record up to this frame only; for slow trackers.")
-@option("--junit", type=options.FILE, help="Write JUnit XML, for CI services.")
-@options.overwrite
+@option("--stop", type=click.IntRange(2), help="Record up to this frame only; for slow trackers.")
 @options.jobs("Goldens at a time.")
 @flag("--quiet", "-q", help="No progress.")
 def regress_command(
     folder: Path, config: tuple[str, ...], overrides: tuple[str, ...], gallery: Path | None, update: bool,
-    stop: int | None, junit: Path | None, overwrite: bool, jobs: int, quiet: bool,
+    stop: int | None, jobs: int, quiet: bool,
 ) -> int:  # fmt: skip
     """Check clips against their golden results.
 
@@ -312,7 +252,7 @@ def regress_command(
 
     \b
     Examples:
-      facetrack regress sample_videos -j 2 --junit regress.xml
+      facetrack regress sample_videos -j 2
       facetrack regress clips --config factorized --update
       facetrack regress sample_videos --config sir --set motion.sigma=0.13
 
@@ -320,17 +260,13 @@ def regress_command(
     Exit codes: 0 all pass, 2 usage, recipe or output, 3 input, or no goldens,
     5 some could not be recorded, 6 a regression, 130 interrupted, 143 terminated.
     """
-    from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.evaluation.goldens import as_junit, regress, tasks
+    from facetrack_cli.evaluation.goldens import regress, tasks
     from facetrack_cli.recipe.load import gallery_file, load_recipe
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trackers.appearance.gallery import load_gallery
 
-    both = update and (overrides or junit)
-    refuse((both, "--update records recipes as they are; leave --set and --junit to a check"))
-    if junit is not None:
-        check_new(junit, overwrite=overwrite)
+    refuse((update and overrides, "--update records recipes as they are; leave --set to a check"))
     if gallery is not None:  # a mistake in the option is no regression
         load_gallery(gallery_file(str(gallery)))
     names = {load_recipe(name, overrides, installed=False).name: name for name in config}
@@ -351,8 +287,6 @@ def regress_command(
     failed = sum(result.failed for result in results)
     if update:
         return ExitCode.BATCH if failed else ExitCode.DONE
-    if junit is not None:
-        write_new(junit, as_junit(results).encode(), overwrite=overwrite)
     count = f"{len(results)} golden{'s' * (len(results) != 1)} in {time.monotonic() - began:.0f} s"
     click.echo(f"{count}: {len(results) - failed} ok, {failed} FAIL{'S' * (failed == 1)}")
     return ExitCode.REGRESSION if failed else ExitCode.DONE

@@ -1,21 +1,17 @@
-"""facetrack recipes, prior, gallery, models, completion: what to choose from, what is learned, what a shell reads."""
+"""facetrack recipes, prior, gallery, models: what to choose from, and what is learned."""
 
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import os
-import re
 import sys
 from pathlib import Path
 
 import click
-from click.shell_completion import get_completion_class
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.app import cli
-from facetrack_cli.cli.options import FILE, FOLDER, FRAME, RECIPE, Text, Whole, option, refuse, say, words
+from facetrack_cli.cli.options import FILE, FOLDER, FRAME, RECIPE, Text, option, refuse, say, words
 from facetrack_cli.core.errors import ExitCode, InputError, RecipeError, flat
 from facetrack_cli.core.models import BROUGHT, MODELS, WHEEL, fetch_model, model_path, shipped_recipes
 
@@ -79,8 +75,7 @@ def show(recipe: str) -> None:
 def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     """Say everything that is wrong with recipes, and where.
 
-    Each error has its file, line and column, what to do about it, and the line with a caret under the place. The exit
-    code is 2 if there are any.
+    Each error has its file, line and column, and what to do about it. The exit code is 2 if there are any.
 
     \b
     Examples:
@@ -92,12 +87,11 @@ def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     wrong = False
     for name in recipes:
         try:
-            problems = [(str(problem), problem.span.excerpt()) for problem in check_recipe(name, overrides)]
+            problems = [str(problem) for problem in check_recipe(name, overrides)]
         except RecipeError as error:
-            problems = [(str(error), error.excerpt)]
+            problems = [str(error)]
         wrong |= bool(problems)
-        for line in filter(None, itertools.chain(*problems) if problems else [f"{name}: good"]):
-            click.echo(line)
+        click.echo("\n".join(problems or [f"{name}: good"]))
     return ExitCode.USAGE if wrong else ExitCode.DONE
 
 
@@ -161,26 +155,6 @@ def get(name: str) -> None:
         say(f"{fetch_model(each)}: {MODELS[each].purpose}; licence: {MODELS[each].licence}")
 
 
-@click.command()
-@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]), metavar="SHELL")
-def completion_command(shell: str) -> None:
-    """Print what makes a shell complete command lines.
-
-    It completes commands, options, recipes, folders and files. Put the line of your shell
-    where it begins: ~/.bashrc, ~/.zshrc (after compinit), ~/.config/fish/config.fish.
-
-    \b
-    Examples:
-        eval "$(facetrack completion bash)"
-        eval "$(facetrack completion zsh)"
-        facetrack completion fish | source
-    """
-    kind = get_completion_class(shell)
-    assert kind is not None
-    script = kind(cli, {}, "facetrack", "_FACETRACK_COMPLETE")
-    click.echo(script.source_template % script.source_vars())  # not source(): that calls Bash to ask for its version
-
-
 @click.group()
 def gallery_command() -> None:
     """Learn who is who from images and videos.
@@ -193,33 +167,27 @@ def gallery_command() -> None:
     """
 
 
-def _template(value: str) -> tuple[int, int]:
-    """(rows, columns) of COLUMNSxROWS."""
-    match = re.fullmatch(r"(\d{1,4})[xX](\d{1,4})", value.strip())
-    if not match or not all(MIN_SIDE <= int(side) <= MAX_SIDE for side in match.groups()):
-        sides = f"{MIN_SIDE} to {MAX_SIDE}"
-        raise click.BadParameter(f"{value!r}: give columns and rows from {sides}, as in 26x30 (26 wide, 30 high)")
-    return int(match[2]), int(match[1])
+_TEMPLATE = words("WxH", "([0-9]{1,3})[xX]([0-9]{1,3})", "give columns and rows, as in 26x30 (26 wide, 30 high)")
 
 
 @gallery_command.command("fit")
 @click.argument("folder", type=FOLDER)
 @option("-o", "--out", type=options.NPZ, default="gallery.npz", help="Where the gallery goes.")
-@option("--frames", type=Whole(1, 10_000), default=15, help="Frames of each video, at most.")
+@option("--frames", type=click.IntRange(1, 10_000), default=15, help="Frames of each video, at most.")
 @option("--start", type=FRAME, default=0, show_default=False, help="First frame of videos that is used.")
 @option("--stop", type=FRAME, help="Frame of videos before which to stop.")
 @option(
-    "--jitter", type=Whole(0, 100), default=4,
+    "--jitter", type=click.IntRange(0, 100), default=4,
     help="Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
 )  # fmt: skip
 @option(
-    "--template", type=Text("WxH", _template), default="26x30",
+    "--template", type=_TEMPLATE, default="26x30",
     help="Points across and down a face; the recipe must have the same.",
 )  # fmt: skip
 @options.overwrite
 @options.quiet
 def fit_gallery(
-    folder: Path, out: Path, frames: int, start: int, stop: int | None, jitter: int, template: tuple[int, int],
+    folder: Path, out: Path, frames: int, start: int, stop: int | None, jitter: int, template: tuple[str, str],
     overwrite: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Learn a gallery from a folder of people's folders.
@@ -241,7 +209,9 @@ def fit_gallery(
     empty = stop is not None and stop <= start
     refuse((empty, f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start"))
     check_new(out, overwrite=overwrite)
-    reading = Reading(template, frames, start, stop, jitter)
+    shape = int(template[1]), int(template[0])
+    refuse((min(shape) < MIN_SIDE or max(shape) > MAX_SIDE, f"--template: give sides from {MIN_SIDE} to {MAX_SIDE}"))
+    reading = Reading(shape, frames, start, stop, jitter)
     with progress(quiet) as shown:
 
         def warn(line: str) -> None:
@@ -253,7 +223,7 @@ def fit_gallery(
         faces = read_faces(people, reading, warn, lambda done: shown.update(done, total))
     try:
         gallery = fit(
-            faces.patches, faces.persons, template, images=faces.images, negatives=faces.negatives,
+            faces.patches, faces.persons, shape, images=faces.images, negatives=faces.negatives,
             proportion=faces.proportion,
         )  # fmt: skip
     except InputError as e:
@@ -327,7 +297,7 @@ _SCALE = words("A,B", "([^,]*),([^,]*)", "name two parts with a comma, such as m
     "--scale", type=_SCALE, default="mouth_left,mouth_right",
     help="Parts whose distance in the first frame is the unit.",
 )  # fmt: skip
-@option("--max-shapes", type=Whole(1, 10_000), default=500, help="Keep so many at most.")
+@option("--max-shapes", type=click.IntRange(1, 10_000), default=500, help="Keep so many at most.")
 @options.overwrite
 @options.quiet
 def fit_prior(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import re
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FRAME, Command, Extent, Text, Whole, extent_options, flag, option, refuse, say
+from facetrack_cli.cli.options import FRAME, Command, Extent, Text, extent_options, flag, option, refuse, say
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError, about
 
 if TYPE_CHECKING:
@@ -33,10 +32,11 @@ MOST_THREADS = 4  # of a clip: with 8 and 16 on 16 cores it takes a fifth longer
 
 def _shard(value: str) -> tuple[int, int]:
     """The number of one of N jobs, and N."""
-    number, count = map(int, value.split("/")) if re.fullmatch("[0-9]{1,9}/[0-9]{1,9}", value) else (0, 0)
-    if not 0 < number <= count:
-        raise click.BadParameter(f"{value!r}: give I/N, as 3/20, the third of twenty jobs; the first is 1/20")
-    return number, count
+    with contextlib.suppress(ValueError):
+        number, count = map(int, value.split("/"))
+        if 0 < number <= count:
+            return number, count
+    raise click.BadParameter(f"{value!r}: give I/N, as 3/20, the third of twenty jobs; the first is 1/20")
 
 
 def _length(value: str) -> tuple[float, bool]:
@@ -87,7 +87,7 @@ def _formats(value: str) -> tuple[Format, ...]:
 @flag("--no-video", help="Do not write annotated.mp4.")
 @option("--format", "formats", type=Text("LIST", _formats), help="csv, json, jsonl [default: csv,json; csv with -o -].")
 @flag("--smooth", help="Then smooth it: every row given the whole clip, see docs/smooth.md.")
-@option("--lag", type=Whole(1, 1000), help="Rows N frames later, given the frames up to then.")
+@option("--lag", type=click.IntRange(1, 1000), help="Rows N frames later, given the frames up to then.")
 @options.overwrite
 @flag("--no-resume", help="Track from the start what was interrupted, not from its last checkpoint.")
 @flag("--strict", help="Exit with 3 if a clip is cut short or damaged.")
@@ -95,7 +95,7 @@ def _formats(value: str) -> tuple[Format, ...]:
 @flag("--live", help="Write a JSON line a frame to stdout as it comes; INPUT may be a camera, an address, or -.")
 @options.quiet
 @options.jobs("Clips at a time.")
-@option("--threads", type=Whole(1, 1000), help="Threads a clip [default: the cores, shared by -j, at most 4].")
+@option("--threads", type=click.IntRange(1, 1000), help="Threads a clip [default: the cores, shared by -j, at most 4].")
 @option("--shard", type=Text("I/N", _shard), help="Track every N-th clip alone, from the I-th on: one of N jobs.")
 @option(
     "--split", type=Text("LENGTH", _length),
@@ -136,8 +136,6 @@ def run_command(
       facetrack run clip.mp4 --config signer --smooth
       facetrack run film.mp4 --faces all -o film
       facetrack run clip.mp4 --config sir --set filter.particles=500 -o out
-      facetrack run clip.mp4 --config adaptive_recognition --gallery people.npz
-      facetrack run frames/ --fps 25 -o - | head
       facetrack run 0 --live
       facetrack run @list.txt --shard 3/20 -o results
       facetrack run day.mp4 --split 10m -j 8 -o day
@@ -188,10 +186,7 @@ def run_command(
     clips, several = expand(inputs)
     extent.check(*clips)
     several = several or (shard is not None and split is None)
-    blind = f"{recipe.name} has correlation alone, which cannot tell when it is lost"
-    other = "give likelihood.contour or likelihood.histogram too, or leave the option out"
     refuse(
-        (fail_on_lost and not recipe.judges, f"--fail-on-lost: {blind}; {other}"),
         (split and len(clips) > 1, f"--split cuts one clip, and {len(clips)} are given; split one at a time"),
         (several and out == "-", "-o - streams one clip; give one INPUT, or a folder with --out"),
     )

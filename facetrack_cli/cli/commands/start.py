@@ -32,8 +32,6 @@ def app_command(project: Path, port: int | None, no_open: bool) -> int:
 
     \b
     Examples:
-      facetrack app
-      facetrack app study/
       facetrack app study/ --port 8800 --no-open
     """
     from facetrack_cli.editor.app_session import AppSession
@@ -104,10 +102,8 @@ def init_command(
 
     \b
     Examples:
-      facetrack init clip.mp4 --preview look.png
       facetrack init clip.mp4 --init-frame 120 --box 310,96,140,140
       facetrack init clip.mp4 --config signer --preview look.png
-      facetrack init panel.mp4 --faces all --preview look.png
       facetrack init clip.mp4 --pick --open
       facetrack init frames/ -o - > start.yaml
     """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.accuracy import FAILURE, PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
 from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, aligned
-from facetrack_cli.evaluation.reliability import ReliabilityBin, calibration_error
 from facetrack_cli.evaluation.summary import clip_name
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.style import Axes, Figure, quantiles, render
@@ -80,34 +79,6 @@ def error_over_time_figure(
         return figure
 
 
-def calibration_figure(bins: Sequence[ReliabilityBin]) -> Figure:
-    """By bin of confidence, the share of rows that are right and of visible rows, and the number of rows. On the
-    diagonal, confidence is the probability of being right. Bins without rows are left out; some bin must have rows.
-    """
-    filled = [b for b in bins if b.rows]
-    mean, right, visible = np.array([(b.mean_confidence, b.right, b.visible) for b in filled], np.float64).T
-    with style.style():
-        figure = style.new_figure(5.6, 5.8)
-        upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.2, 1]})
-        upper.plot([0, 1], [0, 1], **_MARK, label="ideal: equal to confidence")
-        upper.vlines(mean, mean, right, color=style.STATUS["lost"], linewidth=1.0, alpha=0.55, zorder=1.5)
-        upper.plot(mean, right, "o-", color=style.COLOURS[0], linewidth=1.5, markersize=5, label="right")
-        if (visible < 1).any():
-            marked: dict[str, Any] = {"color": style.COLOURS[1], "linewidth": 1.2, "markersize": 4}
-            upper.plot(mean, visible, "s--", **marked, label="visible in the ground truth")
-        upper.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.04), ylabel="share of rows")
-        error = f"expected calibration error {calibration_error(bins):.3f}"
-        style.heading(upper, "Confidence against the ground truth", error)
-        middle, rows = [(b.low + b.high) / 2 for b in filled], [b.rows for b in filled]
-        lower.bar(middle, rows, 0.09, color=style.STATUS["hidden"], linewidth=0)
-        lower.set(ylim=(0.7, 1.8 * max(rows)), xlabel="confidence", ylabel="rows")
-        style.log_axis(lower)
-        style.heading(lower, "Rows", "log scale")
-        handles, labels = upper.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), handlelength=2.6)
-        return figure
-
-
 CURVES: Final = (  # of Score, thresholds, title, labels, what the legend has, and the threshold that it is read off at
     ("success", SUCCESS_THRESHOLDS, "Success", ("overlap threshold (IoU)", "share of frames above it"), "AUC", None),
     ("precision", PRECISION_THRESHOLDS, "Precision", ("distance threshold (px)", "share of frames within it"),
@@ -119,7 +90,7 @@ CURVES: Final = (  # of Score, thresholds, title, labels, what the legend has, a
 
 def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     """Success, precision, cumulative error and error over time, of what is measured; recipes in their order."""
-    entries = [place.entry for place in comparison.places if place.entry.scores]
+    entries = [entry for entry, _ in comparison.places if entry.scores]
     clip = clip_name(comparison.clip)
     for name, at, title, labels, measure, mark in CURVES:
         values = {entry.label: [getattr(score, name) for score in entry.scores] for entry in entries}
