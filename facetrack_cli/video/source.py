@@ -30,7 +30,7 @@ from facetrack_cli.video.decode import (
     fitted,
     read_index,
 )
-from facetrack_cli.video.images import Archive, Pictures, holds_images, is_archive
+from facetrack_cli.video.images import Pictures
 
 AGAIN: Final = "copy or download it again"
 _KINDS: Final = (
@@ -44,10 +44,8 @@ _MP4_BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 
 
 def is_clip(path: Path) -> bool:
-    """Whether a file that is found in a folder is a clip: a video, an animation, or an archive of images."""
-    suffix = path.suffix.lower()
-    named = suffix in _VIDEOS or (suffix == ".zip" and holds_images(path)) or images.is_animated(path)
-    return named and path.is_file()
+    """Whether a file that is found in a folder is a clip: a video, or an animation."""
+    return (path.suffix.lower() in _VIDEOS or images.is_animated(path)) and path.is_file()
 
 
 def is_image(path: Path) -> bool:
@@ -56,8 +54,8 @@ def is_image(path: Path) -> bool:
 
 
 def brings_rate(clip: Path) -> bool:
-    """Whether a clip has a frame rate that is read, as all but images: of a folder, an archive, an animated WebP."""
-    several = clip.is_dir() or images.listing(clip) is not None or is_archive(clip) or clip.suffix.lower() == ".webp"
+    """Whether a clip has a frame rate that is read, as all but images: of a folder, an animated WebP."""
+    several = clip.is_dir() or images.listing(clip) is not None or clip.suffix.lower() == ".webp"
     return not several and not is_image(clip)
 
 
@@ -270,7 +268,7 @@ class VideoSource(Source):
 
 
 class FolderSource(Source):
-    """Images of a folder or an archive in natural order, at a constant rate, scaled to the size of the first.
+    """Images of a folder in natural order, at a constant rate, scaled to the size of the first.
 
     `files` has the file of each frame: of a stack its file as often as it has pages.
     """
@@ -323,7 +321,7 @@ class FolderSource(Source):
 def open_source(
     path: Path, *, fps: Fraction | None = None, start: int = 0, stop: int | None = None, stream: int | None = None
 ) -> Source:
-    """Open a video file, a folder or a .zip of images, a glob of images in one folder (`a*.png`), or a single image.
+    """Open a video file, a folder of images, a glob of images in one folder (`a*.png`), or a single image.
 
     Frames from `start` up to, not including, `stop`. `fps` is the rate of images (default 25); a video has its own
     clock and refuses it. `stream` is the number of a video's stream (default: FFmpeg's own choice).
@@ -336,18 +334,13 @@ def open_source(
     if fps is not None and fps <= 0:
         raise UsageError(f"{path}: {fps} is no frame rate; give frames per second greater than 0")
     check_local(path)
-    archive = None
     if (files := images.listing(path)) is None:
         check_file(path)
-        if is_archive(path):
-            archive = Archive(path)
-            files = archive.files
-        elif not brings_rate(path):
-            files = [path]
+        files = None if brings_rate(path) else [path]
     if files is not None:
         if not files:
             raise InputError(f"{path}: no images in it; {', '.join(sorted(images.SUFFIXES))} are read")
-        return FolderSource(path, Pictures(files, archive), fps or FOLDER_FPS, start, stop)
+        return FolderSource(path, Pictures(files), fps or FOLDER_FPS, start, stop)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for images only")
     return VideoSource(path, start, stop, stream)
