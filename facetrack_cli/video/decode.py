@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 _DEFAULT_FPS: Final = Fraction(25)
-_LOOKED_PACKETS: Final = 100  # of a file with several video streams
-_DEFAULT_PIXELS: Final = 5_000_000  # a stream that is marked default counts as so much larger, as in FFmpeg
 MIN_JUMP_FRAMES: Final = 16  # decoding fewer frames takes less time than a jump over them
 _CHECKED_FRAMES: Final = 24  # so many frames from the start must agree with the packets
 _MAX_TRIES: Final = 3  # a seek that arrives too late is repeated from an earlier keyframe
@@ -260,27 +258,17 @@ def open_container(path: Path) -> InputContainer:
 
 
 def recordings(container: InputContainer) -> list[VideoStream]:
-    """The video streams that can be decoded and are no pictures beside a clip, in the order in which FFmpeg takes them.
+    """The video streams that can be decoded and are no pictures beside a clip; FFmpeg's own choice comes first.
 
-    That is the largest first, or a default one that is not much smaller. A stream that has a tenth of the frames of
-    another, as the preview of a camera, is none of them.
+    A stream that says that it has less than a tenth of the frames of another, as a camera's preview, is none of them.
     """
     from av.stream import Disposition
 
     no_clip = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
     streams = [video for video in container.streams.video if not video.disposition & no_clip and video.codec_context]
-    if len(streams) < 2:
-        return streams
-    count = dict.fromkeys((video.index for video in streams), 0)
-    with open_container(Path(container.name)) as same, contextlib.suppress(OSError, ValueError):
-        for packet in islice(same.demux([same.streams[at] for at in count]), _LOOKED_PACKETS):
-            count[packet.stream.index] += packet.size > 0
-
-    def size(video: VideoStream) -> int:
-        more = _DEFAULT_PIXELS if Disposition.default in video.disposition else 0
-        return -video.codec_context.width * video.codec_context.height - more
-
-    return sorted((video for video in streams if count[video.index] * 10 >= max(count.values())), key=size)
+    most = max((video.frames for video in streams), default=0)
+    streams = [video for video in streams if not video.frames or video.frames * 10 >= most]
+    return sorted(streams, key=lambda video: video is not container.streams.best("video"))
 
 
 def video_stream(container: InputContainer, number: int | None = None) -> VideoStream | None:
