@@ -29,7 +29,7 @@ from facetrack_cli.runs.batch import expand
 from facetrack_cli.runs.export import content, encoded, named
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats import EXPORTS
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import Frames
 
 LOOKS: Final = 5  # frames of a clip in which faces are sought, in its first seconds
 LOOKS_WITHIN: Final = 250  # frames

@@ -28,7 +28,7 @@ from facetrack_cli.start.presence import among_others
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import as_written
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import Frames
 
 MAX_STEPS: Final = 1000  # steps that can be undone
 MAX_TIME_OFF_S: Final = 0.002  # a frame whose time differs more from the run's is of another clip

@@ -32,7 +32,7 @@ from facetrack_cli.trackers.face.closer import righted
 from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named
 from facetrack_cli.trackers.skin.settings import SkinCloudSettings
 from facetrack_cli.video.overlay import write_preview
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import Frames
 
 ORIGIN: Final = "the page"
 MAX_FACES: Final = 12

@@ -89,7 +89,12 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
     """
 
     def __init__(self, path: Path, stream: int | None = None) -> None:
-        self.path = path
+        self.path, self.stream = path, stream
+        self.packets: Index | None = None  # read for the first jump
+        self.indexed = False
+        self._open(path, stream)
+
+    def _open(self, path: Path, stream: int | None) -> None:
         self._container = open_container(path)
         self.streams = recordings(self._container) if stream is None else []
         video = self.streams[0] if self.streams else video_stream(self._container, stream)
@@ -158,22 +163,45 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
         self.resized = self.resized or (frame.index, frame.size)
         return Frame(frame.index, frame.time_s, fitted(frame.bgr, self.size), aspect=frame.aspect)
 
-    def seek(self, number: int, index: Index) -> bool:
-        """Go to the last keyframe before a frame, so that reading onward gives it. False if that is not possible."""
-        place = int(np.searchsorted(index.keys, number, side="right")) - 1
-        for entry in index.entries[max(place - _MAX_TRIES + 1, 0) : place + 1][::-1].tolist():
-            self._container.seek(entry, stream=self._video)
-            self._frames = self._decoded()
-            for raw in self._frames:
-                at = int(np.searchsorted(index.pts, -1 if raw.pts is None else raw.pts))
-                if at > number:
-                    break
-                if index.pts[at] == raw.pts and at in index.keys:
-                    self._frames = chain([raw], self._frames)
-                    self.index, self.next = index, at
-                    self.damage.clear()  # of frames that lack those that they are predicted from
-                    return True
-        return False
+    def read_packets(self, stopped: Callable[[], bool]) -> Index | None:
+        """Read `packets` once; None if they do not tell which frame is which."""
+        if not self.indexed:
+            self.indexed = True
+            with contextlib.suppress(OSError, ValueError):
+                self.packets = read_index(self.path, stopped, self.stream)
+        return self.packets
+
+    def approach(self, number: int, stopped: Callable[[], bool]) -> None:
+        """Come to a frame or before it, by a jump to a keyframe or from the start, if reading onward takes longer.
+
+        Raises OSError or ValueError.
+        """
+        if 0 <= number - self.next <= MIN_JUMP_FRAMES:
+            return
+        if (index := self.read_packets(stopped)) is not None:
+            place = max(int(np.searchsorted(index.keys, number, side="right")) - 1, 0)
+            if number >= self.next >= index.keys[place] - MIN_JUMP_FRAMES:
+                return
+            for entry in index.entries[max(place - _MAX_TRIES + 1, 0) : place + 1][::-1].tolist():
+                self._container.seek(entry, stream=self._video)
+                self._frames = self._decoded()
+                for raw in self._frames:
+                    at = int(np.searchsorted(index.pts, -1 if raw.pts is None else raw.pts))
+                    if at > number:
+                        break
+                    if index.pts[at] == raw.pts and at in index.keys:
+                        self._frames = chain([raw], self._frames)
+                        self.index, self.next = index, at
+                        self.damage.clear()  # of frames that lack those that they are predicted from
+                        return
+        if index is not None or number < self.next:
+            self.restart()
+
+    def restart(self) -> None:
+        """Count frames from the start again, and never jump."""
+        self.close()
+        self.packets = None
+        self._open(self.path, self.stream)
 
     def close(self) -> None:
         """Free the file; closing again does nothing."""

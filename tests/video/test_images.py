@@ -13,7 +13,7 @@ from PIL import Image as Pictures
 
 from facetrack_cli.runs.batch import expand
 from facetrack_cli.video.images import ordered
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import Frames
 from tests.support import media
 from tests.video.test_source import numbers, read, refusal
 
