@@ -413,7 +413,7 @@ class Font:
         if part.size:
             picture = Pictures.fromarray(np.ascontiguousarray(part))
             ImageDraw.Draw(picture).text((left - x, base - y), plain(text), colour, self._type, anchor="ls")
-            part[...] = picture
+            part[...] = np.asarray(picture)
 
 
 def plain(text: str) -> str:
