@@ -267,7 +267,7 @@ class Extent:
         rates = self.fps is not None and all(clip.is_file() and brings_rate(clip) for clip in clips)
         refuse((both, "--init and --box both say where the track starts; give one of them"))
         check_span(self.start, self.stop)
-        refuse((rates, "--fps is for image folders and archives; a video brings its own rate"))
+        refuse((rates, "--fps is for image folders; a video brings its own rate"))
 
 
 extent_options = gathered(
@@ -277,7 +277,7 @@ extent_options = gathered(
     option("--box", type=BOX, help="The face, head or hand in the first frame, in pixels."),
     option("--start", type=FRAME, default=0, show_default=False, help="First frame, from 0."),
     option("--stop", type=FRAME, help="Frame to stop before."),
-    option("--fps", type=RATE, help="Frames per second of a folder or .zip of images."),
+    option("--fps", type=RATE, help="Frames per second of a folder of images."),
 )  # fmt: skip
 
 

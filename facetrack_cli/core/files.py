@@ -25,7 +25,7 @@ _LAST_RECORDS = 2000  # at the end of a file, in which there is space for its en
 MAX_TABLE_BYTES = 1 << 30  # of a table of rows: ten hours of a face and its points
 MAX_FILE_BYTES = 1 << 26  # of any other file that is read whole
 TABLES = ("trajectory.csv", "trajectory.json", "trajectory.jsonl")  # by one of which the folder of a run is known
-MAX_DIRECTORY_BYTES = 1 << 25  # of the list of files in an archive: 300,000 images
+MAX_DIRECTORY_BYTES = 1 << 25  # of the list of files in an .npz
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 

@@ -84,20 +84,16 @@ class Kind:
 
 
 def check_inflated(path: Path, raw: BinaryIO, what: str) -> None:
-    """InputError for an archive of a few bytes that holds very many; arrays of numbers are not packed so tightly."""
-    check_directory(path, raw)
+    """InputError for an archive that lists very many files, each of which takes memory, or of a few bytes that holds
+    very many: arrays of numbers are not packed so tightly.
+    """
+    if (end := zipfile._EndRecData(raw)) and end[_DIRECTORY] > MAX_DIRECTORY_BYTES:  # type: ignore[attr-defined]
+        raise InputError(f"{path}: is no {what}: it lists files in {end[_DIRECTORY] / 1e6:.0f} MB; name the right file")
     with contextlib.suppress(BadZipFile), ZipFile(raw) as archive:
         whole, packed = sum(member.file_size for member in archive.infolist()), path.stat().st_size
         if whole > MAX_FILE_BYTES and whole > 100 * packed:
             raise InputError(f"{path}: is no {what}: its {packed} bytes hold {whole / 1e6:.0f} MB; name the right file")
     raw.seek(0)
-
-
-def check_directory(path: Path, raw: BinaryIO) -> None:
-    """InputError for an archive that lists very many files, each of which takes memory, before the list is read."""
-    if (end := zipfile._EndRecData(raw)) and end[_DIRECTORY] > MAX_DIRECTORY_BYTES:  # type: ignore[attr-defined]
-        held = f"lists files in {end[_DIRECTORY] / 1e6:.0f} MB, and at most {MAX_DIRECTORY_BYTES / 1e6:.0f} MB are read"
-        raise InputError(f"{path}: {held}; unpack it")
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ from facetrack_cli.runs.finished import open_run, stamp
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats import EXPORTS
 from facetrack_cli.trajectory.trajectory import Trajectory
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import Frames
 
 NAME: Final = "project.json"
 MAX_CLIPS: Final = 2000

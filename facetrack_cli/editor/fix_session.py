@@ -38,7 +38,7 @@ from facetrack_cli.trajectory.reader import UNSAVED, FrameNumber
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.views import Clock, choose
 from facetrack_cli.trajectory.writers import by_frame
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import Frames
 
 MAX_ROWS: Final = 600
 MAX_DOUBTFUL: Final = 100

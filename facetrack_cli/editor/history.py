@@ -27,7 +27,7 @@ from facetrack_cli.start.presence import among_others
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import as_written
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import Frames
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from facetrack_cli.start.init_file import TARGET, WHAT_PARTS_ARE, check_start, w
 from facetrack_cli.trackers.face.closer import righted
 from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named
 from facetrack_cli.video.overlay import write_preview
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import Frames
 
 ORIGIN: Final = "the page"
 MAX_FACES: Final = 12

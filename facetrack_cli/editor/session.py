@@ -20,7 +20,7 @@ from facetrack_cli.runs.plan import Report
 from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.start.init_file import NAME
 from facetrack_cli.trajectory.reader import FrameNumber, Pixels, Side
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import Frames
 
 LINGER_S: Final = 3.0  # the server goes on so long after the end: each page asks for the state once a second
 JPEG_QUALITY: Final = 90

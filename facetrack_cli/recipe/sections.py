@@ -51,6 +51,12 @@ def suggest(wrong: str, names: Sequence[str], otherwise: str) -> str:
     return f'did you mean "{near[0]}"?' if near else f"{otherwise}: {', '.join(names)}"
 
 
+def refuse(refusals: Iterable[Refusal]) -> None:
+    """PydanticCustomError where there are any."""
+    if listed := list(refusals):
+        raise PydanticCustomError("refused", "{summary}", {"summary": listed[0].message, "refusals": listed})
+
+
 class Section(BaseModel):
     """A part of a recipe: frozen, without unknown keys, its fields described by the docstrings below them."""
 
@@ -61,10 +67,20 @@ class Section(BaseModel):
         """What is wrong between the fields of this section; paths begin at it."""
         return ()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _keys(cls, values: Any) -> Any:
+        known = list(cls.model_fields)
+        unknown = [key for key in values if key not in known] if isinstance(values, dict) else []
+        refuse(
+            Refusal((key,), f'unknown key "{key}"; {suggest(str(key), known, "the keys there are")}', at_key=True)
+            for key in unknown
+        )
+        return values
+
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if refusals := list(self.mistakes()):
-            raise PydanticCustomError("refused", "{summary}", {"summary": refusals[0].message, "refusals": refusals})
+        refuse(self.mistakes())
         return self
 
 

@@ -58,8 +58,7 @@ from facetrack_cli.trajectory.reader import Header, read_header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
 from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.video.overlay import Overlay
-from facetrack_cli.video.seek import Frames
-from facetrack_cli.video.source import given_rate
+from facetrack_cli.video.source import Frames, given_rate
 
 
 def recipe_yaml(recipe: Mapping[str, Any]) -> str:

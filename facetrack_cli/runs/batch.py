@@ -7,8 +7,8 @@ They are tracked by processes of this machine, or by the workers of a Dask clust
 results go straight to the folders. Dask finds a worker for each clip, replaces a worker that dies (its nanny does), and
 tries again what fails. What a killed worker leaves in a folder is taken up by the next run there, as after any kill.
 
-Of the inputs of a command line a folder of images is one clip. In a folder that holds videos, animations or archives of
-images each of them is a clip; in one that holds none of these, those of its sub-folders are.
+Of the inputs of a command line a folder of images is one clip. In a folder that holds videos or animations each
+of them is a clip; in one that holds none of these, those of its sub-folders are.
 """
 
 from __future__ import annotations

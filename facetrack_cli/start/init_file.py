@@ -22,7 +22,6 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, NoReturn, TextIO
@@ -117,9 +116,8 @@ def as_yaml(start: Start, clip: str = "") -> str:
         lines += [
             "# What was corrected by hand; from each of these frames on the target begins again.",
             "# points, box: by hand; kept: where its other points were; absent: not to be seen from there on;",
-            "# learn: whether what it looks like is learned again there; if it is not said, what is given is.",
-            *["# confirmed: it lies right there, whatever the tracker says."]
-            * any(correction.confirmed for correction in start.corrections),
+            "# learn: whether what it looks like is learned again there; if it is not said, what is given is;",
+            "# confirmed: it lies right there, whatever the tracker says.",
             "corrections:",
         ]
     for frame, group in groupby(start.corrections, key=lambda correction: correction.frame):
@@ -182,25 +180,23 @@ def _as_record(root: Node) -> Node:
     frame, by, corrections = (keys.pop(key, None) for key in OF_FILES)
     if frame is None:
         _refuse(root, 'the key "frame" is missing; add frame: N, counted from 0')
-    alone = any(key in KEYS for key in keys)
-    for key, node in keys.items():
-        near = get_close_matches(key, (*OF_FILES, *KEYS), n=1, cutoff=0.7)
-        if key not in KEYS if alone else near or not isinstance(node.value, dict) or not NAME.fullmatch(key):
-            form = f"keys are {', '.join(KEYS)}" if alone else "a target holds box: and points:, below its name"
-            meant = f'did you mean "{near[0]}"?' if near else form
-            _refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
     if len(keys) > MAX_TARGETS:
         _refuse(root, f"{len(keys)} targets, and at most {MAX_TARGETS} are followed at a time; split the file")
-    targets = {TARGET: Node(root.span, keys)} if alone or not keys else keys
-    members = {"frame": frame, "targets": Node(root.span, {**targets})}
+    alone = not keys or any(key in KEYS for key in keys)
+    targets = {TARGET: Node(root.span, keys)} if alone else keys
+    known = (*OF_FILES, *KEYS) if alone else KEYS
+    below = {
+        name: Node(node.span, _fields(node, f"the target {name}", "box: or points: below its name", known), node.key)
+        for name, node in targets.items()
+    }
+    members = {"frame": frame, "targets": Node(root.span, below)}
     if by is not None:
         if by.value not in DETECTORS:
             _refuse(by, f"placed_by names a detector, {' or '.join(DETECTORS)}; remove the line if none did")
         members |= {"detector": by, "placed": Node(by.span, True)}
     if corrections is not None:
         if not isinstance(corrections.value, list):
-            form = "write - frame: 31 and, below it, what is corrected, or remove the key"
-            _refuse(corrections, f"corrections is a list; {form}")
+            _refuse(corrections, "corrections is a list; write - frame: 31 and, below it, what is corrected")
         each = [fix for entry in corrections.value for fix in _of_entry(entry, [*targets])]
         members["corrections"] = Node(corrections.span, each, corrections.key)
     return Node(root.span, members)
@@ -219,13 +215,7 @@ def _of_entry(entry: Node, targets: Sequence[str]) -> Iterator[Node]:
     if not keys:
         _refuse(entry, "nothing is corrected here; add points: or box: by hand, or absent: true")
     for name, node in keys.items():
-        if name not in (*targets, *HANDS):  # these may appear after the start
-            remedy = suggest(name, (*targets, *OF_CORRECTIONS), "there are the start's targets, and keys")
-            _refuse(node, f'unknown key "{name}"; {remedy}', at_key=True)
-        fields = _mapping(node, f"the correction of {name}", "points: or absent: below the name")
-        for key in (key for key in fields if key not in OF_CORRECTIONS):
-            remedy = suggest(key, OF_CORRECTIONS, "the keys there are")
-            _refuse(fields[key], f'unknown key "{key}"; {remedy}', at_key=True)
+        fields = _fields(node, f"the correction of {name}", "points: or absent: below the name", OF_CORRECTIONS)
         of = Node(node.span, name, node.key)
         yield Node(node.span, {"target": of, "frame": frame, **fields}, node.key)
 
@@ -233,8 +223,8 @@ def _of_entry(entry: Node, targets: Sequence[str]) -> Iterator[Node]:
 def _check(record: StartRecord, tree: Node) -> None:
     """YamlProblems for what is right by itself, and not beside the rest."""
     for path, node in tree.walk():
-        if len(path) == 4 and isinstance(path[3], str) and not NAME.fullmatch(path[3]):
-            _refuse(node, f'"{path[3]}" cannot name a part; use letters, digits, _ and -', at_key=True)
+        if len(path) in (2, 4) and isinstance(name := path[-1], str) and not NAME.fullmatch(name):
+            _refuse(node, f'"{name}" is no name; use letters, digits, _ and -', at_key=True)
     for name, target in record.targets.items():
         at = tree.at(("targets", name))[0]
         if target.box is None and not target.points:
@@ -244,6 +234,8 @@ def _check(record: StartRecord, tree: Node) -> None:
     seen: set[tuple[int, str]] = set()
     for number, fix in enumerate(record.corrections):
         at, name = tree.at(("corrections", number))[0], fix.target
+        if name not in (*record.targets, *HANDS):  # these may appear after the start
+            _refuse(at, f'"{name}" is none of the start\'s targets: {", ".join(record.targets)}', at_key=True)
         if fix.frame <= record.frame:
             begins = f"the track begins in frame {record.frame}; corrections come after it"
             _refuse(at.at(("frame",))[0], f"corrects frame {fix.frame}, but {begins}")
@@ -272,8 +264,15 @@ def _check(record: StartRecord, tree: Node) -> None:
 
 def _check_part(node: Node, key: str, part: str, parts: Sequence[str]) -> None:
     if parts and part not in parts:
-        meant = suggest(part, parts, "it has")
-        _refuse(node, f'{key} names "{part}", which the start does not have; {meant}', at_key=True)
+        _refuse(node, f'{key} names "{part}", which the start does not have; it has {", ".join(parts)}', at_key=True)
+
+
+def _fields(node: Node, what: str, example: str, known: Sequence[str]) -> dict[str, Node]:
+    """A copy of the mapping that a node is, which has `known` keys alone."""
+    fields = _mapping(node, what, example)
+    for key in fields.keys() - {*known}:
+        _refuse(fields[key], f'unknown key "{key}"; {suggest(key, known, "the keys there are")}', at_key=True)
+    return fields
 
 
 def _mapping(node: Node, what: str, example: str) -> dict[str, Node]:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from math import degrees, isfinite
+from math import degrees
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 import cv2
@@ -24,6 +24,8 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre, inside, overlap, warp_affine
 from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStart
+from facetrack_cli.engine.spaces import check_size
+from facetrack_cli.start.init_file import check_start
 from facetrack_cli.trackers.face.closer import everywhere, near, righted
 from facetrack_cli.trackers.face.detectors import (
     MIN_CONTRAST,
@@ -57,7 +59,6 @@ TURNED_LOOKS: Final = 3  # that ask how a face lies in which neither nose nor mo
 BESIDE: Final = 0.1  # overlap below which an upright face is another one than a turned one
 SAME_PLACE: Final = 0.02  # sizes of the box; a part that is farther off has moved, nearer it is noise
 MIN_OVERLAP: Final = 0.3  # overlap with where it was last found
-_ALL_OF_IT: Final = "draw it from the brows to the chin"
 Faces: TypeAlias = Literal["one", "all"]
 
 
@@ -396,24 +397,15 @@ def box_start(
     InputError for a wrong box.
     """
     check_parts(parts)
-    size = f"the frame of {frame.size[0]}x{frame.size[1]} pixels"
-    if not all(map(isfinite, box)) or min(box[2:]) <= 0:
-        wrong = "has no area; give left, top, width and height in pixels"
-    elif min(box[2:]) < 2:
-        wrong = f"is smaller than 2 pixels; {_ALL_OF_IT}"
-    elif max(box[2] / frame.size[0], box[3] / frame.size[1]) > 2:
-        wrong = f"is far larger than {size}; {_ALL_OF_IT}"
-    elif not inside(centre(box), frame.size):
-        wrong = f"is not in {size}; give left, top, width and height in pixels of the frame"
-    else:
-        look = detector(by)
-        face = righted(look, frame, Detection(box))
-        points = named(face.placed(frame)) if face.turn else look.place(frame.bgr, box)
-        outside = [part for part in parts if not inside(points[part], frame.size)]
-        if not outside:
-            # to 0.01 px, as in an init file: a run from that file begins in the same place
-            placed = {part: (round(points[part][0], 2), round(points[part][1], 2)) for part in parts}
-            target = TargetStart(box=box, points=placed)
-            return Start(frame.index, {"face": target}, "--box", detector=look.name, placed=True)
-        wrong = f"would put {', '.join(outside)} outside the frame; {_ALL_OF_IT}, or give the points with --init FILE"
-    raise InputError(f"{clip}: the box {','.join(f'{value:g}' for value in box)} {wrong}")
+    check_size(clip, "the face", box)
+    check_start(Start(frame.index, {"face": TargetStart(box)}, clip), frame.size, ())
+    look = detector(by)
+    face = righted(look, frame, Detection(box))
+    points = named(face.placed(frame)) if face.turn else look.place(frame.bgr, box)
+    if outside := ", ".join(part for part in parts if not inside(points[part], frame.size)):
+        wrong = f"the box {','.join(f'{value:g}' for value in box)} would put {outside} outside the frame"
+        raise InputError(f"{clip}: {wrong}; draw it from the brows to the chin, or give the points with --init FILE")
+    # to 0.01 px, as in an init file: a run from that file begins in the same place
+    placed = {part: (round(points[part][0], 2), round(points[part][1], 2)) for part in parts}
+    target = TargetStart(box=box, points=placed)
+    return Start(frame.index, {"face": target}, "--box", detector=look.name, placed=True)

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 _DEFAULT_FPS: Final = Fraction(25)
-_LOOKED_PACKETS: Final = 100  # of a file with several video streams
-_DEFAULT_PIXELS: Final = 5_000_000  # a stream that is marked default counts as so much larger, as in FFmpeg
 MIN_JUMP_FRAMES: Final = 16  # decoding fewer frames takes less time than a jump over them
 _CHECKED_FRAMES: Final = 24  # so many frames from the start must agree with the packets
 _MAX_TRIES: Final = 3  # a seek that arrives too late is repeated from an earlier keyframe
@@ -91,7 +89,12 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
     """
 
     def __init__(self, path: Path, stream: int | None = None) -> None:
-        self.path = path
+        self.path, self.stream = path, stream
+        self.packets: Index | None = None  # read for the first jump
+        self.indexed = False
+        self._open(path, stream)
+
+    def _open(self, path: Path, stream: int | None) -> None:
         self._container = open_container(path)
         self.streams = recordings(self._container) if stream is None else []
         video = self.streams[0] if self.streams else video_stream(self._container, stream)
@@ -160,22 +163,45 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
         self.resized = self.resized or (frame.index, frame.size)
         return Frame(frame.index, frame.time_s, fitted(frame.bgr, self.size), aspect=frame.aspect)
 
-    def seek(self, number: int, index: Index) -> bool:
-        """Go to the last keyframe before a frame, so that reading onward gives it. False if that is not possible."""
-        place = int(np.searchsorted(index.keys, number, side="right")) - 1
-        for entry in index.entries[max(place - _MAX_TRIES + 1, 0) : place + 1][::-1].tolist():
-            self._container.seek(entry, stream=self._video)
-            self._frames = self._decoded()
-            for raw in self._frames:
-                at = int(np.searchsorted(index.pts, -1 if raw.pts is None else raw.pts))
-                if at > number:
-                    break
-                if index.pts[at] == raw.pts and at in index.keys:
-                    self._frames = chain([raw], self._frames)
-                    self.index, self.next = index, at
-                    self.damage.clear()  # of frames that lack those that they are predicted from
-                    return True
-        return False
+    def read_packets(self, stopped: Callable[[], bool]) -> Index | None:
+        """Read `packets` once; None if they do not tell which frame is which."""
+        if not self.indexed:
+            self.indexed = True
+            with contextlib.suppress(OSError, ValueError):
+                self.packets = read_index(self.path, stopped, self.stream)
+        return self.packets
+
+    def approach(self, number: int, stopped: Callable[[], bool]) -> None:
+        """Come to a frame or before it, by a jump to a keyframe or from the start, if reading onward takes longer.
+
+        Raises OSError or ValueError.
+        """
+        if 0 <= number - self.next <= MIN_JUMP_FRAMES:
+            return
+        if (index := self.read_packets(stopped)) is not None:
+            place = max(int(np.searchsorted(index.keys, number, side="right")) - 1, 0)
+            if number >= self.next >= index.keys[place] - MIN_JUMP_FRAMES:
+                return
+            for entry in index.entries[max(place - _MAX_TRIES + 1, 0) : place + 1][::-1].tolist():
+                self._container.seek(entry, stream=self._video)
+                self._frames = self._decoded()
+                for raw in self._frames:
+                    at = int(np.searchsorted(index.pts, -1 if raw.pts is None else raw.pts))
+                    if at > number:
+                        break
+                    if index.pts[at] == raw.pts and at in index.keys:
+                        self._frames = chain([raw], self._frames)
+                        self.index, self.next = index, at
+                        self.damage.clear()  # of frames that lack those that they are predicted from
+                        return
+        if index is not None or number < self.next:
+            self.restart()
+
+    def restart(self) -> None:
+        """Count frames from the start again, and never jump."""
+        self.close()
+        self.packets = None
+        self._open(self.path, self.stream)
 
     def close(self) -> None:
         """Free the file; closing again does nothing."""
@@ -260,27 +286,17 @@ def open_container(path: Path) -> InputContainer:
 
 
 def recordings(container: InputContainer) -> list[VideoStream]:
-    """The video streams that can be decoded and are no pictures beside a clip, in the order in which FFmpeg takes them.
+    """The video streams that can be decoded and are no pictures beside a clip; FFmpeg's own choice comes first.
 
-    That is the largest first, or a default one that is not much smaller. A stream that has a tenth of the frames of
-    another, as the preview of a camera, is none of them.
+    A stream that says that it has less than a tenth of the frames of another, as a camera's preview, is none of them.
     """
     from av.stream import Disposition
 
     no_clip = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
     streams = [video for video in container.streams.video if not video.disposition & no_clip and video.codec_context]
-    if len(streams) < 2:
-        return streams
-    count = dict.fromkeys((video.index for video in streams), 0)
-    with open_container(Path(container.name)) as same, contextlib.suppress(OSError, ValueError):
-        for packet in islice(same.demux([same.streams[at] for at in count]), _LOOKED_PACKETS):
-            count[packet.stream.index] += packet.size > 0
-
-    def size(video: VideoStream) -> int:
-        more = _DEFAULT_PIXELS if Disposition.default in video.disposition else 0
-        return -video.codec_context.width * video.codec_context.height - more
-
-    return sorted((video for video in streams if count[video.index] * 10 >= max(count.values())), key=size)
+    most = max((video.frames for video in streams), default=0)
+    streams = [video for video in streams if not video.frames or video.frames * 10 >= most]
+    return sorted(streams, key=lambda video: video is not container.streams.best("video"))
 
 
 def video_stream(container: InputContainer, number: int | None = None) -> VideoStream | None:
@@ -294,16 +310,16 @@ def video_stream(container: InputContainer, number: int | None = None) -> VideoS
     return there[number]
 
 
-def sound_of(path: Path) -> tuple[str, float]:
-    """The codec of a file's sound, "" if it has none, and how much later, in s, its frames are shown than they say.
+def sound_delay(path: Path) -> float | None:
+    """How much later, in s, a file's frames are shown than they say; None of a file without sound.
 
     Raises OSError or ValueError.
     """
     with open_container(path) as container:
-        video, sound = video_stream(container), container.streams.audio
+        video = video_stream(container)
         first = None if video is None else next(container.decode(video), None)
         late_s = 0.0 if first is None else _shown_at(first, container)[1]
-        return sound[0].codec.name if sound else "", late_s
+        return late_s if container.streams.audio else None
 
 
 def _shown_at(first: VideoFrame, container: InputContainer) -> tuple[float, float]:

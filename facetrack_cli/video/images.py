@@ -1,21 +1,17 @@
 """Image files: which files of a folder are frames, in what order, and how one becomes (H, W, 3) uint8 BGR."""
 
-import io
 import re
 import warnings
-import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
-from pathlib import Path, PurePosixPath
-from typing import Any, Final, TypeVar, cast
-from zipfile import BadZipFile, ZipFile, ZipInfo, is_zipfile
+from pathlib import Path
+from typing import Any, Final, cast
 
 import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, reading, reason
-from facetrack_cli.core.npz import check_directory
 from facetrack_cli.core.types import Image
 
 # of damaged metadata Pillow says much, and without the file's name
@@ -27,15 +23,11 @@ SUFFIXES = frozenset(f".{kind}" for kind in _KINDS)
 # modes whose numbers are neither grey levels nor RGB
 _READ_AS = {"1": "L", **dict.fromkeys(("P", "PA", "LA", "La", "RGBa"), "RGBA")}
 _READ_AS |= dict.fromkeys(("CMYK", "YCbCr", "LAB", "HSV"), "RGB")
-
-
 _STACKS: Final = frozenset((".tif", ".tiff", ".webp"))  # which may hold several pictures
 _DEEP: Final = frozenset((".png", ".tif", ".tiff"))  # whose colours may have 16 bits
 _NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
 ALL_LEVELS: Final = 0, 0xFFFF
 _SAMPLES: Final = 16  # images by which the range of 16 bits is measured
-_CLOCK: Final = re.compile(r".*?[0-9]+[-_:h][0-5]?[0-9][-_:m][0-5]?[0-9](\.[0-9]+)?")
-_Name = TypeVar("_Name")
 
 
 class UnreadableError(InputError):
@@ -54,31 +46,15 @@ def listing(path: Path) -> list[Path] | None:
             return None
         paths = path.parent.glob(path.name) if is_glob else path.iterdir()
         files = [f for f in paths if f.suffix.lower() in SUFFIXES and not f.name.startswith(".") and f.is_file()]
-    return ordered(files, lambda file: file.name)
+    return ordered(files)
 
 
-def ordered(files: Iterable[_Name], name: Callable[[_Name], str]) -> list[_Name]:
-    """Files by the numbers in their names, as all of them are meant.
-
-    A name is one number, also a negative one or a fraction, as 0.04, if all are; or ends in a fraction of seconds, as
-    1-02-03.45, if all do, or if the zeros at the ends of fractions are left out. Else each run of digits is a number.
-    """
-    stems = {file: re.sub(r"\.[^.]*$", "", name(file)) for file in files}
-    texts = stems.values()
-    if all(map(_NUMBER.fullmatch, texts)):
-        return sorted(stems, key=lambda file: (Fraction(stems[file]), name(file)))
-    fractions = [stem.rpartition(".")[2] for stem in texts if re.search(r"[0-9]\.[0-9]+$", stem)]
-    padded = max((len(digits) for digits in fractions if digits[0] == "0" and len(digits) > 1), default=0)
-    # a counter that is padded with zeros is never shorter than those that have them
-    cut = min(map(len, fractions), default=0) < padded and all(stem[-1:].isdecimal() for stem in texts)
-    if fractions and (cut or all(map(_CLOCK.fullmatch, texts))):
-        return sorted(stems, key=lambda file: _fraction_key(stems[file], name(file)))
-    return sorted(stems, key=lambda file: natural_key(name(file)))
-
-
-def _fraction_key(stem: str, name: str) -> tuple[Any, ...]:
-    whole, _, fraction = stem.partition(".") if stem.count(".") < 2 else stem.rpartition(".")
-    return natural_key(whole)[0], Fraction(f"0.{fraction or 0}"), name
+def ordered(files: Iterable[Path]) -> list[Path]:
+    """Files by their names if all are numbers, also negative ones and fractions as 0.04; else by digits in them."""
+    stems = {file: re.sub(r"\.[^.]*$", "", file.name) for file in files}
+    if all(map(_NUMBER.fullmatch, stems.values())):
+        return sorted(stems, key=lambda file: (Fraction(stems[file]), file.name))
+    return sorted(stems, key=lambda file: natural_key(file.name))
 
 
 def natural_key(name: str) -> tuple[list[tuple[int, int | str]], str]:
@@ -88,14 +64,14 @@ def natural_key(name: str) -> tuple[list[tuple[int, int | str]], str]:
 
 
 class Pictures(AbstractContextManager["Pictures"]):
-    """The pictures of image files, which may be in an archive, in their order: of a stack each page.
+    """The pictures of image files, in their order: of a stack each page.
 
     `files` has the file of each picture, `levels` what is black and white in pictures of 16 bits.
     """
 
-    def __init__(self, files: Iterable[Path], archive: "Archive | None" = None) -> None:
-        self._archive, self._held, self._file = archive, Path(), cast(Any, None)
-        self._pages = [(file, page) for file in files for page in range(pages(file, self._data))]
+    def __init__(self, files: Iterable[Path]) -> None:
+        self._held, self._file = Path(), cast(Any, None)
+        self._pages = [(file, page) for file in files for page in range(pages(file))]
         self.files, self.levels = [file for file, _ in self._pages], ALL_LEVELS
 
     def measure_levels(self) -> None:
@@ -149,7 +125,7 @@ class Pictures(AbstractContextManager["Pictures"]):
                 raise UnreadableError(path, "is not an image, or of an unknown kind") from error
             cause = error.__cause__ if isinstance(error.__cause__, Exception) else error  # what Pillow says
             raise UnreadableError(path, f"cannot be read as an image ({reason(cause)})") from error
-        deep = _sixteen(path, self._data(path)) if mode == "RGB" and not page and path.suffix.lower() in _DEEP else None
+        deep = _sixteen(path) if mode == "RGB" and not page and path.suffix.lower() in _DEEP else None
         pixels = deep if deep is not None and deep.shape == pixels.shape else pixels
         return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
 
@@ -159,12 +135,8 @@ class Pictures(AbstractContextManager["Pictures"]):
 
         if self._held != path or self._file is None:
             self.close()
-            self._held, data = path, self._data(path)
-            self._file = iio.imopen(path if data is None else data, "r", plugin="pillow")
+            self._held, self._file = path, iio.imopen(path, "r", plugin="pillow")
         return self._file
-
-    def _data(self, path: Path) -> bytes | None:
-        return None if self._archive is None else self._archive.read(path)
 
     def close(self) -> None:
         """Close the file that is open."""
@@ -184,35 +156,28 @@ def _damaged() -> tuple[type[Exception], ...]:
     return *known, DecompressionBombError
 
 
-def _picture(path: Path, data: bytes | None = None) -> Any:
-    """A picture as Pillow opens it, whose bytes may be given as `data`."""
+def _sixteen(path: Path) -> Any:
+    """A colour image of 16 bits, of which Pillow reads 8; None of any other."""
     from PIL import Image as Pillow
 
-    return Pillow.open(path if data is None else io.BytesIO(data))
-
-
-def _sixteen(path: Path, data: bytes | None) -> Any:
-    """A colour image of 16 bits, of which Pillow reads 8; None of any other."""
-    with _picture(path, data) as image:
+    with Pillow.open(path) as image:
         if ";16" not in str(image.tile):  # how its pixels are stored
             return None
-    encoded = np.fromfile(path, np.uint8) if data is None else np.frombuffer(data, np.uint8)
-    pixels = cv2.imdecode(encoded, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
     return None if pixels is None else pixels[..., ::-1]
 
 
-def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) -> int:
-    """How many pictures a TIFF or WebP file holds; 1 of any other, and of a small one beside a large."""
-    if path.suffix.lower() not in _STACKS:
-        return 1
-    try:
-        with _picture(path, data(path)) as image:
+def pages(path: Path, kinds: Iterable[str] = _STACKS) -> int:
+    """How many pictures a file of these kinds holds; 1 of any other, and of a small one beside a large."""
+    from PIL import Image as Pillow
+
+    if path.suffix.lower() in kinds:
+        with suppress(Exception), Pillow.open(path) as image:  # what is wrong with the file is said when it is read
             count, size = int(getattr(image, "n_frames", 1)), image.size
             if count > 1:
                 image.seek(1)
             return count if image.size == size else 1
-    except Exception:  # what is wrong with the file is said when it is read
-        return 1
+    return 1
 
 
 def check_pixels(path: Path, width: int, height: int) -> None:
@@ -224,60 +189,4 @@ def check_pixels(path: Path, width: int, height: int) -> None:
 
 def is_animated(path: Path) -> bool:
     """Whether a PNG (APNG) or WebP holds several frames."""
-    if path.suffix.lower() in (".png", ".webp"):
-        with suppress(*_damaged()), _picture(path) as image:  # which is said when it is read
-            return bool(getattr(image, "is_animated", False))  # not all kinds of files say so
-    return False
-
-
-# Images in a .zip archive
-
-MOST_BYTES: Final = 256 << 20  # bytes of an image, unpacked
-_HIDDEN: Final = re.compile(r"(^|/)(\.|__MACOSX)")
-_BROKEN: Final = (BadZipFile, EOFError, OSError, RuntimeError, NotImplementedError, ValueError, zlib.error)
-
-
-def is_archive(path: Path) -> bool:
-    """Whether a file is a .zip archive by its name and its end. Raises OSError."""
-    return path.suffix.lower() == ".zip" and path.is_file() and is_zipfile(path)
-
-
-def holds_images(path: Path) -> bool:
-    """Whether an archive has an image, or cannot be read, of which more is said once it is opened."""
-    try:
-        return bool(Archive(path).files)
-    except InputError:
-        return True
-
-
-class Archive:
-    """The images of one folder of an archive; `files` are their paths, as if the archive were a folder.
-
-    Raises InputError for an archive that is damaged, locked, or has images in several folders.
-    """
-
-    def __init__(self, path: Path) -> None:
-        try:
-            with path.open("rb") as raw:
-                check_directory(path, raw)
-            self._zip = ZipFile(path)
-        except _BROKEN as e:
-            raise InputError(f"{path}: cannot be read as an archive ({reason(e)}); copy or download it again") from e
-        entries = {PurePosixPath(entry.filename): entry for entry in self._zip.infolist() if not entry.is_dir()}
-        shown = [name for name in entries if name.suffix.lower() in SUFFIXES and not _HIDDEN.search(str(name))]
-        if len(folders := {name.parent for name in shown}) > 1:
-            two = " and ".join(sorted(map(str, folders))[:2])
-            raise InputError(f"{path}: has images in several folders, as {two}; one clip has them in one")
-        self._entries: dict[Path, ZipInfo] = {path / name: entries[name] for name in ordered(shown, lambda n: n.name)}
-        self.files = list(self._entries)
-
-    def read(self, file: Path) -> bytes:
-        """The bytes of one image. Raises UnreadableError; no more is unpacked than an image may have."""
-        entry = self._entries[file]
-        if entry.file_size > MOST_BYTES:
-            raise UnreadableError(file, f"is too large for a frame: {entry.file_size / 1e6:.0f} MB unpacked")
-        try:
-            with self._zip.open(entry) as opened:
-                return opened.read(entry.file_size + 1)
-        except _BROKEN as e:
-            raise UnreadableError(file, f"cannot be unpacked ({reason(e)})", "make the archive again") from e
+    return pages(path, (".png", ".webp")) > 1

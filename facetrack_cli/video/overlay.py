@@ -13,7 +13,6 @@ import math
 import unicodedata
 from collections import defaultdict, deque
 from collections.abc import Sequence
-from functools import lru_cache
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -24,9 +23,9 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.face_points import LINES
 from facetrack_cli.core.files import write_new
-from facetrack_cli.core.geometry import centre, common_area, shown_angle
+from facetrack_cli.core.geometry import centre, shown_angle
 from facetrack_cli.core.numbers import clock
-from facetrack_cli.core.types import BOX, Array, Box, Frame, Image, Mask, Point, Start
+from facetrack_cli.core.types import BOX, Array, Frame, Image, Mask, Point, Start
 from facetrack_cli.trajectory.trajectory import (
     DECIMALS,
     FrameResult,
@@ -70,7 +69,6 @@ _ROOM, _SMALL = 9, 18  # least side of windows with dots, and with large marks, 
 _MAX_DOTTED = 6  # parts: of a face with more parts, only points that no line joins have dots, which are tiny
 _FACE_DOT = 0.012  # radius of a point's dot, in sizes of its face
 _RIM = 0.7  # opacity of the dark rim around all lines
-_KEPT = 256  # texts
 _PLATE = 0.65  # opacity of the dark ground below the name of a target
 _DECIDED = 0.5  # an identity less probable than that is doubtful
 _PREVIEW_PX: Final = 900  # pixels, about: what is shown is enlarged by a whole factor to come near it
@@ -246,7 +244,7 @@ class Overlay:
             is_box = shape.parts[k] == BOX
             if shape.is_face and not is_box:
                 continue
-            window = list(_fixed(_dashes(corners[k], 10 * line))) if shape.lost[k] else [_fixed(corners[k])]
+            window = list(_fixed(_dashes(corners[k]))) if shape.lost[k] else [_fixed(corners[k])]
             _polylines(layer, window, _ink(tints[k], 1), line + is_box, closed=not shape.lost[k])
         statuses, by_hand, middles = shape.rows.status.tolist(), shape.rows.by_hand.tolist(), shape.centres - origin
         for k in order:
@@ -305,12 +303,12 @@ class Overlay:
         return rings
 
     def _names(self, image: Image, shapes: Sequence[Shape], *, named: bool) -> None:
-        """Name targets above them, or below them where names, the bar or the border are there.
+        """Name targets above them, or below them where the bar or the border is there.
 
         Without an identity a target has a name only if it is `named`.
         """
         (bottom, right), top = image.shape[:2], self._bar.height if self._bar else 0
-        gap, tags = 2 * self._line, list[Box]()
+        gap = 2 * self._line
         for shape in shapes:
             text, colour = _name(shape, named=named)
             low, high = shape.corners.min(axis=(0, 1)), shape.corners.max(axis=(0, 1))
@@ -318,11 +316,8 @@ class Overlay:
                 continue
             width, height = self._font.width(text), round(1.6 * self._font.cap)
             x = int(min(max((low[0] + high[0] - width) / 2, 0), max(right - width, 0)))
-            above, below = int(low[1]) - height - gap, min(int(high[1]) + gap, bottom - height)
-            places = [y for y in (above, below) if y >= top] or [below]
-            free = (y for y in places if not any(common_area((x, y, width, height), tag) for tag in tags))
-            y = next(free, places[0])
-            tags.append((x, y, width, height))
+            y = int(low[1]) - height - gap
+            y = y if y >= top else min(int(high[1]) + gap, bottom - height)
             plate = image[max(y, 0) : max(y + height, 0), max(x - self._line, 0) : max(x + width + self._line, 0)]
             if plate.size:
                 cv2.convertScaleAbs(plate, plate, 1 - _PLATE)
@@ -403,37 +398,27 @@ class Font:
 
         self.cap = cap
         self._type = ImageFont.load_default(cap / _CAP_SHARE)
-        self._opacity = lru_cache(_KEPT)(self._render)
 
     def width(self, text: str) -> int:
         """The width of `text` in pixels."""
-        return int(self._opacity(text).shape[1])
+        return math.ceil(self._type.getlength(plain(text)))
 
     def write(self, image: Image, text: str, left: int, base: int, colour: Colour) -> None:
         """Write `text` on `image` (H, W, 3), in place, on the line above row `base`; what falls outside is cut off."""
-        opacity, top = self._opacity(text), base - 2 * self.cap
-        x, y = max(left, 0), max(top, 0)
-        part = image[y : max(top + opacity.shape[0], 0), x : max(left + opacity.shape[1], 0)]
-        if part.size:
-            ink = opacity[y - top :, x - left :][: part.shape[0], : part.shape[1], None]
-            part[...] = part + ink * (np.array(colour, np.float32) - part)
-
-    def _render(self, text: str) -> Array:
-        """(3 cap, width) the opacity 0..1 of a text whose base line is two capitals below the top."""
         from PIL import Image as Pictures
         from PIL import ImageDraw
 
-        text = plain(text)
-        picture = Pictures.new("L", (max(math.ceil(self._type.getlength(text)), 1), 3 * self.cap))
-        ImageDraw.Draw(picture).text((0, 2 * self.cap), text, 255, self._type, anchor="ls")
-        return np.asarray(picture, np.float32) / 255
+        x, y = max(left, 0), max(base - 2 * self.cap, 0)
+        part = image[y : max(base + self.cap, 0), x : max(left + self.width(text), 0)]
+        if part.size:
+            picture = Pictures.fromarray(np.ascontiguousarray(part))
+            ImageDraw.Draw(picture).text((left - x, base - y), plain(text), colour, self._type, anchor="ls")
+            part[...] = np.asarray(picture)
 
 
 def plain(text: str) -> str:
     """`text` in the characters that the font has: accents dropped, the rest as question marks."""
-    if text.isascii() and text.isprintable():
-        return text
-    bare = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+    bare = (c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
     return "".join(c if c.isascii() and c.isprintable() else "?" for c in bare)
 
 
@@ -453,14 +438,11 @@ def _polylines(image: Image, lines: Sequence[Points], colour: Ink, thickness: in
         cv2.polylines(image, lines, closed, colour, thickness, cv2.LINE_AA, _SHIFT)
 
 
-def _dashes(corners: Array, pitch: float) -> Array:
-    """A polygon's outline (n, 2) as dashes (m, 2, 2) about `pitch` pixels apart, one at either end of every side."""
+def _dashes(corners: Array) -> Array:
+    """A polygon's outline (n, 2) as dashes (m, 2, 2), three a side."""
     sides = np.roll(corners, -1, axis=0) - corners
-    longest = float(np.hypot(sides[:, 0], sides[:, 1]).max())
-    n = min(max(2, round(longest / pitch) + 1), 40)
-    ends = np.arange(2 * n).reshape(n, 2) / (2 * n - 1)
-    dashed: Array = corners[:, None, None] + ends[..., None] * sides[:, None, None]
-    return dashed.reshape(-1, 2, 2)
+    ends = np.arange(6).reshape(3, 2) / 5
+    return (corners[:, None, None] + ends[..., None] * sides[:, None, None]).reshape(-1, 2, 2)
 
 
 def mark(

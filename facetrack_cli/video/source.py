@@ -11,26 +11,22 @@ container says, in bytes and in seconds. Ogg, WMV and MPEG program streams do no
 packets is not noticed.
 """
 
+import math
 import re
 import threading
 from abc import ABC, abstractmethod
+from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from facetrack_cli.core.errors import InputError, UsageError, reading
-from facetrack_cli.core.types import Frame
+from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.video import images
-from facetrack_cli.video.decode import (
-    MIN_JUMP_FRAMES,
-    Decoder,
-    LostError,
-    fitted,
-    read_index,
-)
-from facetrack_cli.video.images import Archive, Pictures, holds_images, is_archive
+from facetrack_cli.video.decode import MIN_JUMP_FRAMES, Decoder, LostError, fitted
+from facetrack_cli.video.images import Pictures
 
 AGAIN: Final = "copy or download it again"
 _KINDS: Final = (
@@ -44,10 +40,8 @@ _MP4_BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 
 
 def is_clip(path: Path) -> bool:
-    """Whether a file that is found in a folder is a clip: a video, an animation, or an archive of images."""
-    suffix = path.suffix.lower()
-    named = suffix in _VIDEOS or (suffix == ".zip" and holds_images(path)) or images.is_animated(path)
-    return named and path.is_file()
+    """Whether a file that is found in a folder is a clip: a video, or an animation."""
+    return (path.suffix.lower() in _VIDEOS or images.is_animated(path)) and path.is_file()
 
 
 def is_image(path: Path) -> bool:
@@ -56,8 +50,8 @@ def is_image(path: Path) -> bool:
 
 
 def brings_rate(clip: Path) -> bool:
-    """Whether a clip has a frame rate that is read, as all but images: of a folder, an archive, an animated WebP."""
-    several = clip.is_dir() or images.listing(clip) is not None or is_archive(clip) or clip.suffix.lower() == ".webp"
+    """Whether a clip has a frame rate that is read, as all but images: of a folder, an animated WebP."""
+    several = clip.is_dir() or images.listing(clip) is not None or clip.suffix.lower() == ".webp"
     return not several and not is_image(clip)
 
 
@@ -179,49 +173,50 @@ class VideoSource(Source):
 
     def __init__(self, path: Path, start: int, stop: int | None, stream: int | None = None):
         try:
-            self._bytes, self._decoder = path.stat().st_size, Decoder(path, stream)
+            self._bytes, self.decoder = path.stat().st_size, Decoder(path, stream)
         except (OSError, ValueError) as error:
             lack, why = "", f"not a video that can be read; give another file or a folder of images, or {AGAIN}"
             with suppress(OSError), path.open("rb") as file:
                 unread = file.read(8)[4:] in _MP4_BOXES and hasattr(error, "log")  # it is FFmpeg's
                 lack = "its index (moov) is missing" if unread else missing_part(path)
             raise InputError(f"{path}: {f'cut short or damaged ({lack}); {AGAIN}' if lack else why}") from None
-        super().__init__(path, self._decoder.size, self._decoder.fps, start, stop)
+        super().__init__(path, self.decoder.size, self.decoder.fps, start, stop)
         self.is_video, self.stream = True, stream
-        self.aspect, self.begins_s = self._decoder.aspect, self._decoder.begins_s
-        if len(streams := self._decoder.streams) > 1:
+        self.aspect, self.begins_s = self.decoder.aspect, self.decoder.begins_s
+        if len(streams := self.decoder.streams) > 1:
             each = [f"{video.index} ({video.codec_context.width}x{video.codec_context.height})" for video in streams]
             what = f"has {len(each)} video streams, {' and '.join(sorted(each))}; {each[0]} is read"
             self.warnings.append(f"{path}: {what}, --stream N takes another")
-        if (claimed := self._decoder.claimed) is not None:
+        if (claimed := self.decoder.claimed) is not None:
             self.frames_hint = max(min(claimed, stop or claimed) - start, 0)
 
     def close(self) -> None:
         self._closed = True
         with self._lock:
-            self._decoder.close()
+            self.decoder.close()
 
     def _frames(self) -> Iterator[Frame]:
         start, stop, period_s = self._start, self._stop, float(1 / self.fps)
-        if start > MIN_JUMP_FRAMES:
-            with self._lock, suppress(OSError, ValueError):
-                self._jump(start)
-        before_s, decoder = -1.0, self._decoder
+        before_s, decoder = -1.0, self.decoder
+        if start > MIN_JUMP_FRAMES:  # frames before are skipped where packets tell which frame is which
+            with self._lock:
+                decoder.approach(start, lambda: self._closed)
         while stop is None or decoder.next < stop:
             with self._lock:
                 if self._closed:
                     return
-                index, raw = decoder.next, decoder.read()
-                frame = None if raw is None or index < start else decoder.picture(raw)
+                raw = self._next()
+                frame = None if raw is None or decoder.next <= start else decoder.picture(raw)
+                ended = raw is None
                 del raw  # free it before the next one is decoded
-            if index == decoder.next:
+            if ended:
                 break
             if before_s >= 0 and abs(decoder.time_s - before_s - period_s) > _JITTER_S:
                 self.variable = True
             before_s = decoder.time_s
             if frame is not None:
-                if decoder.resized is not None and decoder.resized[0] == index:
-                    self._scaled(f"{self.path}: frame {index}", decoder.resized[1])
+                if decoder.resized is not None and decoder.resized[0] == frame.index:
+                    self._scaled(f"{self.path}: frame {frame.index}", decoder.resized[1])
                 yield frame
         else:  # the rest of the file does not matter
             self._judge_frames({at for at in decoder.damage if at < decoder.next})
@@ -231,18 +226,15 @@ class VideoSource(Source):
         self.variable = bool(self.variable)
         self._judge(decoder.next, decoder.time_s)
 
-    def _jump(self, start: int) -> None:
-        """Go to the frame `start` from the keyframe before it, or stay at the first frame."""
-        index = None if self._closed else read_index(self.path, lambda: self._closed, self.stream)
-        if index is None or start >= len(index.pts):
-            return
-        with suppress(LostError):
-            if self._decoder.seek(start, index):
-                while self._decoder.next < start:
-                    self._decoder.read()
-                return
-        self._decoder.close()
-        self._decoder = Decoder(self.path, self.stream)
+    def _next(self) -> Any:
+        """The next frame; the first again where a jump to `start` has led astray."""
+        try:
+            return self.decoder.read()
+        except LostError:
+            if self.decoder.next > self._start:
+                raise
+            self.decoder.restart()
+            return self.decoder.read()
 
     def _judge(self, frames: int, last_s: float) -> None:
         """Say so if frames are missing after the last one that was decoded, or are not what the clip showed."""
@@ -250,7 +242,7 @@ class VideoSource(Source):
         if self.path.exists() and self.path.stat().st_size != self._bytes:
             self._cut(f"{self.path}: changed while it was read, after {frames} frames; run it again")
             return
-        decoder, missing = self._decoder, ""
+        decoder, missing = self.decoder, ""
         with suppress(OSError):
             missing = missing_part(self.path) or decoder.complaint
         if not missing and decoder.end_s >= decoder.claimed_s - max(1.0, 0.03 * decoder.claimed_s):
@@ -270,7 +262,7 @@ class VideoSource(Source):
 
 
 class FolderSource(Source):
-    """Images of a folder or an archive in natural order, at a constant rate, scaled to the size of the first.
+    """Images of a folder in natural order, at a constant rate, scaled to the size of the first.
 
     `files` has the file of each frame: of a stack its file as often as it has pages.
     """
@@ -323,7 +315,7 @@ class FolderSource(Source):
 def open_source(
     path: Path, *, fps: Fraction | None = None, start: int = 0, stop: int | None = None, stream: int | None = None
 ) -> Source:
-    """Open a video file, a folder or a .zip of images, a glob of images in one folder (`a*.png`), or a single image.
+    """Open a video file, a folder of images, a glob of images in one folder (`a*.png`), or a single image.
 
     Frames from `start` up to, not including, `stop`. `fps` is the rate of images (default 25); a video has its own
     clock and refuses it. `stream` is the number of a video's stream (default: FFmpeg's own choice).
@@ -336,18 +328,118 @@ def open_source(
     if fps is not None and fps <= 0:
         raise UsageError(f"{path}: {fps} is no frame rate; give frames per second greater than 0")
     check_local(path)
-    archive = None
     if (files := images.listing(path)) is None:
         check_file(path)
-        if is_archive(path):
-            archive = Archive(path)
-            files = archive.files
-        elif not brings_rate(path):
-            files = [path]
+        files = None if brings_rate(path) else [path]
     if files is not None:
         if not files:
             raise InputError(f"{path}: no images in it; {', '.join(sorted(images.SUFFIXES))} are read")
-        return FolderSource(path, Pictures(files, archive), fps or FOLDER_FPS, start, stop)
+        return FolderSource(path, Pictures(files), fps or FOLDER_FPS, start, stop)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for images only")
     return VideoSource(path, start, stop, stream)
+
+
+# --- any frame --------------------------------------------------------------------------------------------------------
+
+CACHE_BYTES: Final = 256 << 20  # of decoded frames, the neighbours of those that were asked for
+BEHIND: Final = 8, 250  # so many frames before a wanted one are kept, after a jump and when going backwards
+
+
+class Frames(AbstractContextManager["Frames"]):
+    """Any frame of a video or an image folder, the one that `open_source` gives under its number. Thread-safe.
+
+    `size` is (width, height), upright. Raises what `open_source` raises.
+    """
+
+    def __init__(self, path: Path, *, fps: Fraction | None = None, stream: int | None = None):
+        self.path, self._source = path, open_source(path, fps=fps, stream=stream)
+        self.size, self.fps, self.aspect = self._source.size, self._source.fps, float(self._source.aspect)
+        self._last = self._reached = 0
+        self._end: int | None = None  # the number of frames, once it is certain
+        self._recent = OrderedDict[int, tuple[float, Image]]()  # times and pixels, the least recently used first
+        self._lock, self._closed = threading.Lock(), threading.Event()
+        self._most = max(CACHE_BYTES // math.prod((*self.size, 3)), 1)
+        if isinstance(self._source, FolderSource):
+            self._end = len(self._source.files)
+        elif isinstance(self._source, VideoSource):
+            self._decoder = self._source.decoder
+            if not self._decoder.claimed:
+                self._decoder.read_packets(self._closed.is_set)
+            self._approach(0)
+
+    @property
+    def count(self) -> int:
+        """How many frames can be read, as far as is known."""
+        if self._end is not None:
+            return self._end
+        packets = self._decoder.packets  # once: another thread may set it
+        return max((self._decoder.claimed or 0) if packets is None else len(packets.pts), self._reached)
+
+    @property
+    def exact(self) -> bool:
+        """Whether `count` is certain."""
+        return self._end is not None
+
+    def read(self, index: int) -> Frame:
+        """The frame with this number; its pixels may be shared with other calls and must not be written to.
+
+        Raises InputError past the end, after which `count` is exact, and RuntimeError when closed, also meanwhile.
+        """
+        with self._lock:
+            ahead = index >= 0 and (self._end is None or index < self._end)
+            if ahead and index not in self._recent and not self._closed.is_set():
+                self._approach(index)
+            if self._closed.is_set():
+                raise RuntimeError("these frames are closed; open them again")
+            if index not in self._recent:
+                there = f"the clip has {self.count} frames (0 to {self.count - 1}); choose one of them"
+                raise InputError(f"{self.path}: there is no frame {index}, {there}")
+            self._recent.move_to_end(index)
+            self._last = index
+            return Frame(index, *self._recent[index], aspect=self.aspect)
+
+    def close(self) -> None:
+        """End what is being read, also in other threads, and free the file; closing again does nothing."""
+        self._closed.set()
+        with self._lock:
+            self._source.close()
+            self._recent.clear()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # what follows is called with the lock
+
+    def _approach(self, index: int) -> None:
+        """Put a frame into `_recent`, if the clip has it."""
+        if isinstance(self._source, FolderSource):
+            try:
+                self._keep(self._source.frame(index))
+            except images.UnreadableError:
+                self._end = index  # a source ends before an image that cannot be read
+                raise
+            return
+        backwards, decoder = 0 < self._last - index <= BEHIND[1], self._decoder
+        before = min(BEHIND[backwards], self._most * 3 // 4)
+        decoder.approach(index, self._closed.is_set)
+        while decoder.next <= index and not self._closed.is_set():
+            try:
+                raw = decoder.read()
+                if raw is None and decoder.index is not None and decoder.next != len(decoder.index.pts):
+                    raise LostError(f"{self.path}: ends at frame {decoder.next}")
+            except LostError:
+                self._recent.clear()
+                decoder.restart()
+                continue
+            self._reached = max(self._reached, decoder.next)
+            if raw is None:
+                self._end = decoder.next
+                return
+            if decoder.next > index - before:
+                self._keep(decoder.picture(raw))
+
+    def _keep(self, frame: Frame) -> None:
+        self._recent[frame.index] = frame.time_s, frame.pixels
+        if len(self._recent) > self._most:
+            self._recent.popitem(last=False)

@@ -14,7 +14,7 @@ from facetrack_cli.editor.app_session import PROGRAMS, AppSession, likely_in
 from facetrack_cli.editor.server import serving
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.trajectory.formats import EXPORTS
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import Frames
 from tests.support.page_client import Client, drive, wait_for
 from tests.support.samples import FOLDER, cut
 

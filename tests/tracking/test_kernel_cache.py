@@ -146,7 +146,7 @@ def compiled(monkeypatch):
         names.append(name)
         raise ValueError
 
-    monkeypatch.setattr(precompile, "KERNELS", {"_add": ("i8 i8", "sums"), "_less": ("i8 i8", "other sums")})
+    monkeypatch.setattr(precompile, "KERNELS", {"_add": ("i8 i8", "sums"), "_less": ("i8 i8", "sums")})
     monkeypatch.setattr(precompile, "_is_cached", lambda name: False)
     monkeypatch.setattr(precompile, "kernel", kernel)
     return names
@@ -171,7 +171,7 @@ def test_nothing_is_compiled_that_the_settings_do_not_call_nor_after_a_stop(comp
 
 
 def test_the_second_process_leaves_kernels_for_the_first(tmp_path):
-    names = [f"trackers.skin.skin_kernels.{one}" for one in ("bilinear", "box_sums")]
+    names = [f"trackers.regions.region_kernels.{one}" for one in ("match_boxes", "nearest_edges")]
     order = json.dumps([sys.path, names[:1]])
     done = python(precompile._SECOND.format(precompile.__name__), order, NUMBA_CACHE_DIR=str(tmp_path))
     assert (done.stdout, done.stderr) == ("", "")

@@ -19,8 +19,7 @@ from facetrack_cli.runs.finished import open_run, repaint
 from facetrack_cli.trajectory.measures import measures_of
 from facetrack_cli.trajectory.trajectory import Trajectory, of_frame, one_part
 from facetrack_cli.video.decode import pixels
-from facetrack_cli.video.seek import Frames
-from facetrack_cli.video.source import open_source
+from facetrack_cli.video.source import Frames, open_source
 from facetrack_cli.video.writer import VideoWriter
 from tests.support import media
 
