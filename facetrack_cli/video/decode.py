@@ -310,16 +310,16 @@ def video_stream(container: InputContainer, number: int | None = None) -> VideoS
     return there[number]
 
 
-def sound_delay(path: Path) -> float | None:
-    """How much later, in s, a file's frames are shown than they say; None of a file without sound.
+def sound_of(path: Path) -> tuple[str, float]:
+    """The codec of a file's sound, "" if it has none, and how much later, in s, its frames are shown than they say.
 
     Raises OSError or ValueError.
     """
     with open_container(path) as container:
-        video = video_stream(container)
+        video, sound = video_stream(container), container.streams.audio
         first = None if video is None else next(container.decode(video), None)
         late_s = 0.0 if first is None else _shown_at(first, container)[1]
-        return late_s if container.streams.audio else None
+        return sound[0].codec.name if sound else "", late_s
 
 
 def _shown_at(first: VideoFrame, container: InputContainer) -> tuple[float, float]:

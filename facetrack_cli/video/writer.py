@@ -1,28 +1,58 @@
-"""Annotated frames to an MP4 that plays everywhere: H.264, yuv420p, the source's times, and its sound as AAC.
+"""Annotated frames to an MP4 that plays everywhere: H.264, yuv420p, the source's times and the source's sound.
 
 Every frame keeps its own time, and none is repeated. Times within a millisecond of the nominal rate's grid are moved
-onto it, so that a clip of constant rate comes out with a strictly constant one.
+onto it, so that a clip of constant rate comes out with a strictly constant one. The sound is copied in a second pass:
+if that fails, there is still the video.
 """
 
 import contextlib
-import math
-from collections.abc import Generator, Iterator
+import re
+import subprocess
+import tempfile
+from collections.abc import Sequence
 from fractions import Fraction
-from itertools import chain
 from pathlib import Path
-from typing import Any, Final
 
-import av
+import imageio_ffmpeg
 import numpy as np
 
 from facetrack_cli.core.errors import OutputError, reason
-from facetrack_cli.core.files import discard, publish, temporary_path, writing
+from facetrack_cli.core.files import discard, publish, temporary_path
 from facetrack_cli.core.types import Image
-from facetrack_cli.video.decode import open_container, sound_delay
+from facetrack_cli.video.decode import FORMATS, sound_of
 
-_LARGE: Final = 3_000_000  # pixels: of larger frames x264 buffers few, because each needs 60 MB
-_SNAP_S: Final = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
-_LONGEST: Final = 2**29  # ticks that a frame is shown at most: an MP4 holds 2**31, over several that are reordered
+_TICK_S = 1e-6  # by which the pipe to the encoder counts time
+_LARGE = 3_000_000  # pixels: of larger frames x264 buffers few, because each needs 60 MB
+_COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
+_LOCAL_CLIPS = ("-protocol_whitelist", "file", "-format_whitelist", FORMATS)  # as PyAV opens a clip
+_SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
+_LONGEST = 2**29  # ticks that a frame is shown at most: an MP4 holds 2**31, over several that are reordered
+_CAUSE = re.compile(
+    "No space left on device|Disk quota exceeded|File too large|Read-only file system|Input/output error|"
+    "Permission denied"
+)
+_PREFIX = re.compile(r"^(?:\[[^\]]*\] )+")
+
+
+def cause(text: str) -> str:
+    """The cause of a failure in ffmpeg's messages: the error of the system if there is one, else their last line."""
+    if system := _CAUSE.search(text):
+        return system.group()
+    lines = [_PREFIX.sub("", line).strip() for line in text.splitlines()]
+    lines = [line for line in lines if line and not line.startswith(("Last message repeated", "Conversion failed"))]
+    return "".join(lines[-1:])
+
+
+def _ffmpeg(arguments: Sequence[str]) -> list[str]:
+    """A command; its child has a session of its own, so that Ctrl-C does not reach it."""
+    return [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", *arguments]
+
+
+def run_ffmpeg(arguments: Sequence[str]) -> tuple[int, str]:
+    """Run ffmpeg to its end: exit code and messages. OSError or RuntimeError if it cannot be started."""
+    nothing, pipe = subprocess.DEVNULL, subprocess.PIPE
+    done = subprocess.run(_ffmpeg(arguments), stdin=nothing, stdout=nothing, stderr=pipe, start_new_session=True)
+    return done.returncode, done.stderr.decode("utf-8", "replace")
 
 
 class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
@@ -45,37 +75,37 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         replace: bool = True,
     ):
         self.path, self.size, self.warnings = path, size, list[str]()
-        self._fps, self._replace, self._sound = Fraction(fps), replace, self._heard(audio_from)
+        self._fps, self._audio_from, self._replace = fps, audio_from, replace
         self._frames = self._tick = 0  # frames written, and the time of the last
         self._first_s = self._last_s = self._left_out_s = 0.0
         self._closed = False
         # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 0.1 ms
         self._timescale = fps.numerator * -(-10_000 // fps.numerator)
-        self._part = temporary_path(path).absolute()  # a name that is no option and no protocol
-        with writing(path, "choose another output folder"):
+        # paths are absolute, so that no name reads as an option or a protocol
+        self._mp4 = ["-video_track_timescale", str(self._timescale), "-movflags", "+faststart", "-f", "mp4"]
+        self._part = temporary_path(path).absolute()
+        try:
             self._part.open("wb").close()
-        (width, height), clock = size, Fraction(1, self._timescale)
-        options = {"movflags": "+faststart", "video_track_timescale": str(self._timescale)}
-        self._file = av.open(str(self._part), "w", format="mp4", options=options)
-        large = width * height > _LARGE
-        # a lookahead in a thread of its own, and the macroblock tree, whose assembly reads memory that nobody has
-        # written, make other bytes now and then of the same frames; superfast leaves out the tree
-        options = {"preset": "superfast", "crf": "23", "x264-params": "sync-lookahead=0"}
-        options["x264-params"] += ":bframes=0:ref=1:sliced-threads=1" if large else ""
-        self._video = video = self._file.add_stream("libx264", self._fps, options=options, time_base=clock)
-        video.width, video.height = width + width % 2, height + height % 2
-        # as players assume where they ignore the tag; numbers of H.273
-        matrix, number = ("bt709", 1) if height >= 720 else ("smpte170m", 6)
-        context: Any = video.codec_context
-        context.thread_type, context.thread_count = "FRAME", 3 if large else 0
-        context.color_range, context.sample_aspect_ratio = 1, aspect.limit_denominator(255)  # 16 to 235
-        context.colorspace = context.color_primaries = context.color_trc = number
-        # chroma is the mean of four pixels, or thin coloured lines would get holes; H.264 has even sides
-        how = f"out_color_matrix={matrix}:out_range=tv:flags=area+accurate_rnd+full_chroma_inp"
-        self._change = change = av.filter.Graph()
-        buffer = change.add_buffer(width=width, height=height, format="bgr24", time_base=clock)  # type: ignore[arg-type]
-        steps = (("pad", "ceil(iw/2)*2:ceil(ih/2)*2"), ("scale", how), ("format", "yuv420p"), ("buffersink", None))
-        change.link_nodes(buffer, *(change.add(*step) for step in steps)).configure()
+        except OSError as error:
+            raise self._refused(error) from error
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - a file and not a pipe, which somebody would have to empty
+        try:
+            command, nothing = _ffmpeg(self._command(aspect.limit_denominator(255))), subprocess.DEVNULL
+            self._child = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=nothing, stderr=self._stderr, start_new_session=True
+            )
+        except BaseException as error:
+            self._stderr.close()
+            discard(path)
+            if isinstance(error, OSError | RuntimeError):
+                raise OutputError(f"{path}: ffmpeg cannot be started ({reason(error)})") from error
+            raise
+        assert self._child.stdin is not None
+        self._pipe = self._child.stdin
+        with contextlib.suppress(ImportError, AttributeError, OSError):  # a larger pipe: fewer context switches a frame
+            import fcntl
+
+            fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[attr-defined,unused-ignore]
 
     def write(self, image: Image, time_s: float) -> None:
         """Append one (H, W, 3) uint8 BGR frame, shown from `time_s` on the source's clock; times must not fall."""
@@ -96,13 +126,15 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         on_grid = abs(float(nearest) - elapsed_s) <= min(_SNAP_S, 0.25 / float(self._fps))
         tick = int(nearest * self._timescale) if on_grid else round(elapsed_s * self._timescale)
         self._tick = max(tick, self._tick + 1) if self._frames else tick
-        frame = av.VideoFrame.from_ndarray(image, "bgr24")
-        frame.pts, frame.time_base = self._tick, Fraction(1, self._timescale)
-        self._change.vpush(frame)
-        shown = self._change.vpull()
-        shown.duration = int(self._timescale / self._fps)  # without it, the last frame would last no time
+        try:
+            if not self._frames:
+                self._pipe.write(_matroska_head(width, height, self._fps))
+            self._pipe.write(_matroska_block(round(self._tick / self._timescale / _TICK_S), image.nbytes))
+            self._pipe.write(np.ascontiguousarray(image).data)
+        except OSError as error:
+            self._closed = True
+            raise self._failure(error) from error
         self._frames += 1
-        self._append(shown)
 
     def close(self) -> None:
         """Finish the file and put it at `path`; closing again does nothing. Without any frame there is no file."""
@@ -110,75 +142,140 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             self.discard()
         if self._closed:
             return
-        self._closed, whole = True, False
+        self._closed = True
+        whole = False
         try:
-            self._append(None)
+            try:
+                self._end()
+            except OutputError:
+                raise
+            except BaseException:  # it needs only a moment more; a second interruption drops the video
+                with contextlib.suppress(OutputError):
+                    self._end()
+                    whole = True
+                raise
             whole = True
-            if self._replace:
-                with writing(self.path, "choose another output folder"):
-                    publish(self.path)
+            self._add_audio()
         finally:
-            if self._replace or not whole:
-                discard(self.path)  # which is gone once it is published
+            self._drop(keep=whole)
+            if whole and self._replace:
+                try:
+                    publish(self.path)
+                except OSError as error:
+                    raise self._refused(error) from error
+                finally:
+                    discard(self.path)  # which is gone once it is published
 
     def discard(self) -> None:
-        """Leave no file, whatever stood at `path` before stays; does nothing once closed."""
+        """Stop the encoder and leave no file, whatever stood at `path` before stays; does nothing once closed."""
         if not self._closed:
+            self._closed = True
             self._drop()
 
     def __exit__(self, *_: object) -> None:
         self.close()  # what was written until an interruption is kept too
 
-    def _append(self, frame: Any) -> None:
-        """Encode a frame, and the sound up to its end; after None, the end, the file is closed."""
-        try:
-            with writing(self.path, "use --no-video"):
-                while (packet := next(self._sound, None)) is not None:
-                    self._file.mux(packet)
-                self._file.mux(self._video.encode(frame))
-                if frame is None:
-                    self._sound.close()
-                    self._file.close()
-        except OutputError:
-            self._drop()
-            raise
+    def _command(self, aspect: Fraction) -> list[str]:
+        width, height = self.size
+        matrix = "bt709" if height >= 720 else "smpte170m"  # as players assume where they ignore the tag
+        # chroma is the mean of four pixels, or thin coloured lines would get holes; H.264 has even sides
+        change = f"pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix={matrix}:out_range=tv:flags=area+accurate_rnd"
+        change += f"+full_chroma_inp,format=yuv420p,setparams=colorspace={matrix}:color_primaries={matrix}"
+        change += f":color_trc={matrix}:range=tv{f',setsar={aspect}' if aspect != 1 else ''}"
+        large = width * height > _LARGE
+        command = ["-nostats", "-v", "error", "-y", *("-thread_queue_size", "1") * large, "-f", "matroska", "-i", "-"]
+        # a lookahead in a thread of its own, and the macroblock tree, whose assembly reads memory that nobody has
+        # written, make other bytes now and then of the same frames; superfast leaves out the tree
+        command += ["-vf", change, "-c:v", "libx264", "-preset", "superfast", "-crf", "23"]
+        few = ":bframes=0:ref=1:sliced-threads=1" if large else ""
+        command += [*("-threads", "3") * large, "-x264-params", f"sync-lookahead=0{few}"]
+        command += ["-fps_mode", "passthrough", "-enc_time_base", f"1/{self._timescale}"]
+        return [*command, *self._mp4, str(self._part)]
 
-    def _drop(self) -> None:
-        self._closed = True
-        self._sound.close()
-        discard(self.path)  # first, or its parts would be put in order
+    def _end(self) -> None:
+        """Wait until the encoder has finished its file."""
+        try:
+            self._pipe.close()
+        except OSError as error:
+            raise self._failure(error) from error
+        if self._child.wait() != 0:
+            raise self._failure(None)
+
+    def _failure(self, error: OSError | None) -> OutputError:
+        """What to raise once the encoder has failed: its own words, where it left any. There is no file then."""
         with contextlib.suppress(OSError):
-            self._file.close()
-        discard(self.path)
+            self._pipe.close()
+        code = self._child.wait()
+        self._stderr.seek(0)
+        why, remedy = cause(self._stderr.read().decode("utf-8", "replace")), "free some space"
+        self._drop()
+        if not why and code:
+            why = f"ffmpeg was killed by signal {-code}" if code < 0 else f"ffmpeg ended with code {code}"
+            remedy = "run it again"
+        why = why or (reason(error) if error else "ffmpeg ended early")
+        return OutputError(f"{self.path}: the video cannot be written ({why}); {remedy} or use --no-video")
 
-    def _heard(self, source: Path | None) -> Generator[Any, None, None]:
-        """The packets of a clip's sound, if it has any; None where more frames must come first."""
-        at_s, last = 0.0, -math.inf
+    def _refused(self, error: OSError) -> OutputError:
+        return OutputError(f"{self.path}: {reason(error)}; choose another output folder")
+
+    def _add_audio(self) -> None:
+        """Add the source's sound to the video just written; without it, a warning."""
+        source, mixed = self._audio_from, self._part.with_suffix(".audio.mp4")
+        if source is None or not source.is_file():
+            return
         try:
-            if source is None or not source.is_file() or (late_s := sound_delay(source)) is None:
+            codec, late_s = sound_of(source)
+            if not codec:
                 return
-            with open_container(source) as clip:
-                sound, to = clip.streams.audio[0], self._file.add_stream("aac", bit_rate=160_000)
-                yield None
-                before_s = self._first_s + late_s + (clip.start_time or 0) / 1e6
-                for frame in chain(_decoded(sound), [None]):
-                    if frame is not None:
-                        frame.pts = (frame.pts or 0) - round(before_s / frame.time_base)
-                        if frame.pts < 0:
-                            continue
-                    for packet in to.encode(frame):
-                        if packet.dts is None or packet.dts <= last:  # where the clip's clock goes back
-                            continue
-                        at_s, last = float(packet.dts * packet.time_base), packet.dts
-                        while at_s > self._tick / self._timescale + 1 / float(self._fps):
-                            yield None
-                        yield packet
+            command = ["-v", "error", "-y", "-i", str(self._part), "-itsoffset", f"{-self._first_s - late_s:.6f}"]
+            command += [*_LOCAL_CLIPS, "-i", str(source.absolute())]
+            command += ["-map", "0:v:0", "-map", "1:a:0", "-map_metadata", "-1", "-c:v", "copy"]
+            # copying drops what comes before time 0 by itself
+            recode = ["-af", "atrim=start=0", "-c:a", "aac", "-b:a", "160k"]
+            command += ["-c:a", "copy"] if codec in _COPIED_AUDIO else recode
+            length_s = float(Fraction(self._tick, self._timescale) + 1 / self._fps)
+            code, messages = run_ffmpeg([*command, "-t", f"{length_s:.6f}", *self._mp4, str(mixed)])
+            if code:
+                raise RuntimeError(cause(messages))
+            mixed.replace(self._part)
         except (OSError, RuntimeError, ValueError) as error:
             what = f"that of {source} cannot be used ({reason(error)})"
-            self.warnings.append(f"{self.path}: without sound from {at_s:.1f} s on, {what}")
+            self.warnings.append(f"{self.path}: written without sound, {what}")
+        finally:
+            mixed.unlink(missing_ok=True)
+
+    def _drop(self, *, keep: bool = False) -> None:
+        """End the encoder, and unless `keep` remove the file."""
+        self._child.kill()  # harmless where it has ended
+        with contextlib.suppress(OSError):  # what the pipe still held is lost
+            self._child.__exit__(None, None, None)  # closes it and waits
+        self._stderr.close()
+        if not keep:
+            discard(self.path)
 
 
-def _decoded(sound: Any) -> Iterator[Any]:
-    for packet in sound.container.demux(sound):
-        with contextlib.suppress(av.FFmpegError):  # what is damaged is left out
-            yield from packet.decode()
+# Just enough of Matroska (RFC 9559) for one track of uncompressed BGR, each frame with a time
+
+
+def _element(identity: str, value: bytes | int) -> bytes:
+    data = value.to_bytes(8, "big") if isinstance(value, int) else value
+    return bytes.fromhex(identity) + (len(data) | 1 << 56).to_bytes(8, "big") + data
+
+
+def _matroska_head(width: int, height: int, fps: Fraction) -> bytes:
+    ebml = _element("4282", b"matroska") + _element("4287", 4) + _element("4285", 2)
+    info = _element("2AD7B1", round(_TICK_S * 1e9)) + _element("4D80", b"facetrack") + _element("5741", b"facetrack")
+    video = _element("B0", width) + _element("BA", height) + _element("2EB524", b"BGR\x18")
+    track = _element("D7", 1) + _element("73C5", 1) + _element("83", 1) + _element("9C", 0)
+    track += _element("23E383", round(10**9 / fps))  # without it, the last frame would last no time and not be shown
+    track += _element("86", b"V_UNCOMPRESSED") + _element("E0", video)
+    segment = bytes.fromhex("18538067") + b"\x01" + b"\xff" * 7  # of unknown length: it ends with the pipe
+    tracks = _element("1654AE6B", _element("AE", track))
+    return _element("1A45DFA3", ebml) + segment + _element("1549A966", info) + tracks
+
+
+def _matroska_block(ticks: int, size: int) -> bytes:
+    """All that goes before the `size` bytes of one frame: a cluster of its own, since only clusters hold long times."""
+    time = _element("E7", ticks)
+    block = b"\xa3" + (size + 4 | 1 << 56).to_bytes(8, "big") + b"\x81\x00\x00\x80"
+    return bytes.fromhex("1F43B675") + (len(time) + len(block) + size | 1 << 56).to_bytes(8, "big") + time + block

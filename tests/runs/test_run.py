@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.core.errors import ExitCode, OutputError
+from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.files import FileSink, cannot_write
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.runs.batch import folders, variant_name
@@ -403,28 +403,28 @@ def test_a_fault_of_ours_keeps_what_was_tracked(run, clip, monkeypatch):
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_video_that_cannot_be_written(run, clip, monkeypatch, threads):
+def test_an_encoder_that_is_killed(run, clip, monkeypatch, threads):
     write = VideoWriter.write
 
-    def failing(video, image, time_s):
+    def killed(video, image, time_s):
         if time_s > 0.3:
-            video.discard()
-            raise OutputError("annotated.mp4: cannot be written: full; use --no-video")
+            video._child.kill()
+            video._child.wait()
         write(video, image, time_s)
 
-    monkeypatch.setattr(VideoWriter, "write", failing)
+    monkeypatch.setattr(VideoWriter, "write", killed)
     code, _, err = run(clip, *SMALL, "--threads", threads)
     summary, error = err.splitlines()
     assert code == ExitCode.USAGE and names(Path("sway-face")) == ["run.json", *TABLES]
     assert "(trajectory.csv, trajectory.json): 30 frames" in summary and "incomplete" not in summary
-    assert "annotated.mp4: cannot be written: full; use --no-video" in error
+    assert "annotated.mp4: the video cannot be written (ffmpeg was killed by signal 9); run it again" in error
     data = footer("sway-face")
     assert data["complete"] is True and "stopped" not in data and len(data["frames"]) == 30
-    assert ["annotated.mp4: cannot be written" in line for line in data["warnings"]] == [True]
+    assert ["annotated.mp4: the video cannot be written" in line for line in data["warnings"]] == [True]
     monkeypatch.setattr(VideoWriter, "write", write)
     code, _, err = run(clip, *SMALL, "--threads", threads)
     assert code == 0 and "frames/s" not in err and count(Path("sway-face/annotated.mp4")) == 30, "only drawn"
-    assert footer("sway-face") == {**data, "warnings": []} and "full" not in Path("sway-face/run.json").read_text()
+    assert footer("sway-face") == {**data, "warnings": []} and "killed" not in Path("sway-face/run.json").read_text()
 
 
 def test_a_part_that_is_lost_at_the_end(run, tmp_path):

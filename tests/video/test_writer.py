@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import pytest
 
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.video import writer as ours
-from facetrack_cli.video.decode import sound_delay
+from facetrack_cli.video.decode import sound_of
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 from tests.support import media
@@ -64,9 +65,8 @@ def test_constant_rate_stays_strictly_constant(tmp_path: Path, fps: Fraction) ->
     pictures = media.read_timed(path)
     assert [media.number(picture) for _, picture in pictures] == list(range(30))
     np.testing.assert_allclose([t for t, _ in pictures], [float(k / fps) for k in range(30)], atol=1e-9)
-    with av.open(str(path)) as written:
-        context = written.streams.video[0].codec_context
-        assert (context.name, context.pix_fmt, context.color_range) == ("h264", "yuv420p", 1)
+    head = ours.run_ffmpeg(["-i", str(path)])[1]
+    assert "h264" in head and "yuv420p" in head and "mp4" in head
     assert left_behind(tmp_path) == ["out.mp4"]
 
 
@@ -167,20 +167,22 @@ def test_sound_lasts_as_long_as_the_last_picture_and_silence_is_no_fuss(tmp_path
     for source in (silent, tmp_path, tmp_path / "missing.mp4"):
         writer = write(tmp_path / "out.mp4", 3, audio_from=source)
         assert writer.warnings == []
-        assert sound_delay(writer.path) is None
+        assert "Audio" not in ours.run_ffmpeg(["-i", str(tmp_path / "out.mp4")])[1]
 
 
 def test_sound_that_fails_leaves_the_video_and_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = media.write_video(tmp_path / "clip.mp4", frames=20, sound=BEEP)
+    real = ours.run_ffmpeg
 
-    def failing(sound: object) -> Iterator[object]:
-        raise ValueError("no such codec")
-        yield
+    def failing(arguments: list[str]) -> tuple[int, str]:
+        if "-itsoffset" in arguments:
+            return 1, "[aist#0:1 @ 0x1] Error: no such codec\n"
+        return real(arguments)
 
-    monkeypatch.setattr(ours, "_decoded", failing)
+    monkeypatch.setattr(ours, "run_ffmpeg", failing)
     writer = write(tmp_path / "out.mp4", audio_from=source)
     (warning,) = writer.warnings
-    assert "without sound from 0.0 s on" in warning and "no such codec" in warning
+    assert "without sound" in warning and "no such codec" in warning and "\n" not in warning and "0x1" not in warning
     assert len(media.read_timed(tmp_path / "out.mp4")) == 20
     assert left_behind(tmp_path) == ["clip.mp4", "out.mp4"]
 
@@ -188,13 +190,13 @@ def test_sound_that_fails_leaves_the_video_and_a_warning(tmp_path: Path, monkeyp
 def test_sound_is_read_from_files_of_clips_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A playlist makes ffmpeg open the files and addresses that it names."""
     mine = media.write_video(tmp_path / "mine.mp4", frames=20, sound=BEEP)
-    monkeypatch.setattr("facetrack_cli.video.writer.sound_delay", lambda path: 0.0)
+    monkeypatch.setattr("facetrack_cli.video.writer.sound_of", lambda path: ("aac", 0.0))
     lists = {"a.m3u8": f"#EXTM3U\n#EXTINF:1,\n{mine}\n", "a.ffconcat": f"ffconcat version 1.0\nfile {mine}\n"}
     for name, text in lists.items():
         (tmp_path / name).write_text(text)
         written = write(tmp_path / f"{name}.mp4", audio_from=tmp_path / name)
         [warning] = written.warnings
-        assert "without sound" in warning and sound_delay(written.path) is None
+        assert "written without sound" in warning and sound_of(written.path)[0] == ""
 
 
 # files
@@ -215,15 +217,42 @@ def test_nothing_appears_at_the_path_before_it_is_whole_nor_without_frames(tmp_p
     assert path.read_text() == "the former one" and left_behind(tmp_path) == ["out.mp4"]
 
 
-def test_what_was_written_until_an_interruption_is_kept(tmp_path: Path) -> None:
+@pytest.mark.parametrize("half", [b"", b"\x1f\x43\xb6\x75\x01\x00\x00"])
+def test_what_was_written_until_an_interruption_is_kept(tmp_path: Path, half: bytes) -> None:
     with pytest.raises(KeyboardInterrupt), VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS) as writer:
         for index in range(12):
             writer.write(media.numbered(index), index / 25)
+        writer._pipe.write(half)  # a part of a frame
         raise KeyboardInterrupt
     assert [media.number(picture) for _, picture in media.read_timed(tmp_path / "out.mp4")] == list(range(12))
 
 
-def test_output_that_cannot_be_written(tmp_path: Path) -> None:
+@pytest.mark.skipif(os.name != "posix", reason="signals to a process group")
+def test_ctrl_c_of_the_terminal_does_not_reach_the_encoder(tmp_path: Path) -> None:
+    script = (
+        "import sys, time\nfrom fractions import Fraction\nfrom pathlib import Path\n"
+        "from facetrack_cli.video.writer import VideoWriter\nfrom tests.support import media\n"
+        "with VideoWriter(Path(sys.argv[1]), media.SIZE, Fraction(25)) as writer:\n"
+        "    for index in range(200):\n"
+        "        writer.write(media.numbered(index), index / 25)\n"
+        "        if index == 9: print('go', flush=True)\n"
+        "        if index > 9: time.sleep(0.05)\n"
+    )
+    command, pipes = [sys.executable, "-c", script, tmp_path / "out.mp4"], (subprocess.PIPE, subprocess.DEVNULL)
+    child = subprocess.Popen(
+        command, cwd=Path(__file__).parents[2], stdout=pipes[0], stderr=pipes[1], start_new_session=True
+    )
+    assert child.stdout is not None and child.stdout.readline()
+    time.sleep(0.2)
+    os.killpg(child.pid, signal.SIGINT)  # as a terminal does: to the whole group
+    assert child.wait(timeout=30) != 0
+    child.stdout.close()
+    numbers = [media.number(picture) for _, picture in media.read_timed(tmp_path / "out.mp4")]
+    assert numbers == list(range(len(numbers))) and 10 <= len(numbers) < 200
+    assert left_behind(tmp_path) == ["out.mp4"]
+
+
+def test_output_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").touch()
     for path in (tmp_path / "missing" / "out.mp4", tmp_path / "file" / "out.mp4"):
         with pytest.raises(OutputError) as caught:
@@ -232,6 +261,10 @@ def test_output_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "out.mp4").mkdir()
     with pytest.raises(OutputError, match=r"out\.mp4"):
         write(tmp_path / "out.mp4")
+    assert left_behind(tmp_path) == ["file", "out.mp4"]
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "nothing"))
+    with pytest.raises(OutputError, match="ffmpeg cannot be started"):
+        VideoWriter(tmp_path / "other.mp4", media.SIZE, FPS)
     assert left_behind(tmp_path) == ["file", "out.mp4"]
 
 
