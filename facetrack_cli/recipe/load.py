@@ -308,7 +308,7 @@ def _problems(details: ErrorDetails, root: Node) -> Iterator[Problem]:
         said = (
             "must be a mapping of keys"
             if kind in ("model_type", "dict_type")
-            else details["msg"].replace("tuple", "list")
+            else details["msg"].replace("Tuple", "List").replace("tuple", "list")
         )
         yield Problem(_value_span(node), f"{where}: {said}" + f", not {_shown(node)}" * (", not " not in said))
 

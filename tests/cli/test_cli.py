@@ -228,7 +228,7 @@ def test_check_lists_every_error_of_every_file(capsys, tmp_path):
     out = capsys.readouterr().out.splitlines()
     assert out[0] == "sir: good"
     assert f"{path}:2:7: seed: Input should be greater than or equal to 0, not -1" in out
-    assert f'{path}:3:1: unknown key "sed"; correct it, or remove it' in out
+    assert f'{path}:3:1: unknown key "sed"; did you mean "seed"?' in out
     assert sum("the recipe lacks" in line for line in out) == 4
     assert out[-1].startswith('"nowhere.yaml" is neither a file')
     assert main(["recipes", "check", "sir", "--set", "filter.particles=0"]) == 2

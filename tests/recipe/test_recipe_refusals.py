@@ -16,7 +16,7 @@ WRONG = [
     ("factorized", "prior=null filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 needs a prior"),
     ("factorized", "filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 goes with reweight: prior"),
     ("factorized", "filter.reweight=transition filter.particles=2001", "compares every two particles; give 2,000"),
-    ("factorized", "target.points=[]", 'unknown key "target.points"; correct it, or remove it'),
+    ("factorized", "target.points=[]", 'unknown key "points"; the keys there are: type, parts, windows'),
     ("auxiliary_prior", "filter.type=independent", "makes no use of a prior"),
     ("sir", f"motion={{type: first_order, position: {DYNAMICS}, scale: {DYNAMICS}}}",
      'motion type "first_order" does not go with target type "points"; write random_walk'),
@@ -50,7 +50,7 @@ WRONG = [
     ("adaptive", "likelihood.mixing.w=0 likelihood.mixing.s=0 likelihood.mixing.f=0", "mixing is all 0"),
     ("adaptive", "filter.particles=500000", "particles of 26x30 points each"),
     ("adaptive", "filter.particles=5000 motion.velocity.samples=null", GREEDY),
-    ("adaptive", "target.parts=[nose]", 'unknown key "target.parts"; correct it, or remove it'),
+    ("adaptive", "target.parts=[nose]", 'unknown key "parts"; the keys there are: type'),
     ("adaptive", "filter={type: factorized, particles: 9}", "write sir or auxiliary or adaptive"),
     # several targets
     (HANDS, "targets.Foot=null", "targets.Foot: a name has small letters"),
@@ -97,8 +97,13 @@ def test_no_noise_is_a_length_of_dynamics():
     ("old", "new", "marked", "said"),
     [
         ("type: particle_filters\n", "", "d", 'the recipe lacks "type"; add it'),
-        ("  left_hand:\n", "  left_hand:\n    colour: red\n", "colour", 'unknown key "targets.left_hand.colour"'),
-        ("inner: 1.0}", "iner: 1.0}", "iner", 'unknown key "targets.head.likelihood.skin.iner"; correct'),
+        (
+            "  left_hand:\n",
+            "  left_hand:\n    colour: red\n",
+            "colour",
+            'unknown key "colour"; the keys there are: target, motion',
+        ),
+        ("inner: 1.0}", "iner: 1.0}", "iner", 'unknown key "iner"; did you mean "inner"?'),
         ("  right_hand:\n", "  left_hand:\n", "left_hand", 'the key "left_hand" is repeated'),
         ("  right_hand:\n", "  Right Hand:\n", "Right Hand", "targets.Right Hand: a name has"),
     ],
