@@ -31,7 +31,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
 
@@ -41,7 +40,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Whole
-from facetrack_cli.engine.kernels.compiled import AS_IT_IS, HIDDEN, calibrate
 from facetrack_cli.recipe.model import LIKELY, ConfidenceSettings
 from facetrack_cli.trajectory.trajectory import SPREAD, Status, Trajectory
 
@@ -70,6 +68,11 @@ class Logistic(_StoredPart):
     coefficients: dict[Feature, float]
     least: Annotated[float, Field(ge=0, le=0.5)]
 
+    def of(self, features: Mapping[Feature, Array]) -> Array:
+        """p (R,) of rows, by features (R,)."""
+        score = self.intercept + sum(slope * features[name] for name, slope in self.coefficients.items())
+        return np.clip(1 / (1 + np.exp(-np.clip(score, -700, 700))), self.least, 1 - self.least)
+
 
 class Isotonic(_StoredPart):
     """p is linear between `knots`, pairs of a value of the score and p, and level beyond them.
@@ -80,6 +83,11 @@ class Isotonic(_StoredPart):
     method: Literal["isotonic"] = "isotonic"
     score: Feature | Logistic
     knots: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=1)]
+
+    def of(self, features: Mapping[Feature, Array]) -> Array:
+        """p (R,) of rows, by features (R,)."""
+        score = self.score.of(features) if isinstance(self.score, Logistic) else features[self.score]
+        return np.interp(score, *np.transpose(self.knots))
 
 
 Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
@@ -117,34 +125,38 @@ class Calibration(_StoredPart):
         map. A row is lost where p is below 1/2. Other rows that the tracker does not see are hidden: their target is
         seen, or their place is likely right.
         """
-        values, how = np.array([getattr(rows, name) for name in _READ]), np.empty(len(rows), np.int64)
-        about = boxes_of(rows), rows.status == "lost", rows.status == "init"
-        status = rows.status
-        if calibrate(values, *about, size, *self._tables, self.lost, LIKELY, how):
-            status = np.where(how == AS_IT_IS, status, np.where(how == HIDDEN, "hidden", "lost"))
-        return replace(rows, confidence=values[0], status=status, **dict(zip(SPREAD, values[5:], strict=True)))
-
-    @cached_property
-    def _tables(self) -> tuple[Array, Array, Array, Whole, Array]:
-        """The maps and spreads of points and of boxes, as the kernel takes them."""
-        kinds: list[PartKind] = ["points", "box"]
-        maps = [self.maps.get(kind) for kind in kinds]
-        scores = [one.score if isinstance(one, Isotonic) else one for one in maps]
-        each = [one.coefficients if isinstance(one, Logistic) else {one: 1.0} for one in scores]
-        ends = [(one.intercept, one.least) if isinstance(one, Logistic) else (0.0, np.nan) for one in scores]
-        steps = [one.knots if isinstance(one, Isotonic) else [] for one in maps]
-        knots = np.zeros((2, 2, max(1, *map(len, steps))))
-        for table, own in zip(knots, steps, strict=True):
-            table[:, : len(own)] = np.array(own).reshape(-1, 2).T
-        counts = np.array([-1 if one is None else len(own) for one, own in zip(maps, steps, strict=True)])
-        slopes = np.array([[own.get(name, 0.0) for name in RISES] for own in each])
-        return slopes, np.array(ends), knots, counts, np.array([self.spread.get(kind, 1.0) for kind in kinds])
+        boxes, lost, c = boxes_of(rows), rows.status == "lost", rows.confidence
+        p, factor, sides = np.full(len(rows), np.nan), np.ones(len(rows)), np.sqrt(rows.w * rows.h)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for kind, own in self.maps.items():
+                at = boxes if kind == "box" else ~boxes
+                side = sides[at] if kind == "box" or not size else np.full(at.sum(), size)
+                p[at] = own.of({
+                    "confidence": c[at],
+                    "log_odds": np.log((c[at] + 0.01) / (1.01 - c[at])),
+                    "spread": np.log(np.clip(np.hypot(rows.std_x[at], rows.std_y[at]) / side, 1e-3, 10.0)),
+                    "ess": np.log10(np.clip(rows.ess[at] / rows.particles[at], 1e-3, 1.0)),
+                    "lost": lost[at],
+                    # what is small in the picture is placed less exactly, in terms of its size
+                    "size": np.log(np.clip(side, 3.0, 1000.0)),
+                })  # fmt: skip
+                factor[at] = self.spread.get(kind, 1.0)
+        p[np.isnan(c)] = np.nan
+        if (lost & boxes).any():
+            p[lost] = np.minimum(p[lost], self.lost)
+        unknown = np.isnan(rows.ess)
+        factor[unknown] = 1.0
+        judged = ~((rows.status == "init") | np.isnan(c) | unknown)
+        status = np.where(judged & lost & ~np.isnan(p), "hidden", rows.status)
+        return replace(
+            rows,
+            confidence=np.where(judged, p, c),
+            status=np.where(judged & (p < LIKELY), "lost", status),
+            **{name: getattr(rows, name) * factor ** (2 if name == "cov_xy" else 1) for name in SPREAD},
+        )
 
     def to_json(self) -> str:
         return json.dumps(self.model_dump(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-_READ: Final = ("confidence", "w", "h", "ess", "particles", *SPREAD)
 
 
 def boxes_of(rows: Trajectory) -> Mask:

@@ -13,9 +13,9 @@ from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask, Particles, Start, TargetStart
 from facetrack_cli.engine import confidence
 from facetrack_cli.engine.confidence import Calibration, Judgement, load_calibration
-from facetrack_cli.engine.filters import Prediction, Step
+from facetrack_cli.engine.filters import Step
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.engine.protocols import Belief, Likelihood, Linear, Motion, Names, Prior
+from facetrack_cli.engine.protocols import Belief, Likelihood, Linear, Motion, Names, Prediction, Prior
 from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.spaces import Context, Estimate, PointSpace, Space, evenly
 from facetrack_cli.recipe.load import resolve_file
@@ -277,8 +277,8 @@ class ParticleTarget:
 class FrameModel:
     """What a filter may ask: a target with one frame, and the motion of it, bound in.
 
-    Of N particles of K parts, with D coordinates a part; the parts of a particle move independently. `motion`,
-    `likelihood`, what it has `learned`, and `prior` are for the filters of one tracker, which know them.
+    Of N particles of K parts, with D coordinates a part; the parts of a particle move independently. `motion`, `prior`,
+    `target` and `state` are for the filters of one tracker, which know them.
     """
 
     target: ParticleTarget
@@ -286,14 +286,6 @@ class FrameModel:
     frame: Frame
     footprints: Sequence[Footprint]
     motion: Any  # a `Motion`, with what one that predicts has beside
-
-    @property
-    def likelihood(self) -> Any:
-        return self.target.likelihood
-
-    @property
-    def learned(self) -> Any:
-        return self.state.learned
 
     @property
     def prior(self) -> Any:
@@ -311,18 +303,13 @@ class FrameModel:
         moved: Array = self.motion.propagate(rng, x)
         return moved
 
-    def expect(self, x: Array) -> Array:
-        """(N, K, D): the mean of p(x_t | x_{t-1} = x)."""
-        mean: Array = self.motion.expect(x)
-        return mean
-
     def log_transition(self, x: Array, parents: Array) -> Array:
         """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D)."""
         return self._of_present(self.motion.log_transition(x, parents))
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
         """(N, K): log p(y | x) of each part; x and the particles that they come from are (N, K, D)."""
-        score = partial(self.likelihood.score, self.learned, self.frame, x, parents)
+        score = partial(self.target.likelihood.score, self.state.learned, self.frame, x, parents)
         log_p = self._of_present(self.motion.weighed(x, parents, score))
         exclusion = self.target.exclusion
         return log_p if exclusion is None else log_p + exclusion(x, self.footprints)

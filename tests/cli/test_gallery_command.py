@@ -15,7 +15,7 @@ from facetrack_cli.report.figures.models import calibrated, gallery_figure, kept
 from facetrack_cli.report.figures.style import DPI, WIDTH
 from facetrack_cli.start.gallery_images import SHIFT, STRETCH, TURN, Reading, count, find_people, moved, near, off
 from facetrack_cli.start.gallery_images import read_faces as read_all
-from facetrack_cli.trackers.appearance.affine import Patches
+from facetrack_cli.trackers.appearance.appearance import Patches
 from facetrack_cli.trackers.appearance.gallery import load_gallery
 from facetrack_cli.trackers.face.detectors import find_faces
 from tests.support.media import write_video

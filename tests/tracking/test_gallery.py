@@ -13,8 +13,7 @@ from facetrack_cli.core.types import Frame, Particles
 from facetrack_cli.engine.resampling import normalise
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import check_gallery
-from facetrack_cli.trackers.appearance.affine import Patches
-from facetrack_cli.trackers.appearance.appearance import Appearance
+from facetrack_cli.trackers.appearance.appearance import Appearance, Patches
 from facetrack_cli.trackers.appearance.gallery import (
     MIN_RHO,
     NONE,

@@ -26,7 +26,6 @@ WIDE = "likelihood.{}.max_size=26"
 # recipe and overrides, which together cover each likelihood and each way in which one reads a frame
 CASES = {
     "colour_ratio": ("factorized", "likelihood.floor=null"),
-    "colour_ratio, robust": ("factorized", "likelihood={type: colour_ratio, robust: geman_mcclure, scale: 0.2}"),
     "colour_ratio, reduced": ("factorized", "likelihood.max_samples=7"),
     "contour": ("contour",),
     "contour, reduced": ("contour", WIDE.format("contour")),

@@ -76,15 +76,6 @@ class Subspace:
     values: Array
     rho: float
 
-    def __post_init__(self) -> None:
-        s, d = len(self.values), len(self.mean)
-        if self.vectors.shape != (s, d) or s > d or not d:
-            raise ValueError(f"directions of {self.vectors.shape} do not fit {s} variances of {d} points")
-        if not all(np.isfinite(a).all() for a in (self.mean, self.vectors, self.values, self.rho)):
-            raise ValueError("a number is not finite")
-        if not (self.rho > 0.0 and (self.values > 0.0).all()):
-            raise ValueError("a variance is not above 0")
-
     @property
     def log_constant(self) -> float:
         """log Q(mean)."""
@@ -135,20 +126,21 @@ class Gallery:
     proportion: float | None = None
 
     def __post_init__(self) -> None:
-        p, d, spaces = len(self.names), self.faces.shape[-1], (self.frontal, self.intra, self.extra)
+        p, spaces = len(self.names), (self.frontal, self.intra, self.extra)
         if p < 2 or len(set(self.names)) != p:
             raise ValueError("a gallery needs two persons or more, each named once")
         if problem := next(filter(None, map(name_problem, self.names)), None):
             raise ValueError(problem)
-        fits = len(self.shape) == 2 and self.faces.shape == (p, math.prod(self.shape)) and min(self.shape) > 0
-        if not fits or any(len(space.mean) != d for space in spaces):
-            raise ValueError(f"faces of {self.faces.shape} do not fit {p} persons and a template of {self.shape}")
-        numbers = (*self.calibration, self.most_frontal, self.threshold, self.errors)
-        if not (np.isfinite(self.faces).all() and np.isfinite(numbers).all()):
+        d = math.prod(self.shape) if len(self.shape) == 2 and min(self.shape) > 0 else -1
+        fit = (space.mean.shape == (d,) and space.vectors.shape == (len(space.values), d) for space in spaces)
+        if self.faces.shape != (p, d) or not all(fit):
+            raise ValueError(f"faces and spaces do not fit {p} persons and a template of {self.shape}")
+        variances = np.concatenate([[self.proportion or 1.0], *([space.rho, *space.values] for space in spaces)])
+        numbers = self.threshold, self.errors, *self.calibration, *variances
+        if not all(np.isfinite(a).all() for a in (self.faces, numbers, *(s.vectors @ s.mean for s in spaces))):
             raise ValueError("a number is not finite")
-        ranged = self.proportion is None or 0.0 < self.proportion < math.inf
-        if not ranged or len(self.counts) != p or len(self.calibration) != 2 or not 0.0 <= self.most_frontal <= 1.0:
-            raise ValueError("counts, proportion or the calibration of p_f are out of range")
+        if variances.min() <= 0 or self.proportion == 0 or len(self.counts) != p or not 0 <= self.most_frontal <= 1:
+            raise ValueError("variances, counts, proportion or the bound of p_f are out of range")
 
     def log_scores(self, patches: Rows, *, sharpness: float = 1.0, none: bool = False) -> tuple[Array, Array]:
         """p_f (N,), 0 of a patch of zeros, and log p_n (N, P) of patches (N, d), with logsumexp 0 over the identities.

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from pydantic import Field
 
 from facetrack_cli.recipe.sections import (
-    MAX_COMPARED_PARTICLES,
     Component,
     Factor,
     FilterSettings,
@@ -22,13 +21,11 @@ from facetrack_cli.recipe.sections import (
     Refusal,
     ScaledSettings,
     Section,
-    Steps,
 )
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilterSettings
 
-MAX_TEMPLATE_POINTS = 100_000_000  # particles times points of a template: some gigabytes
 Points: TypeAlias = Annotated[int, Field(ge=6, le=128)]
 Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
 
@@ -36,7 +33,7 @@ Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
 class AffineSettings(ScaledSettings):
     """A face under affine maps: place, and what became of the box of the first frame (section 4)."""
 
-    engine = "facetrack_cli.trackers.appearance.affine:AffineSpace.place"
+    engine = "facetrack_cli.trackers.appearance.appearance:AffineSpace.place"
     type: Literal["affine"]
     estimate: Literal["map", "mean"] = "map"
     """The particle of the greatest weight, thus likelihood, which the paper calls MAP, or the mean of them all."""
@@ -83,7 +80,7 @@ class NoiseSettings(Section):
 class AffineWalkSettings(MotionSettings):
     """Gaussian noise on the six parameters, around the predicted place: theta_t = theta_{t-1} + nu_t + u_t (eq. 1)."""
 
-    engine = "facetrack_cli.trackers.appearance.affine:affine_walk"
+    engine = "facetrack_cli.trackers.appearance.appearance:affine_walk"
     goes_with = ("affine",)
     type: Literal["affine_walk"]
     sigma: Length
@@ -98,16 +95,6 @@ class AffineWalkSettings(MotionSettings):
     """nu_t; null: none, the target is expected where it was."""
     noise: NoiseSettings | None = None
     """r_t; null: fixed, r_0."""
-
-    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        if self.velocity is None:
-            return
-        n, where = whole.filter.most(whole)
-        samples = self.velocity.samples
-        if min(n, samples or n) > MAX_COMPARED_PARTICLES:
-            remedy = "give velocity.samples, as in samples: 32"
-            message = f"motion.velocity compares every two of up to {n:,} particles; {remedy}"
-            yield Refusal(where if samples is None else ("motion", "velocity", "samples"), message)
 
 
 class ComponentsSettings(Section):
@@ -157,12 +144,6 @@ class AppearanceSettings(LikelihoodSettings):
             if share > 0 and sigma < 1e-3:
                 yield Refusal(("sigma", name), f"likelihood.sigma.{name} must be at least 0.001")
 
-    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        (n, where), (columns, rows) = whole.filter.most(whole), self.template
-        if n * columns * rows > MAX_TEMPLATE_POINTS:
-            most = f"no more than {MAX_TEMPLATE_POINTS:,} points fit into memory"
-            yield Refusal(where, f"{n:,} particles of {columns}x{rows} points each; {most}")
-
 
 class RecognitionSettings(Component):
     """Who it is: the joint posterior of motion and identity (eq. 5, 14 to 16)."""
@@ -187,7 +168,7 @@ class RecognitionSettings(Component):
 class AdaptiveSettings(FilterSettings):
     """All particles around the predicted place, as many as the prediction is worth (figure 1, eq. 17)."""
 
-    engine = "facetrack_cli.trackers.appearance.affine:adaptive"
+    engine = "facetrack_cli.engine.filters:adaptive"
     goes_with = ("affine",)
     type: Literal["adaptive"]
     particles: Annotated[int, Field(ge=1)]
@@ -205,11 +186,3 @@ class AdaptiveSettings(FilterSettings):
         if self.adapt and isinstance(whole.motion, AffineWalkSettings) and whole.motion.noise is None:
             message = "filter.adapt follows motion.noise, which is null; add noise: {}, or write adapt: false"
             yield Refusal(("filter", "adapt"), message)
-
-    def most(self, whole: ParticleFilterSettings) -> tuple[int, Steps]:
-        n, where = super().most(whole)
-        if not self.adapt:
-            return n, where
-        if isinstance(whole.motion, AffineWalkSettings) and whole.motion.noise is not None:
-            n = round(n * (whole.motion.noise.most + self.entropy))
-        return (self.least, ("filter", "least")) if self.least > n else (n, where)

@@ -43,21 +43,9 @@ from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import logsumexp
 from facetrack_cli.engine.spaces import Context
+from facetrack_cli.trackers.box import features as models
 from facetrack_cli.trackers.box.box_kernels import read_cubic
-from facetrack_cli.trackers.box.features import (
-    UPSAMPLED,
-    ColourModel,
-    Colours,
-    Features,
-    ScaleTrainer,
-    Single,
-    Trained,
-    TrainedScale,
-    Trainer,
-    moved,
-    peaks,
-    shrunk,
-)
+from facetrack_cli.trackers.box.features import UPSAMPLED, Features, Single, peaks, shrunk
 from facetrack_cli.trackers.box.hidden_box import VISIBLE, ModeProposal
 from facetrack_cli.trackers.box.settings import CorrelationFilterSettings
 
@@ -195,10 +183,10 @@ class CorrelationState(NamedTuple):
     """
 
     features: Features
-    filters: Trained
+    filters: models.Trained
     first: Single
-    scales: TrainedScale
-    colours: Colours | None
+    scales: models.TrainedScale
+    colours: models.Colours | None
     heights: Usual
     frames: int = 1
     last: int = 0
@@ -211,36 +199,32 @@ class CorrelationState(NamedTuple):
 
 @dataclass(frozen=True)
 class CorrelationFilter(Likelihood):
-    """`size`: width and height of the box at the start, in pixels; `limits`: of its scale."""
+    """A box by the response of a filter to the window around it."""
 
     settings: CorrelationFilterSettings
-    size: tuple[float, float]
-    limits: tuple[float, float]
-
-    @classmethod
-    def build(cls, settings: CorrelationFilterSettings, context: Context) -> CorrelationFilter:
-        return cls(settings, context.placed.size, context.placed.scale)
+    context: Context
 
     @cached_property
     def _unit(self) -> float:
         """The mean side of the box at the start, in pixels."""
-        return math.sqrt(self.size[0] * self.size[1])
+        return math.sqrt(math.prod(self.context.placed.size))
 
     @cached_property
-    def _trainer(self) -> Trainer:
-        one = self.settings
+    def _trainer(self) -> models.Trainer:
+        one, (w, h) = self.settings, self.context.placed.size
         per_pixel = one.cells / (one.window * self._unit)
-        box = (max(self.size[0] * per_pixel, 1.0), max(self.size[1] * per_pixel, 1.0))
-        return Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3))
+        box = max(w * per_pixel, 1.0), max(h * per_pixel, 1.0)
+        return models.Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3))
 
     @cached_property
-    def _scale_trainer(self) -> ScaleTrainer:
-        return ScaleTrainer(self.size, self.settings.scales.count, self.settings.scales.step)
+    def _scale_trainer(self) -> models.ScaleTrainer:
+        return models.ScaleTrainer(self.context.placed.size, self.settings.scales.count, self.settings.scales.step)
 
     @cached_property
-    def _colour_model(self) -> ColourModel:
+    def _colour_model(self) -> models.ColourModel:
         side = self.settings.window * self._unit
-        return ColourModel((self.size[0] / side, self.size[1] / side))
+        w, h = self.context.placed.size
+        return models.ColourModel((w / side, h / side))
 
     def _side(self, scale: float) -> float:
         """Side of the window in pixels."""
@@ -268,7 +252,7 @@ class CorrelationFilter(Likelihood):
 
     def look(self, learned: CorrelationState, frame: Frame, expected: Array) -> CorrelationState:
         """With what the frame shows around the place (1, D) where the target is `expected`."""
-        one, centre, scale = self.settings, expected[0, :2], float(np.clip(expected[0, 2], *self.limits))
+        one, centre, scale = self.settings, expected[0, :2], float(np.clip(expected[0, 2], *self.context.placed.scale))
         view = self._view(learned, frame, centre, scale)
         found = peaks(view.response, 0.5, one.modes)
         off = (found[0, :2] - len(view.response) // 2) * self._sample(scale)
@@ -322,7 +306,7 @@ class CorrelationFilter(Likelihood):
             if (last := learned.candidate) is not None:  # once more, and at the last size
                 places += [(last, False), (np.array([*last[:2], math.log(scale)]), False)]
         for place, sighted in places:
-            size = float(np.clip(math.exp(place[2]), *self.limits))
+            size = float(np.clip(math.exp(place[2]), *self.context.placed.scale))
             view = self._view(learned, frame, place[:2], size)
             [top] = peaks(self._both(learned, view), 1.0, 1)
             if best is None or top[2] > best[0]:
@@ -458,7 +442,7 @@ class CorrelationFilter(Likelihood):
             grown, cell = math.log(scale / seen.scale), self._side(seen.scale) / self.settings.cells
             off, mode = (centre - seen.view.centre) / cell, (centre - seen.guides.mean[0, :2]) / cell
             if abs(grown) < _SAME_SCALE and max(np.abs(off).max(), np.abs(mode).max()) < _SAME_PLACE:
-                spectrum = moved(seen.view.spectrum, off, self.settings.cells)
+                spectrum = models.moved(seen.view.spectrum, off, self.settings.cells)
                 return spectrum, seen.view.image, trainer.moved(seen.scales, grown)
         x, window = learned.features.read(frame, centre, self._side(scale))
         window = window if learned.colours is None else shrunk(window)

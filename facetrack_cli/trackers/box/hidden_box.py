@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -223,7 +223,8 @@ def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model
     Particles carry both, their sum as weight and the share of v = 1 as a coordinate (Rao-Blackwellised). A hidden
     target may return at a mode that re-detection found.
     """
-    n, guides = settings.particles, model.likelihood.guides(model.learned).after(*model.motion.forecast(particles))
+    likelihood: Any = model.target.likelihood
+    n, guides = settings.particles, likelihood.guides(model.state.learned).after(*model.motion.forecast(particles))
     pairs = round(settings.guided * n / 2)
     # some are drawn from either, or q would not cover what the other one covers
     drawn = 2 * min(max(pairs, 1), (n - 2) // 2) if settings.guided > 0 else 0

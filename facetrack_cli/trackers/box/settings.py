@@ -77,7 +77,7 @@ class ScalesSettings(Section):
 class CorrelationFilterSettings(LikelihoodSettings):
     """A correlation filter's response, calibrated (ours, of ECO, SRDCF, DSST, Staple and LMCF)."""
 
-    engine = "facetrack_cli.trackers.box.correlation_filter:CorrelationFilter.build"
+    engine = "facetrack_cli.trackers.box.correlation_filter:CorrelationFilter"
     goes_with = ("box",)
     type: Literal["correlation_filter"]
     window: Annotated[float, Field(ge=2, le=10)] = 5.0

@@ -20,9 +20,6 @@ from numpy.typing import NDArray
 
 from facetrack_cli.engine.kernels.compiled import exact, fast, inline
 
-L1, GEMAN_MCCLURE = 0, 1
-ROBUST = {"l1": L1, "geman_mcclure": GEMAN_MCCLURE}
-
 
 @inline
 def _read_window(image, x, y, w, h, pixels, out):
@@ -79,25 +76,9 @@ def read_window(image: NDArray[Any], x: float, y: float, w: int, h: int) -> NDAr
     return out
 
 
-@inline
-def _mean_rho(template, window, gain, robust, scale, n):
-    """Mean of a robust function of template - gain * window, two flat rows that hold n values and zeros."""
-    one, d, inverse = np.float32(1.0), np.float32(0.0), np.float32(1.0 / scale)
-    if robust == L1:
-        for j in range(len(template)):
-            d += abs(template[j] - gain * window[j])
-        return d / n
-    for j in range(len(template)):
-        u = (template[j] - gain * window[j]) * inverse
-        d += u * u / (one + u * u)
-    return scale * d / n
-
-
-@fast
-def colour_ratio_distances(
-    image, ratios, offsets, sides, parts, x, origin_x, origin_y, factor, least_mean, robust, scale, out
-):
-    """Mean robust difference of mean-normalised colours between templates and the windows at x (eq. 8 and 9).
+@fast("u1:2 f4:1 i8:1 i8:2 i8:1 f8:3 i8 i8 i8 f8 f8:2")
+def colour_ratio_distances(image, ratios, offsets, sides, parts, x, origin_x, origin_y, factor, least_mean, out):
+    """Mean absolute difference of mean-normalised colours between templates and the windows at x (eq. 8 and 9).
 
     Template g of part `parts[g]` is `ratios[offsets[g] : offsets[g + 1]]`, divided by its own mean and laid out as
     `read_window` does, of `sides[g]` = (w, h) pixels. `x` (N, K, 2) are centres in the whole image; `image`
@@ -119,8 +100,10 @@ def colour_ratio_distances(
             cy = (x[p, k, 1] - origin_y - 0.5 * (factor - 1)) / factor
             cx, cy = min(max(cx, -reach), reach), min(max(cy, -reach), reach)
             total = _read_window(image, cx, cy, w, h, pixels, window)
-            gain = np.float32(1.0 / max(total / n, least_mean))
-            out[p, k] = _mean_rho(template, window, gain, robust, scale, n)
+            gain, d = np.float32(1.0 / max(total / n, least_mean)), np.float32(0.0)
+            for j in range(len(template)):
+                d += abs(template[j] - gain * window[j])
+            out[p, k] = d / n
 
 
 def extent(x: NDArray[np.float64], reach: float) -> tuple[float, float, float, float]:
@@ -207,7 +190,7 @@ def _weigh(x, parts, first, stable, width, h, bias, w, bits, scale):
     return float(top) - 0.5 * norm, total
 
 
-@exact
+@exact("f8:3 i8:1 f8:2 i8 f8 f4:2 f4:1 f8:1")
 def parzen(x, parts, first, stable, width, h, bias, u):
     """log sum_j exp(-|q_n - h_j|^2 / 2), (N,), and the index j of a shape for each hypothesis if `u` is not empty.
 

@@ -58,25 +58,15 @@ class PointsSettings(TargetSettings):
 class ColourRatioSettings(LikelihoodSettings):
     """Colours of a window, each divided by the window's mean, against the first frame's (section 3.2, eq. 8-10)."""
 
-    engine = "facetrack_cli.trackers.points.colour_ratio:ColourRatio.build"
+    engine = "facetrack_cli.trackers.points.colour_ratio:ColourRatio"
     goes_with = ("points",)
     type: Literal["colour_ratio"]
-    robust: Literal["l1", "geman_mcclure"] = "l1"
-    """rho of eq. 9, the robust function of a colour difference; the paper takes l1."""
-    scale: Annotated[float, Field(gt=0)] | None = None
-    """Scale of rho, in colour differences (window mean = 1), beyond which it grows less; not for l1."""
     sigma: Annotated[float, Field(gt=0)] = 1.5
     """sigma_i of eq. 10 is this / E{o_i}, with intensities in 0..255; the 1.5 of the paper, by its d, is 0.5 here."""
     floor: Annotated[float, Field(lt=0)] | None = None
     """Log-likelihood of a part that matches nothing: log(exp(-d / sigma_i) + exp(floor)); null as published, none."""
     max_samples: Annotated[int, Field(ge=5)] | None = None
     """Samples along a side of a window at most: a larger one is read from a reduced frame; null: every pixel."""
-
-    def mistakes(self) -> Iterable[Refusal]:
-        if self.robust == "l1" and self.scale is not None:
-            yield Refusal(("scale",), "likelihood.scale has no meaning for robust: l1; remove it")
-        if self.robust != "l1" and self.scale is None:
-            yield Refusal(("robust",), f"robust: {self.robust} needs likelihood.scale; add it, as in scale: 0.2")
 
 
 class ParzenSettings(PriorSettings):

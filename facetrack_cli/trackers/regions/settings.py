@@ -21,7 +21,6 @@ from facetrack_cli.recipe.sections import (
     Section,
 )
 
-MAX_SEARCH_SIZES, MAX_SEARCH_PX = 10.0, 10_000.0  # beyond most frames; every step of it takes time
 Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]
 Entry: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]  # or powers of A overflow, stable or not
 Pair: TypeAlias = Annotated[tuple[Entry, Entry], Field(strict=False)]
@@ -47,14 +46,6 @@ class _DynamicsSettings(Section):
     def mistakes(self) -> Iterable[Refusal]:
         if len(self.B[0]) != len(self.B[1]):
             yield Refusal(("B",), "both rows of B need the same number of sources of noise")
-        (p, q), (r, s) = self.A
-        # the larger eigenvalue of a 2x2 matrix, by trace and determinant; complex ones come in pairs of the same size
-        half, determinant = (p + s) / 2, p * s - q * r
-        root = half * half - determinant
-        largest = abs(half) + root**0.5 if root >= 0 else determinant**0.5
-        if largest > 1 + 1e-9:
-            grows = f"A makes the state grow {largest:.3g}-fold each frame"
-            yield Refusal(("A",), f"{grows}; its eigenvalues must not exceed 1")
 
 
 class PositionDynamicsSettings(_DynamicsSettings):
@@ -74,7 +65,7 @@ class ScaleDynamicsSettings(_DynamicsSettings):
 class FirstOrderSettings(MotionSettings):
     """First-order dynamics of place, scale and their speeds: c_k = A c_{k-1} + B w_k (section 3.2)."""
 
-    engine = "facetrack_cli.engine.motion:first_order"
+    engine = "facetrack_cli.engine.spaces:first_order"
     goes_with = ("region", "cloud")
     type: Literal["first_order"]
     position: PositionDynamicsSettings
@@ -102,17 +93,11 @@ class ContourSettings(Component):
     independent: Literal["all", "estimated"] = "all"
     """Beyond the paper: how many normals count as independent is estimated from their autocorrelation, or all do."""
 
-    def mistakes(self) -> Iterable[Refusal]:
-        most = MAX_SEARCH_PX if self.search.px else MAX_SEARCH_SIZES
-        if self.search.value > most:
-            reach = f"{MAX_SEARCH_SIZES:g}, in units of the target's size, or {MAX_SEARCH_PX:g}px"
-            yield Refusal(("search",), f"likelihood.contour.search must be at most {reach}")
-
 
 class HistogramSettings(Component):
     """Histograms of hue and saturation in sub-regions of the box (section 3.3)."""
 
-    engine = "facetrack_cli.trackers.regions.likelihoods:Histogram.build"
+    engine = "facetrack_cli.trackers.regions.likelihoods:Histogram"
     hue_bins: Annotated[int, Field(ge=1, le=64)]
     """N_h."""
     saturation_bins: Annotated[int, Field(ge=1, le=64)]
@@ -139,18 +124,16 @@ class CorrelationSettings(Component):
     """[columns, rows] of the reference grid on which both are sampled."""
     region: Annotated[float, Field(gt=0, le=1)] = 1.0
     """R of eq. 6 as a share of the box's sides: less leaves out what is not the target at the borders of its box."""
-    distance: Literal["l2", "saturated_l1", "hausdorff"] = "l2"
-    """d_c of eq. 12; the paper takes l2, and compares it with the others in figure 5."""
+    distance: Literal["l2", "saturated_l1"] = "l2"
+    """d_c of eq. 12; the paper takes l2, and compares it with saturated_l1 in figure 5."""
     sigma: Annotated[float, Field(ge=1e-3, le=1e6)]
-    """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2) for l2, 1 / sigma_c for the others."""
+    """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2) for l2, 1 / sigma_c for saturated_l1."""
     saturation: Annotated[float, Field(gt=0, le=255)] | None = None
     """Where saturated_l1 stops to grow, in grey levels."""
     independent: Literal["all", "estimated"] = "all"
     """Beyond the paper: how many points count as independent is estimated from their autocorrelation, or all do."""
 
     def mistakes(self) -> Iterable[Refusal]:
-        if self.distance == "hausdorff" and self.independent != "all":
-            yield Refusal(("independent",), "hausdorff is no sum over points alone; leave independent out")
         if self.distance == "saturated_l1" and self.saturation is None:
             yield Refusal(("distance",), "distance: saturated_l1 needs saturation; add one, as in saturation: 20")
         if self.distance != "saturated_l1" and self.saturation is not None:

@@ -45,8 +45,6 @@ together, sum T I comes from one dense correlation (cv2.matchTemplate), read bil
 by itself. For `remove`, sum I and sum I^2 are those of the values that are read, so that places between pixels are
 judged as whole ones are. For `keep` they are area sums by integral images: between pixels that is a little more than
 the energy of the values, and the NCC up to 0.001 too small.
-
-Beyond the paper (its future work): with `adapt` = a the template follows, T <- (1 - a) T + a I at the estimate.
 """
 
 from __future__ import annotations
@@ -63,15 +61,14 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre, remap
-from facetrack_cli.core.types import Array, Box, Frame, Image, Mask, Particles, Start, factor_for
+from facetrack_cli.core.types import Array, Box, Frame, Image, Mask, Particles, factor_for
 from facetrack_cli.engine.kernels.compiled import boxes_extent, cropped
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood
-from facetrack_cli.engine.spaces import Context, Estimate, Placed, Space, box_of, check_size, estimate, size_of_box
+from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate, box_of, estimate
 from facetrack_cli.trackers.points.point_kernels import extent
 from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin.settings import (
-    CloudSettings,
     ExclusionSettings,
     SkinCloudSettings,
     SkinNccSettings,
@@ -178,17 +175,10 @@ GRID = 9  # points along each side of it
 
 
 @dataclass(frozen=True)
-class CloudSpace(Space):
-    """Each particle is a pixel (Gianni et al. 2007): state (1, 2) = (x, y); its box has four deviations a side."""
+class CloudSpace(BoxSpace):
+    """Each particle is a pixel (Gianni et al. 2007), (x, y) of its state; its box has four deviations a side."""
 
     smooths = False
-
-    @classmethod
-    def place(cls, settings: CloudSettings, start: Start, name: str) -> Placed:
-        """All over the target's box, whose mean side is the unit of length."""
-        box = check_size(start.origin, name, box_of(start, name))
-        windows = np.array([box[2:]])
-        return Placed(cls(), cls().at(box), windows, size_of_box(start, name), (0.25, 4.0), windows)
 
     def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
         """The covariance of the pixels themselves: they are the target, not hypotheses of its place."""
@@ -196,9 +186,6 @@ class CloudSpace(Space):
 
     def windows(self, estimated: Estimate) -> Array:
         return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
-
-    def at(self, box: Box) -> Array:
-        return np.array([[*centre(box), 1.0, 0.0, 0.0, 0.0]])
 
 
 def log_weights(settings: ExclusionSettings, x: Array, footprints: Sequence[Footprint]) -> Array:
@@ -283,14 +270,10 @@ class SkinPattern:
 
 @dataclass(frozen=True)
 class SkinNcc(Likelihood):
-    """`size`: width and height of the box at scale 1, in pixels."""
+    """A face by the skin in its box, by its pattern, or by both."""
 
     settings: SkinNccSettings
-    size: tuple[float, float]
-
-    @classmethod
-    def build(cls, settings: SkinNccSettings, context: Context) -> SkinNcc:
-        return cls(settings, context.placed.size)
+    context: Context
 
     def init(self, frame: Frame, x0: Array) -> SkinPattern:
         """The skin's colour and the template of the box at x0 (1, 6). InputError if nothing of it is in the frame."""
@@ -299,12 +282,12 @@ class SkinNcc(Likelihood):
         skin, ncc = self.settings.skin, self.settings.ncc
         if skin is not None:
             cx, cy, s = x0[0, :3].tolist()
-            w, h = (side * s for side in self.size)
+            w, h = (side * s for side in self.context.placed.size)
             model = learn_skin(frame, (cx - 0.5 * (w - 1), cy - 0.5 * (h - 1), w, h))
             table, notes = model.table, model.notes
         if ncc is not None:
-            template = learn_template(frame, self.size, x0, ncc.max_size)
-            if template.first.var() < MIN_PATTERN:
+            template = learn_template(frame, self.context.placed.size, x0, ncc.max_size)
+            if template.grey.var() < MIN_PATTERN:
                 notes = (*notes, "the face's box is of one grey level throughout, so that no pattern can be matched")
         learned = SkinPattern(table, template, 0.0, 0.0, notes)
         rho = 0.0 if skin is None else float(self.rho(learned, frame, x0[None])[0])
@@ -327,23 +310,12 @@ class SkinNcc(Likelihood):
             cues.append(1.0 - np.maximum(correlate(learned.template, frame, x)[1], 0.0))
         return np.asarray(np.mean(cues, axis=0)[:, None])
 
-    def learn(self, learned: SkinPattern, frame: Frame, state: Array, particles: Particles) -> SkinPattern:
-        """The template follows the estimate `state` (1, 6), while it matches the first one."""
-        ncc, template = self.settings.ncc, learned.template
-        if ncc is None or template is None or ncc.adapt == 0.0:
-            return learned
-        first, rate = replace(template, now=template.first), np.float32(ncc.adapt)
-        if correlate(first, frame, state[None])[1][0] < ncc.adapt_above:
-            return learned
-        now = (1 - rate) * template.now + rate * _patch(template, frame, state)
-        return replace(learned, template=replace(template, now=now))
-
     def rho(self, learned: SkinPattern, frame: Frame, x: Array) -> Array:
         """(R_ext - R_int) / area of R_int, eq. 9, of boxes x (N, 1, 6) -> (N,), -1..1; 0 of what is no box."""
         skin = self.settings.skin
         assert skin is not None and learned.table is not None
-        factor = factor_for(max(self.size), skin.max_size)
-        w, h = (skin.inner * side for side in self.size)
+        factor = factor_for(max(self.context.placed.size), skin.max_size)
+        w, h = (skin.inner * side for side in self.context.placed.size)
         reach = math.sqrt(2.0) * w, math.sqrt(2.0) * h
         within = boxes_extent(np.ascontiguousarray(x[:, 0, :3]), *reach, *frame.size)
         width, height = (max(side // factor, 1) for side in frame.size)
@@ -378,21 +350,20 @@ class SkinNcc(Likelihood):
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """`first` and `now` (th, tw) float32, grey levels at the start and as adapted, read at 1 / factor of the size.
+    """`grey` (th, tw) float32, grey levels at the start, read at 1 / factor of the size.
 
     `offset` (dx, dy): of its centre from the box's, in reduced pixels at scale 1; at most half a pixel.
     """
 
     factor: int
-    first: NDArray[np.float32]
-    now: NDArray[np.float32]
+    grey: NDArray[np.float32]
     offset: tuple[float, float]
 
     @cached_property
     def moments(self) -> tuple[NDArray[np.float32], float, float]:
-        """`now` without its mean, that mean, and the variance."""
-        mean = float(self.now.mean())
-        centred = self.now - np.float32(mean)
+        """`grey` without its mean, that mean, and the variance."""
+        mean = float(self.grey.mean())
+        centred = self.grey - np.float32(mean)
         return centred, mean, float(np.mean(np.square(centred, dtype=np.float64)))
 
 
@@ -406,14 +377,17 @@ def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size:
     tw, th = (max(round(side / factor), 2) for side in size)
     # at scale 1 on whole pixels, so that the frame is learned as it is, and read again where it was learned
     u, v = ((c - 0.5 * (factor - 1)) / factor - 0.5 * s * (n - 1) for c, n in ((cx, tw), (cy, th)))
-    blank = np.zeros((th, tw), np.float32)
-    template = Template(factor, blank, blank, ((round(u) - u) / s, (round(v) - v) / s))
-    patch = _patch(template, frame, x0)
-    return replace(template, first=patch, now=patch)
+    template = Template(factor, np.zeros((th, tw), np.float32), ((round(u) - u) / s, (round(v) - v) / s))
+    image, boxes, seen = _view(template, frame, x0[None])
+    if not seen[0]:
+        return template
+    u, v, s = boxes[:, 0]
+    x, y = (np.float32(at) for at in np.meshgrid(u + s * np.arange(tw), v + s * np.arange(th)))
+    return replace(template, grey=np.asarray(remap(np.float32(image), x, y, cv2.BORDER_CONSTANT)))
 
 
 def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]:
-    """NCC of boxes x (N, 1, 6) with the template as it is now, with means kept and removed: (N,) each, -1..1."""
+    """NCC of boxes x (N, 1, 6) with the template, with means kept and removed: (N,) each, -1..1."""
     image, boxes, seen = _view(template, frame, x)
     centred, mean, variance = template.moments
     cross, spread = _moments(image, boxes, seen, centred)
@@ -432,7 +406,7 @@ def _view(template: Template, frame: Frame, x: Array) -> tuple[Image, Array, Mas
 
     (0, 0, 1) stands for those beyond the image, thinner than a pixel or no numbers.
     """
-    factor, (th, tw) = template.factor, template.now.shape
+    factor, (th, tw) = template.factor, template.grey.shape
     size = np.array([max(side // factor, 1) for side in frame.size])
     s, points = x[:, 0, 2], np.array([[tw], [th]])
     at = (x[:, 0, :2].T - 0.5 * (factor - 1)) / factor + s * (np.array(template.offset)[:, None] - 0.5 * (points - 1))
@@ -493,13 +467,3 @@ def _variances(region: NDArray[np.float32], places: Array, th: int, tw: int) -> 
     square -= fx * total(across**2, i, y) + fy * total(down**2, x, j)
     level = total(region, x, y) / (th * tw)
     return np.asarray(square / (th * tw) - level * level)
-
-
-def _patch(template: Template, frame: Frame, x0: Array) -> NDArray[np.float32]:
-    """The grey levels of the box at x0 (1, 6), at the template's points."""
-    image, boxes, seen = _view(template, frame, x0[None])
-    if not seen[0]:
-        return np.zeros_like(template.now)
-    (u, v, s), (th, tw) = boxes[:, 0], template.now.shape
-    x, y = (np.float32(at) for at in np.meshgrid(u + s * np.arange(tw), v + s * np.arange(th)))
-    return np.asarray(remap(np.float32(image), x, y, cv2.BORDER_CONSTANT))
