@@ -28,7 +28,6 @@ A part is `lost` once its confidence has stayed under `lost_below` for `patience
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -46,14 +45,9 @@ from facetrack_cli.trajectory.trajectory import SPREAD, Status, Trajectory
 if TYPE_CHECKING:
     from facetrack_cli.engine.protocols import Belief, Likelihood
 
-MAX_SPREAD_FACTOR: Final = 20.0
-"""What a spread is multiplied by at most; divided by no more."""
 Feature: TypeAlias = Literal["confidence", "log_odds", "spread", "ess", "lost", "size"]
-RISES: Final[Mapping[Feature, int]] = {
-    "confidence": 1, "log_odds": 1, "spread": -1, "ess": 0, "lost": -1, "size": 1,
-}  # fmt: skip
-"""Whether p rises with a feature or falls; 0: either."""
 PartKind: TypeAlias = Literal["points", "box"]
+_KINDS: Final[tuple[PartKind, ...]] = ("box", "points")
 
 
 class _StoredPart(BaseModel):
@@ -71,7 +65,7 @@ class Logistic(_StoredPart):
     def of(self, features: Mapping[Feature, Array]) -> Array:
         """p (R,) of rows, by features (R,)."""
         score = self.intercept + sum(slope * features[name] for name, slope in self.coefficients.items())
-        return np.clip(1 / (1 + np.exp(-np.clip(score, -700, 700))), self.least, 1 - self.least)
+        return np.asarray(np.clip(1 / (1 + np.exp(-np.clip(score, -700, 700))), self.least, 1 - self.least))
 
 
 class Isotonic(_StoredPart):
@@ -87,7 +81,7 @@ class Isotonic(_StoredPart):
     def of(self, features: Mapping[Feature, Array]) -> Array:
         """p (R,) of rows, by features (R,)."""
         score = self.score.of(features) if isinstance(self.score, Logistic) else features[self.score]
-        return np.interp(score, *np.transpose(self.knots))
+        return np.asarray(np.interp(score, *np.transpose(self.knots)))
 
 
 Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
@@ -108,7 +102,7 @@ class Calibration(_StoredPart):
     right: Literal["error of the centre below 1/4 of the size"] = "error of the centre below 1/4 of the size"
     maps: dict[PartKind, Map]
     lost: Annotated[float, Field(ge=0, lt=LIKELY)]
-    spread: dict[PartKind, Annotated[float, Field(gt=0, le=MAX_SPREAD_FACTOR)]]
+    spread: dict[PartKind, Annotated[float, Field(gt=0, le=20)]]
     checked: dict[PartKind, dict[str, int | float]]
     clips: list[str]
     seeds: int
@@ -125,38 +119,36 @@ class Calibration(_StoredPart):
         map. A row is lost where p is below 1/2. Other rows that the tracker does not see are hidden: their target is
         seen, or their place is likely right.
         """
-        boxes, lost, c = boxes_of(rows), rows.status == "lost", rows.confidence
-        p, factor, sides = np.full(len(rows), np.nan), np.ones(len(rows)), np.sqrt(rows.w * rows.h)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for kind, own in self.maps.items():
-                at = boxes if kind == "box" else ~boxes
-                side = sides[at] if kind == "box" or not size else np.full(at.sum(), size)
-                p[at] = own.of({
-                    "confidence": c[at],
-                    "log_odds": np.log((c[at] + 0.01) / (1.01 - c[at])),
-                    "spread": np.log(np.clip(np.hypot(rows.std_x[at], rows.std_y[at]) / side, 1e-3, 10.0)),
-                    "ess": np.log10(np.clip(rows.ess[at] / rows.particles[at], 1e-3, 1.0)),
-                    "lost": lost[at],
-                    # what is small in the picture is placed less exactly, in terms of its size
-                    "size": np.log(np.clip(side, 3.0, 1000.0)),
-                })  # fmt: skip
-                factor[at] = self.spread.get(kind, 1.0)
-        p[np.isnan(c)] = np.nan
+        boxes, lost, c, unknown = boxes_of(rows), rows.status == "lost", rows.confidence, np.isnan(rows.ess)
+        known = features(rows, boxes, size)
+        both = [
+            (self.maps[kind].of(known), self.spread.get(kind, 1.0)) if kind in self.maps else (np.nan, 1.0)
+            for kind in _KINDS
+        ]
+        p, factor = (np.where(boxes, *each) for each in zip(*both, strict=True))
         if (lost & boxes).any():
-            p[lost] = np.minimum(p[lost], self.lost)
-        unknown = np.isnan(rows.ess)
-        factor[unknown] = 1.0
+            p = np.where(lost, np.minimum(p, self.lost), p)
+        factor = np.where(unknown, 1.0, factor)
         judged = ~((rows.status == "init") | np.isnan(c) | unknown)
         status = np.where(judged & lost & ~np.isnan(p), "hidden", rows.status)
-        return replace(
-            rows,
-            confidence=np.where(judged, p, c),
-            status=np.where(judged & (p < LIKELY), "lost", status),
-            **{name: getattr(rows, name) * factor ** (2 if name == "cov_xy" else 1) for name in SPREAD},
-        )
+        spread = {name: getattr(rows, name) * factor ** (2 if name == "cov_xy" else 1) for name in SPREAD}
+        status = np.where(judged & (p < LIKELY), "lost", status)
+        return replace(rows, confidence=np.where(judged, p, c), status=status, **spread)
 
-    def to_json(self) -> str:
-        return json.dumps(self.model_dump(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]:
+    """The features (R,) of rows of which these (R,) are `boxes`; `size`, in pixels, is that of the points."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sides = np.where(boxes | (size == 0), np.sqrt(rows.w * rows.h), size)
+        return {
+            "confidence": rows.confidence,
+            "log_odds": np.log((rows.confidence + 0.01) / (1.01 - rows.confidence)),
+            "spread": np.log(np.clip(np.hypot(rows.std_x, rows.std_y) / sides, 1e-3, 10.0)),
+            "ess": np.log10(np.clip(rows.ess / rows.particles, 1e-3, 1.0)),
+            "lost": (rows.status == "lost").astype(float),
+            # what is small in the picture is placed less exactly, in terms of its size
+            "size": np.log(np.clip(sides, 3.0, 1000.0)),
+        }
 
 
 def boxes_of(rows: Trajectory) -> Mask:

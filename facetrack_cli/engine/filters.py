@@ -15,15 +15,7 @@ from numpy.random import Generator
 
 from facetrack_cli.core.types import Array, Info, Mask, Particles, Whole
 from facetrack_cli.engine.protocols import Prediction
-from facetrack_cli.engine.resampling import (
-    distinct,
-    effective_sample_size,
-    logsumexp,
-    normalise,
-    summed,
-    systematic,
-    uniform,
-)
+from facetrack_cli.engine.resampling import distinct, effective_sample_size, logsumexp, summed, systematic, uniform
 from facetrack_cli.recipe.sections import AuxiliarySettings, FactorizedSettings, IndependentSettings, SirSettings
 
 if TYPE_CHECKING:
@@ -45,11 +37,12 @@ def sir(settings: SirSettings, rng: Generator, particles: Particles, model: Fram
 def auxiliary(settings: AuxiliarySettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
     """Auxiliary filter over the joint state (section 4; Pitt & Shephard 1999); mu is drawn of p(s|s^-), not a mean."""
     mu = model.propagate(rng, particles.x)
-    log_first = particles.log_w + (log_lambda := _log_observation(model, mu, particles.x))
-    chosen = systematic(rng, normalise(log_first), len(mu))
+    log_lambda = _log_observation(model, mu, particles.x)
+    first, log_first = summed(particles.log_w + log_lambda)
+    chosen = systematic(rng, first, len(mu))
     parents = particles.x[chosen]
     moved, info = weighted(model, model.propagate(rng, parents), parents, -log_lambda[chosen])
-    return moved, info._replace(evidence=info.evidence + float(logsumexp(log_first)))
+    return moved, info._replace(evidence=info.evidence + float(log_first))
 
 
 def factorized(
@@ -137,9 +130,9 @@ def number(settings: Any, ahead: Prediction) -> int:
     if the entropy stayed the same; taken is the text, "otherwise we deduct".
     """
     if not settings.adapt:
-        return settings.particles
+        return int(settings.particles)
     change = {None: 0.0, True: -settings.entropy, False: settings.entropy}[ahead.entropy_fell]
-    return max(round(settings.particles * (ahead.noise + change)), settings.least)
+    return int(max(round(settings.particles * (ahead.noise + change)), settings.least))
 
 
 def weighted(model: FrameModel, x: Array, parents: Array, base: Array | float) -> Stepped:

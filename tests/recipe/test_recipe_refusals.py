@@ -37,10 +37,7 @@ WRONG = [
     (REGION, "likelihood.type={a: b}", "likelihood.type cannot be a mapping; it is one of: colour_ratio, "),
     (REGION, "likelihood={type: product}", "likelihood has no factor; add contour, histogram or correlation"),
     (REGION, "likelihood.contour.sigma=0", "must be a length above 0"),
-    (REGION, "likelihood.correlation={sigma: 9, saturation: 5}", "saturation has no meaning for distance: l2"),
-    (REGION, "likelihood.correlation={sigma: 9, distance: saturated_l1}", "saturated_l1 needs saturation"),
     # affine targets
-    ("adaptive", "motion.noise=null", "adapt follows motion.noise, which is null; add noise: {}, or write adapt: fal"),
     ("adaptive", "motion.noise.most=0.2", "motion.noise.most is below least"),
     ("adaptive", "motion={type: random_walk, sigma: 0.1}", 'target type "affine"; write affine_walk'),
     ("adaptive", "likelihood.mixing.w=0 likelihood.mixing.s=0 likelihood.mixing.f=0", "mixing is all 0"),

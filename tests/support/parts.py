@@ -56,9 +56,8 @@ def histogram(size, **settings):
     return Histogram(section(HistogramSettings, **{**plain, **settings}), placed([size]))
 
 
-def correlation(size, distance="l2", **settings):
-    plain = {"sigma": 100.0, "saturation": 20.0 if distance == "saturated_l1" else None}
-    return Correlation(section(CorrelationSettings, distance=distance, **{**plain, **settings}), size)
+def correlation(size, **settings):
+    return Correlation(section(CorrelationSettings, **{"sigma": 100.0, **settings}), size)
 
 
 def skin_cue(**settings):

@@ -219,7 +219,7 @@ def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size,
 @pytest.mark.parametrize("kind", DISTANCES)
 def test_likelihood_is_the_formula_of_the_paper(kind):
     before, now = grey(texture(0)), grey(texture(0) * 0.9 + 20)
-    likelihood = correlation(SIZE, kind, grid=(5, 4), sigma=60.0, saturation=15.0 if kind == "saturated_l1" else None)
+    likelihood = correlation(SIZE, grid=(5, 4), sigma=60.0, saturation=15.0 if kind == "saturated_l1" else None)
     x, parent = [[70.3, 50.2, 1.1], [20.0, 30.0, 0.5], [150.0, 60.0, 1.0]], [71.0, 49.0, 1.05]
     factor = 8
     assert likelihood.factor == factor, "40 / 5 pixels a step"

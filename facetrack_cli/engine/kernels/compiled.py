@@ -7,7 +7,7 @@ That is bilinear reading, where boxes lie, drawing indices by weights, mean and 
 import contextlib
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import llvmlite.binding as ll
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import warn
 
+Extent: TypeAlias = tuple[float, float, float, float]
 _NOTHING: Final = ll.parse_assembly("").as_bitcode()
 
 
@@ -215,9 +216,7 @@ def moments(x, w, more, mean, cov):
 # --- which part of a frame boxes cover
 
 
-def boxes_extent(
-    x: NDArray[np.float64], w: float, h: float, width: int, height: int
-) -> tuple[float, float, float, float]:
+def boxes_extent(x: NDArray[np.float64], w: float, h: float, width: int, height: int) -> Extent:
     """(x from, y from, x to, y to) of boxes (w, h), centred, at x, within the image.
 
     x (N, 3) = (cx, cy, s), or (N, 6) = (cx, cy, a1, a2, a3, a4), deformed by [[a1, a2], [a3, a4]].
@@ -231,9 +230,8 @@ def boxes_extent(
 
 
 def cropped(
-    read: Callable[[int, tuple[float, float, float, float]], tuple[NDArray[np.uint8], int, int]],
-    factor: int, x0: int, y0: int, x1: int, y1: int,
-) -> NDArray[np.uint8]:  # fmt: skip
+    read: Callable[[int, Extent], tuple[NDArray[np.uint8], int, int]], factor: int, x0: int, y0: int, x1: int, y1: int
+) -> NDArray[np.uint8]:
     """Pixels [x0, x1) x [y0, y1), and no more, of a frame reduced by `factor`, as its `grey` or its `reduced` reads."""
     image, left, top = read(factor, (x0 * factor, y0 * factor, x1 * factor - 1, y1 * factor - 1))
     dx, dy = left // factor, top // factor

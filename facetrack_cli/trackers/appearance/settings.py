@@ -24,7 +24,7 @@ from facetrack_cli.recipe.sections import (
 )
 
 if TYPE_CHECKING:
-    from facetrack_cli.recipe.model import ParticleFilterSettings
+    pass
 
 Points: TypeAlias = Annotated[int, Field(ge=6, le=128)]
 Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
@@ -174,15 +174,10 @@ class AdaptiveSettings(FilterSettings):
     particles: Annotated[int, Field(ge=1)]
     """J_0."""
     adapt: bool = True
-    """J_t follows eq. 17; false: always J_0."""
+    """J_t follows eq. 17 with the noise of the motion; false: always J_0."""
     entropy: Annotated[float, Field(ge=0, lt=1)] = 0.1
     """d of eq. 17, by which there are more or fewer as the identity becomes less or more certain."""
     least: Annotated[int, Field(ge=1)] = 10
     """Never fewer particles than this."""
     centre: bool = False
     """Beyond the paper: the first particle is the predicted place itself."""
-
-    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        if self.adapt and isinstance(whole.motion, AffineWalkSettings) and whole.motion.noise is None:
-            message = "filter.adapt follows motion.noise, which is null; add noise: {}, or write adapt: false"
-            yield Refusal(("filter", "adapt"), message)

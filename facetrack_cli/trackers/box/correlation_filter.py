@@ -298,32 +298,27 @@ class CorrelationFilter(Likelihood):
         self, learned: CorrelationState, frame: Frame, expected: Array, scale: float
     ) -> tuple[ModeProposal, float] | None:
         """A mode found elsewhere, where the target is hidden, and how high it is: the best of a few windows."""
-        best: tuple[float, Array, bool] | None = None
         middle = UPSAMPLED * self.settings.cells // 2
         places = [(place, False) for place in self._elsewhere(learned, frame, expected)]
         if learned.hidden:
             places += [(place, True) for place in learned.sighted]
             if (last := learned.candidate) is not None:  # once more, and at the last size
                 places += [(last, False), (np.array([*last[:2], math.log(scale)]), False)]
-        for place, sighted in places:
-            size = float(np.clip(math.exp(place[2]), *self.context.placed.scale))
-            view = self._view(learned, frame, place[:2], size)
-            [top] = peaks(self._both(learned, view), 1.0, 1)
-            if best is None or top[2] > best[0]:
-                at = place[:2] + (top[:2] - middle) * self._sample(size)
-                best = float(top[2]), np.array([*at, math.log(size)]), sighted
-        if best is None:
+        if not places:
             return None
-        size = math.exp(best[1][2])
-        view = self._view(learned, frame, best[1][:2], size)
+        best, at, size, sighted = -math.inf, places[0][0], 1.0, False
+        for place, by_others in places:
+            own = float(np.clip(math.exp(place[2]), *self.context.placed.scale))
+            [top] = peaks(self._both(learned, self._view(learned, frame, place[:2], own)), 1.0, 1)
+            if top[2] > best:
+                best, at, size, sighted = top[2], place[:2] + (top[:2] - middle) * self._sample(own), own, by_others
+        size = math.exp(math.log(size))  # to the bit that of a mode
+        view = self._view(learned, frame, at, size)
         found = peaks(self._both(learned, view), 1.0, 1)
-        height = float(found[0, 2])
-        log_l = (
-            evidence(learned.heights.now, learned.heights.elsewhere, height, self.settings.evidence)
-            + _SIGHTED * best[2]
-        )
+        height, heights = float(found[0, 2]), learned.heights
+        log_l = evidence(heights.now, heights.elsewhere, height, self.settings.evidence) + _SIGHTED * sighted
         # what others see of the target's own place holds for what is found there again
-        if float(np.hypot(*(best[1][:2] - expected[0, :2]))) < 0.5 * self._unit * scale:
+        if float(np.hypot(*(at - expected[0, :2]))) < 0.5 * self._unit * scale:
             log_l += learned.external_log_odds
         return self._modes(view, size, found, np.array([log_l]), redetected=True), height
 

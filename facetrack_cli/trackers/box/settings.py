@@ -3,7 +3,6 @@
 Each setting names the paper that it is taken from; the whole is ours. No numerics are imported here.
 """
 
-from collections.abc import Iterable
 from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
@@ -14,7 +13,6 @@ from facetrack_cli.recipe.sections import (
     Length,
     LikelihoodSettings,
     MotionSettings,
-    Refusal,
     ScaledSettings,
     Section,
     Share,
@@ -61,17 +59,13 @@ class ScalesSettings(Section):
     """The filter of scale (Danelljan et al. 2014, DSST)."""
 
     count: Annotated[int, Field(ge=3, le=65)] = 25
-    """S, how many scales are looked at."""
+    """S, how many scales are looked at, an odd number: one of them is the last one."""
     step: Annotated[float, Field(gt=1, le=1.2)] = 1.025
     """a, the ratio of one scale to the next."""
     rate: Rate = 0.025
     """Learning rate."""
     sharpness: Annotated[float, Field(gt=0, le=100)] = 8.0
     """log p(y | s) is this times the logarithm of the response."""
-
-    def mistakes(self) -> Iterable[Refusal]:
-        if self.count % 2 == 0:
-            yield Refusal(("count",), "likelihood.scales.count must be odd: one scale is the last one")
 
 
 class CorrelationFilterSettings(LikelihoodSettings):

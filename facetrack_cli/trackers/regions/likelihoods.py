@@ -40,12 +40,12 @@ paper notes that this is not strictly so for colours and correlation, which look
 p_c scores how a particle moved, not where it lies: one that rests on a resting background has distance 0. R are the
 centres of equal cells of the box, read bilinearly from the grey frame. The distances of figure 5:
 
-    l2            rho(x) = x^2, lambda_c = 1 / (2 sigma^2)            as published
-    saturated_l1  rho(x) = min(|x|, saturation), lambda_c = 1 / sigma
+    L2            rho(x) = x^2, lambda_c = 1 / (2 sigma^2)            as published
+    saturated L1  rho(x) = min(|x|, saturation), lambda_c = 1 / sigma
 
-d_c is a sum, so sigma belongs to one grid: with n points in place of 16x16, times sqrt(n / 256) for l2, and n / 256 for
-saturated_l1. Of 200 particles that are scattered by 5 % of the region's size, sigma = 100 (l2) or 400 (saturated_l1
-at 20) leaves some tens. The recipes take 60 (l2) and 120 (saturated_l1), which leave two to five: a flatter
+d_c is a sum, so sigma belongs to one grid: with n points in place of 16x16, times sqrt(n / 256) for L2, and n / 256 for
+saturated L1. Of 200 particles that are scattered by 5 % of the region's size, sigma = 100 (L2) or 400 (saturated L1
+at 20) leaves some tens. The recipes take 60 (L2) and 120 (saturated L1), which leave two to five: a flatter
 likelihood has a truer spread, but lets a region drift (`docs/decisions.md` has the figures).
 
 Chosen here: the frame is reduced by the largest power of two that leaves a pixel for each step of the grid at the start
@@ -318,7 +318,7 @@ class Correlation:
         images = *self._image(frame, here), *self._image(learned.frame, there)
         sigma, most = self.settings.sigma, self.settings.saturation
         rate, outside = 1.0 / sigma, min(OUTSIDE, most or OUTSIDE)
-        if self.settings.distance == "l2":
+        if most is None:
             rate, outside = 0.5 / sigma**2, OUTSIDE**2
         sums = np.empty((len(x), 1))  # d_c of eq. 13
         boxes = here, there, self.size, *self.settings.grid

@@ -124,20 +124,12 @@ class CorrelationSettings(Component):
     """[columns, rows] of the reference grid on which both are sampled."""
     region: Annotated[float, Field(gt=0, le=1)] = 1.0
     """R of eq. 6 as a share of the box's sides: less leaves out what is not the target at the borders of its box."""
-    distance: Literal["l2", "saturated_l1"] = "l2"
-    """d_c of eq. 12; the paper takes l2, and compares it with saturated_l1 in figure 5."""
     sigma: Annotated[float, Field(ge=1e-3, le=1e6)]
-    """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2) for l2, 1 / sigma_c for saturated_l1."""
+    """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2), or 1 / sigma_c with a saturation."""
     saturation: Annotated[float, Field(gt=0, le=255)] | None = None
-    """Where saturated_l1 stops to grow, in grey levels."""
+    """d_c of eq. 12 is L1 that stops to grow there, in grey levels; null: L2, which the paper takes."""
     independent: Literal["all", "estimated"] = "all"
     """Beyond the paper: how many points count as independent is estimated from their autocorrelation, or all do."""
-
-    def mistakes(self) -> Iterable[Refusal]:
-        if self.distance == "saturated_l1" and self.saturation is None:
-            yield Refusal(("distance",), "distance: saturated_l1 needs saturation; add one, as in saturation: 20")
-        if self.distance != "saturated_l1" and self.saturation is not None:
-            yield Refusal(("saturation",), f"saturation has no meaning for distance: {self.distance}; remove it")
 
 
 class ProductSettings(LikelihoodSettings):

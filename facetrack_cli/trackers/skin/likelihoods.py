@@ -68,11 +68,7 @@ from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate, box_of, estimate
 from facetrack_cli.trackers.points.point_kernels import extent
 from facetrack_cli.trackers.skin import skin_kernels as kernel
-from facetrack_cli.trackers.skin.settings import (
-    ExclusionSettings,
-    SkinCloudSettings,
-    SkinNccSettings,
-)
+from facetrack_cli.trackers.skin.settings import ExclusionSettings, SkinCloudSettings, SkinNccSettings
 
 # the rules pass 0.50 to 0.96 of faces that they know, 0.02 to 0.08 of very dark ones, 0.39 of one of a greyish pale
 LEAST_SHARE = 0.4
@@ -149,11 +145,11 @@ def learn_skin(frame: Frame, box: Box) -> SkinModel:
 def _inside(frame: Frame, box: Box) -> tuple[int, int, int, int]:
     """The half-open ranges of pixels whose centres the box covers, at least one: left, top, right, bottom."""
     width, height = frame.size
-    ranges = []
-    for start, length, count in zip(box[:2], box[2:], (width, height), strict=True):
-        first, last = (math.ceil(min(max(-1.0, edge - 0.5), count)) for edge in (start, start + length))
-        ranges.append((max(first, 0), min(max(last, first + 1), count)))
-    (left, right), (top, bottom) = ranges
+    (x, y, w, h), far = box, float(width + height)
+    edges = (math.ceil(min(max(-1.0, edge - 0.5), far)) for edge in (x, y, x + w, y + h))
+    left, top, right, bottom = edges
+    left, right = max(left, 0), min(max(right, left + 1), width)
+    top, bottom = max(top, 0), min(max(bottom, top + 1), height)
     if right <= left or bottom <= top:
         where = f"the box {','.join(f'{v:g}' for v in box)} is not in the image of {width}x{height} pixels"
         raise InputError(f"frame {frame.index}: {where}; give left, top, width and height in pixels of the frame")

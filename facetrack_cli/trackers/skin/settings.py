@@ -52,8 +52,6 @@ class SkinNccSettings(LikelihoodSettings):
     def mistakes(self) -> Iterable[Refusal]:
         if self.skin is None and self.ncc is None:
             yield Refusal((), "likelihood has neither skin nor ncc; add one, as in skin: {}")
-        elif self.ncc is None and self.cost == "product":
-            yield Refusal(("cost",), "cost: product is that of skin and ncc; add ncc, or leave cost out")
 
 
 class SkinCloudSettings(LikelihoodSettings):
