@@ -290,6 +290,7 @@ def random_walk(settings: RandomWalkSettings, context: Context) -> RandomWalk | 
 
 def first_order(settings: Any, context: Context) -> FirstOrder:
     """Of the dynamics of a box, as a recipe writes them."""
-    noise = [[length.pixels(context.placed.unit) for length in row] for row in settings.position.B]
-    scale = np.array(settings.scale.A), np.array(settings.scale.B)
-    return FirstOrder((np.array(settings.position.A), np.array(noise)), scale, *context.placed.scale)
+    each = []
+    for own, unit in ((settings.position, context.placed.unit), (settings.scale, 1.0)):
+        each.append((np.array(own.A), np.array([[length.pixels(unit) for length in row] for row in own.B])))
+    return FirstOrder(*each, *context.placed.scale)

@@ -203,10 +203,6 @@ class ParticleTarget:
         return Footprint(centre[0, :2], self.space.windows(state.estimated)[0] / 2, lost=lost)
 
     @cached_property
-    def _names(self) -> tuple[tuple[str, str], ...]:
-        return tuple((self.name, part) for part in self.parts)
-
-    @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What is reported of the target beside its rows."""
         return (*self.likelihood.diagnostics, *self.space.diagnostics, *self.motion.diagnostics, EVIDENCE)
@@ -242,7 +238,8 @@ class ParticleTarget:
         if state.absent is not None:
             columns |= {name: np.where(state.absent, np.nan, columns[name]) for name in PLACE if name in columns}
             columns["status"] = np.where(state.absent, "absent", columns["status"])
-        rows = of_frame(self._names, frame, self._reported(state, frame, info), **columns)
+        names = tuple((self.name, part) for part in self.parts)
+        rows = of_frame(names, frame, self._reported(state, frame, info), **columns)
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.size)
         return TargetResult(rows, state.particles.x[..., :2], beliefs=lambda: self.beliefs(state))

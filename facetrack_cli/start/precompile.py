@@ -33,7 +33,7 @@ KERNELS: Mapping[str, str] = {
         ("trackers.face.landmark_kernels", "judge", "likelihood=window_ncc"),
         ("trackers.appearance.appearance_kernels", "read_patches", "target=affine"),
         ("trackers.appearance.appearance_kernels", "log_densities update best_matches", "likelihood=appearance"),
-        ("trackers.points.point_kernels", "colour_ratio_distances", "likelihood=colour_ratio"),
+        ("trackers.points.point_kernels", "colour_ratio_distances read_window", "likelihood=colour_ratio"),
         ("trackers.points.point_kernels", "parzen", "prior=parzen"),
         ("trackers.skin.skin_kernels", "moments_direct bilinear", "ncc"),
         ("trackers.box.box_kernels", "arrive", "motion=visible_walk"),

@@ -118,6 +118,7 @@ class _SmoothedTarget:
         `aspect` is the width of a pixel over its height.
         """
         self.all, k, t, self.lag, self.aspect = rows, len(rows.names), len(beliefs), lag, aspect
+        self.reported = rows.diagnostics.get(rows.target)
         table = {name: getattr(rows, name).reshape(k, t).T for name in (*_SMOOTHED, "status", "by_hand")}
         self.of = table
         self.gone: Mask = np.isnan(table["x"])
@@ -131,16 +132,12 @@ class _SmoothedTarget:
             placed[0] = False
         self.sizes = [len(belief.mean) for belief in first]
         ends = np.cumsum([0, *self.sizes])
-        # a calibration may call a part lost that the filter sees: then nothing is in doubt
-        self.chains = [
-            chained(
-                of := [each[i] for each in whole],
-                lost[:, a:b] & np.stack([belief.doubt for belief in of]),
-                self.gone[:, a:b],
-                placed,
-            )
-            for i, (a, b) in enumerate(pairwise(ends.tolist()))
-        ]
+        self.chains: list[Chain] = []
+        for i, (a, b) in enumerate(pairwise(ends.tolist())):
+            of = [each[i] for each in whole]
+            # a calibration may call a part lost that the filter sees: then nothing is in doubt
+            lost[:, a:b] &= np.stack([belief.doubt for belief in of])
+            self.chains.append(chained(of, lost[:, a:b], self.gone[:, a:b], placed))
 
     def rows(self) -> Trajectory:
         if not self.chains:
@@ -167,7 +164,7 @@ class _SmoothedTarget:
 
     def _box(self, columns: dict[str, Array], before: Chain, mean: Array, cov: Array) -> None:
         columns |= _places(mean, cov)
-        sides, state, reported = {"w": [2], "h": [2]}, before.mean, self._reported
+        sides, state, reported = {"w": [2], "h": [2]}, before.mean, self.reported
         affine = reported is not None and AFFINE.name in reported.values
         if reported is not None and affine:
             # of the rows' state, which may be that of the best particle
@@ -221,13 +218,9 @@ class _SmoothedTarget:
             columns[f"std_{side}"][:, k] = self.of[side][:, k] * np.sqrt(box_cov[:, 0, 2, 2]) / head.mean[:, 0, 2]
         return still, cov
 
-    @property
-    def _reported(self) -> Diagnostics | None:
-        return self.all.diagnostics.get(self.all.target)
-
     def _diagnostics(self, before: Sequence[Chain], after: Sequence[_Moments], keep: Mask) -> Mapping[str, Diagnostics]:
         """Those that tell of place and size as the rows do; all others are the filter's."""
-        reported, (mean, _) = self._reported, after[-1]
+        reported, (mean, _) = self.reported, after[-1]
         if reported is None or (len(after) == 1 and AFFINE.name not in reported.values):
             return self.all.diagnostics
         at = np.searchsorted(self.all.frames, reported.frame)  # there are none of frames in which it is absent

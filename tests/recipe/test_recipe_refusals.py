@@ -38,7 +38,6 @@ WRONG = [
     (REGION, "likelihood={type: product}", "likelihood has no factor; add contour, histogram or correlation"),
     (REGION, "likelihood.contour.sigma=0", "must be a length above 0"),
     # affine targets
-    ("adaptive", "motion.noise.most=0.2", "motion.noise.most is below least"),
     ("adaptive", "motion={type: random_walk, sigma: 0.1}", 'target type "affine"; write affine_walk'),
     ("adaptive", "likelihood.mixing.w=0 likelihood.mixing.s=0 likelihood.mixing.f=0", "mixing is all 0"),
     ("adaptive", "target.parts=[nose]", 'unknown key "parts" in "target"; the keys there are: type, estimate, scale'),

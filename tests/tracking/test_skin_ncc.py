@@ -170,10 +170,10 @@ def test_ncc_with_means_is_that_of_area_means_wherever_boxes_lie(boxes, size, pi
     values = grey(np.random.default_rng(1).integers(0, 256, picture))
     template = matching.learn_template(values, size, states((picture[1] / 2, picture[0] / 2))[0], most)
     found = matching.correlate(template, values, states(boxes))[0]
-    factor, (th, tw) = template.factor, template.grey.shape
+    factor, (th, tw) = template.factor, template.centred.shape
     height, width = (side // factor for side in picture)
     seen = values.grey(factor, (0, 0, picture[1] - 1, picture[0] - 1))[0][:height, :width]
-    centred, mean, variance = template.moments
+    centred, mean, variance = template.centred, template.mean, template.variance
     for n, (cx, cy, s) in enumerate(boxes):
         u = (cx - (factor - 1) / 2) / factor + s * (template.offset[0] - (tw - 1) / 2)
         v = (cy - (factor - 1) / 2) / factor + s * (template.offset[1] - (th - 1) / 2)
@@ -200,6 +200,6 @@ def test_ncc_is_equation_10_between_pixels(dense, monkeypatch):
     found = matching.correlate(template, grey(values), states([(u + 5.5 * s, v + 4 * s, s) for u, v, s in boxes]))
     for n, (u, v, s) in enumerate(boxes):
         seen = naive.patch(values, u, v, s, 9, 12)
-        assert found[1][n] == pytest.approx(naive.ncc(template.grey, seen, remove=True), abs=1e-5)
+        assert found[1][n] == pytest.approx(naive.ncc(template.centred + template.mean, seen, remove=True), abs=1e-5)
     whole = naive.patch(values, 25.0, 21.0, 1.0, 9, 12)
-    assert found[0][0] == pytest.approx(naive.ncc(template.grey, whole, remove=False), abs=1e-5)
+    assert found[0][0] == pytest.approx(naive.ncc(template.centred + template.mean, whole, remove=False), abs=1e-5)

@@ -149,12 +149,8 @@ class Patches:
 
     @classmethod
     def of(cls, context: Context) -> Patches:
-        """As the likelihood of a target reads them. Raises RecipeError for a likelihood that reads none."""
-        likelihood = context.settings.likelihood
-        if not isinstance(likelihood, AppearanceSettings):
-            what = "does not compare patches; write velocity: null, noise: null, and no recognition"
-            raise context.error("likelihood.type", f'likelihood type "{likelihood.type}" {what}')
-        columns, rows = likelihood.template
+        """As the likelihood of a target reads them."""
+        columns, rows = cast(AppearanceSettings, context.settings.likelihood).template
         return cls(context.placed.size, (rows, columns))
 
     def factor(self, state: Array) -> int:

@@ -72,10 +72,6 @@ class NoiseSettings(Section):
     rate: Annotated[float, Field(gt=0, le=1e6)] = 1.0
     """c; the error is 1 where the patch differs from the appearance as much as that expects."""
 
-    def mistakes(self) -> Iterable[Refusal]:
-        if self.most < self.least:
-            yield Refusal(("most",), "motion.noise.most is below least; give it a value at least as large")
-
 
 class AffineWalkSettings(MotionSettings):
     """Gaussian noise on the six parameters, around the predicted place: theta_t = theta_{t-1} + nu_t + u_t (eq. 1)."""

@@ -100,14 +100,6 @@ class Heights(NamedTuple):
         return Heights(self.mean + rate * off, math.sqrt((1 - rate) * (self.std**2 + rate * off**2)), frames)
 
 
-class Peaks(NamedTuple):
-    """How high responses are: of both filters at the target, and of both together where it is sought elsewhere."""
-
-    now: float
-    first: float
-    elsewhere: float | None = None
-
-
 class ResponseView(NamedTuple):
     """A window around `centre` (2,): R, the response of the filter of `now`, and that of the first frames.
 
@@ -121,11 +113,11 @@ class ResponseView(NamedTuple):
     now: Single
     first: Single
 
-    def heights(self, peak: Array) -> Peaks:
-        """Those within a cell of a peak (column, row, height)."""
+    def heights(self, peak: Array) -> tuple[float, float]:
+        """Those of both filters within a cell of a peak (column, row, height)."""
         column, row = round(float(peak[0])), round(float(peak[1]))
         rows, columns = (slice(max(k - UPSAMPLED, 0), k + UPSAMPLED + 1) for k in (row, column))
-        return Peaks(float(self.now[rows, columns].max()), float(self.first[rows, columns].max()))
+        return float(self.now[rows, columns].max()), float(self.first[rows, columns].max())
 
 
 class Usual(NamedTuple):
@@ -136,13 +128,11 @@ class Usual(NamedTuple):
     others: Heights
     elsewhere: Heights
 
-    def learn(self, peaks: Peaks, visible: float) -> Usual:
-        """After a frame in which the target is visible with this probability."""
-        elsewhere = self.elsewhere
-        if peaks.elsewhere is not None:
-            elsewhere = elsewhere.learn(peaks.elsewhere, 1 - visible)
-        now, first = self.now.learn(peaks.now, visible), self.first.learn(peaks.first, visible)
-        return Usual(now, first, self.others, elsewhere)
+    def learn(self, heights: tuple[float, float], elsewhere: float | None, visible: float) -> Usual:
+        """After a frame in which the target is visible with this probability; `elsewhere`: as in `Seen`."""
+        now, first = (usual.learn(height, visible) for usual, height in zip(self[:2], heights, strict=True))
+        since = self.elsewhere if elsewhere is None else self.elsewhere.learn(elsewhere, 1 - visible)
+        return Usual(now, first, self.others, since)
 
 
 def evidence(seen: Heights, other: Heights, height: float, bound: float) -> float:
@@ -159,13 +149,15 @@ def log_student(z: float) -> float:
 
 
 class Seen(NamedTuple):
-    """What a frame shows: its modes, with log L at each, and how high responses are at the highest one.
+    """What a frame shows: its modes, with log L at each, and how high both filters respond at the highest one.
 
-    `view` is the window that was read at `scale`, and `scales` the spectrum over scales at its highest mode.
+    Where it was sought `elsewhere`, so high is the response of both together, at the `candidate`. `view` is the window
+    that was read at `scale`, and `scales` the spectrum over scales at its highest mode.
     """
 
     guides: ModeProposal
-    heights: Peaks
+    heights: tuple[float, float]
+    elsewhere: float | None
     candidate: Array | None
     view: ResponseView
     scale: float
@@ -261,7 +253,7 @@ class CorrelationFilter(Likelihood):
             found = peaks(view.response, 0.5, one.modes)
         heights = view.heights(found[0])
         log_l: Any = (
-            evidence(learned.heights.now, learned.heights.others, heights.now, one.evidence) + learned.external_log_odds
+            evidence(learned.heights.now, learned.heights.others, heights[0], one.evidence) + learned.external_log_odds
         )
         log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _MIN_RATIO))
         modes = [self._modes(view, scale, found, log_l)]
@@ -269,13 +261,13 @@ class CorrelationFilter(Likelihood):
         log_s, std = self._scale_at(learned, scales)
         modes[0].mean[:, 2] += log_s
         modes[0].std[:, 2] = std
-        candidate = None
+        candidate = elsewhere = None
         if (redetection := self._detect(learned, frame, expected, scale)) is not None:
-            mode, height = redetection
+            mode, elsewhere = redetection
             modes.append(mode)
-            candidate, heights = mode.mean[0], heights._replace(elsewhere=height)
+            candidate = mode.mean[0]
         guides = ModeProposal(*(np.concatenate(column) for column in zip(*modes, strict=True)))
-        return learned._replace(seen=Seen(guides, heights, candidate, view, scale, scales))
+        return learned._replace(seen=Seen(guides, heights, elsewhere, candidate, view, scale, scales))
 
     def _sample(self, scale: float) -> float:
         """Pixels between two samples of a response."""
@@ -405,7 +397,7 @@ class CorrelationFilter(Likelihood):
         visible = float(np.clip(state[0, VISIBLE], 0, 1))
         frames = learned.frames + 1
         if seen is not None:
-            learned = learned._replace(heights=learned.heights.learn(seen.heights, visible))
+            learned = learned._replace(heights=learned.heights.learn(seen.heights, seen.elsewhere, visible))
         hidden = learned.hidden + 1 if visible < 0.5 else 0
         candidate = seen.candidate if hidden and seen is not None else None
         learned = learned._replace(
@@ -413,7 +405,7 @@ class CorrelationFilter(Likelihood):
         )
         share = one.hidden_rate + (1 - one.hidden_rate) * visible
         if seen is not None:
-            low = max(learned.heights.now.z(seen.heights.now) - _LOW, 0.0)
+            low = max(learned.heights.now.z(seen.heights[0]) - _LOW, 0.0)
             share *= max(math.exp(log_student(low)), _SLOWER)
         step = abs(frame.index - learned.last)  # a track may run backward
         if share < _LEARNS or (frames > FIRST and step < one.every):

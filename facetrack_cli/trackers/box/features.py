@@ -407,18 +407,11 @@ def peaks(response: Single, least: float, most: int) -> Array:
         row, column = np.unravel_index(int(response.argmax()), response.shape)
         return np.array([[float(column), float(row), top]])
     order = np.argsort(-inner[rows, columns], kind="stable")[:most]
-    return np.array([_vertex(response, int(rows[k]) + 1, int(columns[k]) + 1) for k in order])
-
-
-def _vertex(response: Single, row: int, column: int) -> tuple[float, float, float]:
-    middle, height = float(response[row, column]), float(response[row, column])
-    found = []
-    for a, b in (
-        (response[row, column - 1], response[row, column + 1]),
-        (response[row - 1, column], response[row + 1, column]),
-    ):
-        bend = float(a) + float(b) - 2 * middle
-        off = 0.5 * (float(a) - float(b)) / bend if bend < -1e-12 else 0.0
-        height -= 0.25 * (float(a) - float(b)) * off
-        found.append(off)
-    return column + found[0], row + found[1], height
+    i, j, values = rows[order] + 1, columns[order] + 1, response.astype(np.float64)
+    middle, height, place = values[i, j], values[i, j], []
+    for at, a, b in ((j, values[i, j - 1], values[i, j + 1]), (i, values[i - 1, j], values[i + 1, j])):
+        bend = a + b - 2 * middle
+        off = 0.5 * (a - b) / np.where(bend < -1e-12, bend, np.inf)
+        height = height - 0.25 * (a - b) * off
+        place.append(at + off)
+    return np.stack([*place, height], axis=1)

@@ -58,22 +58,13 @@ def _read_window(image, x, y, w, h, pixels, out):
     return total
 
 
-def read_window(image: NDArray[Any], x: float, y: float, w: int, h: int) -> NDArray[np.float32]:
-    """The window of w x h pixels of image (H, W * 3) at (x, y): (h, w + 1, 3) float32, its last column zero.
-
-    By NumPy, since it is read a few times a frame: the arithmetic of `_read_window`, to the bit.
-    """
-    height, width = image.shape[0], image.shape[1] // 3
-    left, top = x - (w - 1) / 2, y - (h - 1) / 2
-    x0, y0, one = math.floor(left), math.floor(top), np.float32(1.0)
-    fx, fy = np.float32(left - x0), np.float32(top - y0)
-    rows = np.clip(np.arange(y0, y0 + h + 1), 0, height - 1)
-    columns = np.clip(np.arange(x0, x0 + w + 1), 0, width - 1)
-    pixels = image.reshape(height, width, 3)[rows[:, None], columns].astype(np.float32)
-    out = np.zeros((h, w + 1, 3), np.float32)
-    upper = (one - fy) * (one - fx) * pixels[:-1, :-1] + (one - fy) * fx * pixels[:-1, 1:]
-    out[:, :w] = upper + fy * (one - fx) * pixels[1:, :-1] + fy * fx * pixels[1:, 1:]
-    return out
+@exact("u1:2 f8 f8 i8 i8")
+def read_window(image, x, y, w, h):
+    """The window of w x h pixels of image (H, W * 3) at (x, y): (h, w + 1, 3) float32, its last column zero."""
+    length = 3 * h * (w + 1)
+    pixels, out = np.zeros(length + 3 * (w + 2), np.float32), np.empty(length, np.float32)
+    _read_window(image, x, y, w, h, pixels, out)
+    return out.reshape(h, w + 1, 3)
 
 
 @fast("u1:2 f4:1 i8:1 i8:2 i8:1 f8:3 i8 i8 i8 f8 f8:2")

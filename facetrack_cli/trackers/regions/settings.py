@@ -5,7 +5,7 @@ Filters", IDIAP-RR 03-15, 2003. No numerics are imported here.
 """
 
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -25,8 +25,6 @@ Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]
 Entry: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]  # or powers of A overflow, stable or not
 Pair: TypeAlias = Annotated[tuple[Entry, Entry], Field(strict=False)]
 Noise: TypeAlias = Annotated[tuple[LengthOrNone, ...], Field(strict=False, min_length=1, max_length=2)]
-Deviation: TypeAlias = Annotated[float, Field(ge=0, le=1e6)]
-Share: TypeAlias = Annotated[tuple[Deviation, ...], Field(strict=False, min_length=1, max_length=2)]
 
 
 class RegionSettings(ScaledSettings):
@@ -38,28 +36,18 @@ class RegionSettings(ScaledSettings):
     """The least and the largest size of the box, as factors of its size at the start."""
 
 
-class _DynamicsSettings(Section):
+class DynamicsSettings(Section):
+    """c = A c + B w for a value and its speed: of x, likewise of y, or of the scale, which is 1 at the start."""
+
     A: Annotated[tuple[Pair, Pair], Field(strict=False)]
     """What value and speed become: [[value from value, from speed], [speed from value, from speed]]."""
-    B: Any
+    B: Annotated[tuple[Noise, Noise], Field(strict=False)]
+    """How the noise enters value and speed: a row each, with a standard deviation for each of one or two sources; of
+    the scale, which has no unit, they are numbers."""
 
     def mistakes(self) -> Iterable[Refusal]:
         if len(self.B[0]) != len(self.B[1]):
             yield Refusal(("B",), "both rows of B need the same number of sources of noise")
-
-
-class PositionDynamicsSettings(_DynamicsSettings):
-    """c = A c + B w for x and its speed, and likewise for y."""
-
-    B: Annotated[tuple[Noise, Noise], Field(strict=False)]
-    """How the noise enters place and speed: a row each, with a standard deviation for each of one or two sources."""
-
-
-class ScaleDynamicsSettings(_DynamicsSettings):
-    """c = A c + B w for the scale, 1 at the start, and its speed."""
-
-    B: Annotated[tuple[Share, Share], Field(strict=False)]
-    """How the noise enters scale and speed, as in position.B; numbers, since a scale has no unit."""
 
 
 class FirstOrderSettings(MotionSettings):
@@ -68,9 +56,9 @@ class FirstOrderSettings(MotionSettings):
     engine = "facetrack_cli.engine.spaces:first_order"
     goes_with = ("region", "cloud")
     type: Literal["first_order"]
-    position: PositionDynamicsSettings
+    position: DynamicsSettings
     """Of x and of y."""
-    scale: ScaleDynamicsSettings
+    scale: DynamicsSettings
     """Of the size of the box."""
 
 

@@ -52,7 +52,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import cv2
@@ -213,10 +212,7 @@ class SkinCloud(Likelihood):
 
     @classmethod
     def build(cls, settings: SkinCloudSettings, context: Context) -> SkinCloud:
-        start, teacher = context.start, settings.learn_from or context.name
-        if teacher not in start.targets:
-            raise InputError(f"{start.origin}: has no {teacher}, whose colours {context.name} learns from; add its box")
-        return cls(settings, context.placed.size, box_of(start, teacher))
+        return cls(settings, context.placed.size, box_of(context.start, settings.learn_from or context.name))
 
     def init(self, frame: Frame, x0: Array) -> SkinModel:
         """The colour of skin in the teacher's box. Raises InputError if nothing of it is in the frame."""
@@ -283,7 +279,7 @@ class SkinNcc(Likelihood):
             table, notes = model.table, model.notes
         if ncc is not None:
             template = learn_template(frame, self.context.placed.size, x0, ncc.max_size)
-            if template.grey.var() < MIN_PATTERN:
+            if template.variance < MIN_PATTERN:
                 notes = (*notes, "the face's box is of one grey level throughout, so that no pattern can be matched")
         learned = SkinPattern(table, template, 0.0, 0.0, notes)
         rho = 0.0 if skin is None else float(self.rho(learned, frame, x0[None])[0])
@@ -346,21 +342,17 @@ class SkinNcc(Likelihood):
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """`grey` (th, tw) float32, grey levels at the start, read at 1 / factor of the size.
+    """`centred` (th, tw) float32: grey levels at the start, read at 1 / factor of the size, without their `mean`.
 
-    `offset` (dx, dy): of its centre from the box's, in reduced pixels at scale 1; at most half a pixel.
+    `variance` is theirs; `offset` (dx, dy): of its centre from the box's, in reduced pixels at scale 1; at most half a
+    pixel.
     """
 
     factor: int
-    grey: NDArray[np.float32]
+    centred: NDArray[np.float32]
     offset: tuple[float, float]
-
-    @cached_property
-    def moments(self) -> tuple[NDArray[np.float32], float, float]:
-        """`grey` without its mean, that mean, and the variance."""
-        mean = float(self.grey.mean())
-        centred = self.grey - np.float32(mean)
-        return centred, mean, float(np.mean(np.square(centred, dtype=np.float64)))
+    mean: float = 0.0
+    variance: float = 0.0
 
 
 def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size: float | None) -> Template:
@@ -379,13 +371,16 @@ def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size:
         return template
     u, v, s = boxes[:, 0]
     x, y = (np.float32(at) for at in np.meshgrid(u + s * np.arange(tw), v + s * np.arange(th)))
-    return replace(template, grey=np.asarray(remap(np.float32(image), x, y, cv2.BORDER_CONSTANT)))
+    patch = remap(np.float32(image), x, y, cv2.BORDER_CONSTANT)
+    centred = patch - np.float32(mean := float(patch.mean()))
+    variance = float(np.mean(np.square(centred, dtype=np.float64)))
+    return replace(template, centred=centred, mean=mean, variance=variance)
 
 
 def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]:
     """NCC of boxes x (N, 1, 6) with the template, with means kept and removed: (N,) each, -1..1."""
     image, boxes, seen = _view(template, frame, x)
-    centred, mean, variance = template.moments
+    centred, mean, variance = template.centred, template.mean, template.variance
     cross, spread = _moments(image, boxes, seen, centred)
     remove = _ratio(cross, variance * spread, seen)
     # area means of the image and of its square: a point stands for s x s pixels around it
@@ -402,7 +397,7 @@ def _view(template: Template, frame: Frame, x: Array) -> tuple[Image, Array, Mas
 
     (0, 0, 1) stands for those beyond the image, thinner than a pixel or no numbers.
     """
-    factor, (th, tw) = template.factor, template.grey.shape
+    factor, (th, tw) = template.factor, template.centred.shape
     size = np.array([max(side // factor, 1) for side in frame.size])
     s, points = x[:, 0, 2], np.array([[tw], [th]])
     at = (x[:, 0, :2].T - 0.5 * (factor - 1)) / factor + s * (np.array(template.offset)[:, None] - 0.5 * (points - 1))
