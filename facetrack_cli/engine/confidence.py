@@ -28,10 +28,10 @@ A part is `lost` once its confidence has stayed under `lost_below` for `patience
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -43,10 +43,11 @@ from facetrack_cli.recipe.model import LIKELY, ConfidenceSettings
 from facetrack_cli.trajectory.trajectory import SPREAD, Status, Trajectory
 
 if TYPE_CHECKING:
-    from facetrack_cli.engine.protocols import Belief, Likelihood
+    from facetrack_cli.engine.protocols import Belief
 
 Feature: TypeAlias = Literal["confidence", "log_odds", "spread", "ess", "lost", "size"]
 PartKind: TypeAlias = Literal["points", "box"]
+Metric: TypeAlias = Callable[[Frame, Array], Array]  # `distances` of a likelihood and what it has learned
 _KINDS: Final[tuple[PartKind, ...]] = ("box", "points")
 
 
@@ -179,18 +180,16 @@ class Judgement:
     status: tuple[Status, ...]
 
 
-def begin(
-    settings: ConfidenceSettings, likelihood: Likelihood, learned: Any, frame: Frame, x0: Array, windows: Array
-) -> Judgement:
+def begin(settings: ConfidenceSettings, metric: Metric, frame: Frame, x0: Array, windows: Array) -> Judgement:
     """The judgement of the first frame, whose parts are at x0 (K, D) and `windows` (K, 2) pixels large."""
     k = len(x0)
     angles = np.arange(16) * (2 * np.pi / 16)
     ring = np.zeros((16, *x0.shape))
     ring[..., :2] = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None] * windows
-    near = np.median(likelihood.distances(learned, frame, x0 + ring / 13), axis=0)
-    beside = np.quantile(likelihood.distances(learned, frame, x0 + ring), settings.beside, axis=0)
+    near = np.median(metric(frame, x0 + ring / 13), axis=0)
+    beside = np.quantile(metric(frame, x0 + ring), settings.beside, axis=0)
     blank = Frame(frame.index, frame.time_s, np.full_like(frame.bgr, 128))
-    bad = np.minimum(beside, likelihood.distances(learned, blank, x0[None])[0])
+    bad = np.minimum(beside, metric(blank, x0[None])[0])
     return Judgement(near, bad, np.ones(k), np.zeros(k, np.int64), tuple(["init"] * k))
 
 
@@ -212,23 +211,14 @@ def decide(settings: ConfidenceSettings, last: Judgement, confidence: Array) -> 
 
 
 def resume(
-    settings: ConfidenceSettings,
-    first: Judgement,
-    relearned: Mask,
-    likelihood: Likelihood,
-    learned: Any,
-    frame: Frame,
-    x0: Array,
-    windows: Array,
+    settings: ConfidenceSettings, first: Judgement, fresh: Mask, metric: Metric, frame: Frame, x0: Array, windows: Array
 ) -> Judgement:
-    """The judgement where a target begins again at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.
+    """The judgement where a target begins again at x0 (K, D), with `windows` (K, 2).
 
-    Parts `relearned` (K,) are judged from here on, others by the `first` frame; one in doubt is `lost` at once.
+    Parts that are `fresh` (K,) are judged from here on, others by the `first` frame; one in doubt is `lost` at once.
     """
     impatient = np.full(len(first.below), settings.patience - 1, np.int64)
-    kept = judge(settings, replace(first, below=impatient), likelihood.distances(learned, frame, x0[None])[0])
-    if not relearned.any():
-        return kept
-    new = begin(settings, likelihood, learned, frame, x0, windows)
-    mixed = {key.name: np.where(relearned, getattr(new, key.name), getattr(kept, key.name)) for key in fields(kept)}
+    kept = judge(settings, replace(first, below=impatient), metric(frame, x0[None])[0])
+    new = begin(settings, metric, frame, x0, windows)
+    mixed = {key.name: np.where(fresh, getattr(new, key.name), getattr(kept, key.name)) for key in fields(kept)}
     return Judgement(**{**mixed, "status": tuple(mixed["status"].tolist())})

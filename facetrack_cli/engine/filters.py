@@ -46,10 +46,7 @@ def auxiliary(settings: AuxiliarySettings, rng: Generator, particles: Particles,
 
 
 def factorized(
-    settings: FactorizedSettings | IndependentSettings,
-    rng: Generator,
-    particles: Particles,
-    model: FrameModel,
+    settings: FactorizedSettings | IndependentSettings, rng: Generator, particles: Particles, model: FrameModel
 ) -> Stepped:
     """Filter with factorized likelihoods (Patras & Pantic 2004, section 2.1).
 

@@ -290,7 +290,8 @@ def random_walk(settings: RandomWalkSettings, context: Context) -> RandomWalk | 
 
 def first_order(settings: Any, context: Context) -> FirstOrder:
     """Of the dynamics of a box, as a recipe writes them."""
-    each = []
-    for own, unit in ((settings.position, context.placed.unit), (settings.scale, 1.0)):
-        each.append((np.array(own.A), np.array([[length.pixels(unit) for length in row] for row in own.B])))
-    return FirstOrder(*each, *context.placed.scale)
+    position, scale = (
+        (np.array(own.A), np.array([[length.pixels(unit) for length in row] for row in own.B]))
+        for own, unit in ((settings.position, context.placed.unit), (settings.scale, 1.0))
+    )
+    return FirstOrder(position, scale, *context.placed.scale)

@@ -92,8 +92,8 @@ class ParticleTarget:
         particles, still = self._fresh(rng, self.x0, self.scatter)
         judgement = None
         if self.confidence is not None:
-            windows = self.space.windows(still)
-            judgement = confidence.begin(self.confidence, self.likelihood, learned, frame, self.x0, windows)
+            windows, metric = self.space.windows(still), partial(self.likelihood.distances, learned)
+            judgement = confidence.begin(self.confidence, metric, frame, self.x0, windows)
         state, result = self._initial(rng, frame, ParticleState(particles, still, learned, judgement), "init")
         return state, result._replace(notes=getattr(learned, "notes", ()))
 
@@ -135,8 +135,8 @@ class ParticleTarget:
             if (presence := self.space.presence(particles, still)) is not None:
                 judgement = confidence.decide(self.confidence, judgement, presence)
             else:
-                windows, measure = self.space.windows(still), self.likelihood
-                judgement = confidence.resume(self.confidence, judgement, fresh, measure, learned, frame, x0, windows)
+                windows, metric = self.space.windows(still), partial(self.likelihood.distances, learned)
+                judgement = confidence.resume(self.confidence, judgement, fresh, metric, frame, x0, windows)
         learned = self.likelihood.learn(learned, frame, x0, particles)
         state = ParticleState(particles, still, learned, judgement, absent=hidden if hidden.any() else None)
         return self._initial(rng, frame, state, "tracked")

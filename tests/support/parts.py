@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.engine import filters as steps
 from facetrack_cli.engine.spaces import Context, Placed
 from facetrack_cli.recipe.sections import AuxiliarySettings, FactorizedSettings, SirSettings, type_of
@@ -74,7 +75,8 @@ def skin_ncc(size, **settings):
 
 
 def skin_cloud(size, teacher, **settings):
-    return SkinCloud(section(SkinCloudSettings, **settings), size, teacher)
+    start = Start(0, {"face": TargetStart(box=teacher)}, "x")
+    return SkinCloud(section(SkinCloudSettings, **settings), replace(placed([size]), start=start))
 
 
 def components(w, s, f):

@@ -45,7 +45,7 @@ def confidence_of(**options):
 def begin(**options):
     confidence = confidence_of(**options)
     frame = Frame(0, 0.0, np.arange(300, dtype=np.uint8).reshape(10, 10, 3))
-    return confidence, confidence.begin(Ring(), None, frame, X0, WINDOWS)
+    return confidence, confidence.begin(partial(Ring().distances, None), frame, X0, WINDOWS)
 
 
 def test_the_first_frame_is_sure_and_sets_the_levels_between_which_confidence_falls():

@@ -102,13 +102,13 @@ def test_density_agrees_with_its_plain_twin_and_with_the_normal_density(d, s, se
 
 def test_rho_is_the_mean_of_d_less_s_eigenvalues_as_printed():
     x = np.random.default_rng(1).normal(size=(9, 5)) * [3.0, 1.0, 0.5, 0.4, 0.2]
-    space = subspaces(x, (), np.eye(5)).whole
+    space = subspaces(x, (), np.eye(5))[0]
     values = np.sort(np.linalg.eigvalsh(np.cov(x.T)))[::-1]
     s = len(space.values)
     assert 0 < s < 5
     assert space.rho == pytest.approx(values[s:].sum() / (5 - s))
     np.testing.assert_allclose(space.values, values[:s], rtol=1e-6)
-    alike = subspaces(np.ones((4, 6)), folds_by(np.arange(4)), np.eye(6)).whole
+    alike = subspaces(np.ones((4, 6)), folds_by(np.arange(4)), np.eye(6))[0]
     assert alike.rho == MIN_RHO
 
 
@@ -117,10 +117,10 @@ def test_a_basis_changes_nothing_and_what_was_held_out_was_not_seen():
     x, y = rng.normal(size=(15, 40)) * np.linspace(3, 0.1, 40), rng.normal(size=(4, 40))
     folds = folds_by(np.arange(15) // 3)
     plain, reduced = (subspaces(x, folds, basis) for basis in (np.eye(40), common_basis(x, 20)))
-    for a, b in zip((plain.whole, *plain.without), (reduced.whole, *reduced.without), strict=True):
+    for a, b in zip((plain[0], *plain[1]), (reduced[0], *reduced[1]), strict=True):
         np.testing.assert_allclose(a.log_density(y), b.log_density(y), rtol=1e-4)
-    for fold, space in zip(folds, plain.without, strict=True):
-        alone = subspaces(x[~fold], (), np.eye(40)).whole
+    for fold, space in zip(folds, plain[1], strict=True):
+        alone = subspaces(x[~fold], (), np.eye(40))[0]
         np.testing.assert_allclose(np.abs(space.vectors @ alone.vectors.T), np.eye(len(space.values)), atol=1e-5)
         np.testing.assert_allclose(space.mean, alone.mean)
 

@@ -53,6 +53,7 @@ from facetrack_cli.engine.resampling import logsumexp
 Rows: TypeAlias = NDArray[np.float32]
 Reals: TypeAlias = NDArray[np.floating[Any]]
 Indices: TypeAlias = NDArray[np.intp]
+Fitted: TypeAlias = "tuple[Subspace, list[Subspace]]"
 NONE: Final = "none"  # what the posterior calls nobody of the gallery
 MAX_FRONTAL: Final = 0.5
 KIND: Final = Kind("facetrack-gallery", 1, "gallery", "facetrack gallery fit")
@@ -268,10 +269,10 @@ def fit_gallery(
     folds, by_image = folds_by(who), folds_by(of)
     basis, faces = common_basis(x), np.stack([stand_in(x[first[who[first] == p]]) for p in range(len(names))])
     (z, squares), (face_z, face_squares) = (coordinates(rows, basis) for rows in (x, faces))
-    frontal = fit_subspace(z, squares, folds, basis)
+    frontal, frontals = fit_subspace(z, squares, folds, basis)
     able = any(mask[own_of].any() and not mask[own_of].all() for mask in folds)
     held = [mask[own_of] for mask in (folds if able else by_image)]
-    intra = fit_subspace(*coordinates(own, basis), held, basis, centred=True)
+    intra, intras = fit_subspace(*coordinates(own, basis), held, basis, centred=True)
     # of what a fold holds out, neither patches nor faces are used; without one of two nobody is left to differ from
     apart = len(names) > 2
     patch, other = np.nonzero(who[:, None] != np.arange(len(names)))
@@ -279,12 +280,12 @@ def fit_gallery(
     patch, other = patch[some], other[some]
     held = [mask[patch] | (apart & (np.bincount(who, mask) > 0)[other]) for mask in (folds if apart else by_image)]
     lengths = squares[patch] + face_squares[other] - 2.0 * (x @ faces.T)[patch, other]
-    extra = fit_subspace(z[patch] - face_z[other], lengths, held, basis, centred=True)
-    right_q = np.concatenate([space.log_density(x[mask]) for space, mask in zip(frontal.without, folds, strict=True)])
-    wrong_q = np.mean([space.log_density(negatives) for space in frontal.without], axis=0)
+    extra, extras = fit_subspace(z[patch] - face_z[other], lengths, held, basis, centred=True)
+    right_q = np.concatenate([space.log_density(x[mask]) for space, mask in zip(frontals, folds, strict=True)])
+    wrong_q = np.mean([space.log_density(negatives) for space in frontals], axis=0)
     genuine, best = np.empty(len(own)), np.empty(len(x))
     for k, mask in enumerate(folds):  # log ratios (eq. 16) by spaces that have not seen the person
-        within, between = intra.without[k] if able else intra.whole, extra.without[k] if apart else extra.whole
+        within, between = intras[k] if able else intra, extras[k] if apart else extra
         genuine[mask[own_of]] = within.log_density(own[mask[own_of]]) - between.log_density(own[mask[own_of]])
         ratios = within.log_densities(x[mask], faces) - between.log_densities(x[mask], faces)
         ratios[np.arange(len(ratios)), who[mask]] = -np.inf  # the largest is to another person
@@ -293,7 +294,7 @@ def fit_gallery(
     counts = tuple(np.bincount(who[first]).tolist())
     return Gallery(
         tuple(map(str, names)), faces.astype(np.float32), (int(shape[0]), int(shape[1])),
-        frontal.whole, intra.whole, extra.whole, fit_logistic(right_q, wrong_q), threshold, errors, counts,
+        frontal, intra, extra, fit_logistic(right_q, wrong_q), threshold, errors, counts,
         notes=_notes(names.tolist(), counts, errors), proportion=proportion,
     )  # fmt: skip
 
@@ -384,13 +385,6 @@ def stand_in(images: Array) -> Array:
     return np.asarray((mean - mean.mean()) / spread)
 
 
-class Fitted(NamedTuple):
-    """The subspace of all rows, and one subspace per fold: `without[k]` has not seen the rows of fold k."""
-
-    whole: Subspace
-    without: tuple[Subspace, ...]
-
-
 def common_basis(x: Array, most: int = MAX_DIRECTIONS) -> Array:
     """Orthonormal rows (r, d), r at most `most`: the largest directions of rows x (n, d), or all."""
     some = x[np.linspace(0, len(x) - 1, min(len(x), MAX_ROWS)).astype(int)]
@@ -404,7 +398,7 @@ def coordinates(rows: Array, basis: Array) -> tuple[Array, Array]:
 
 
 def fit_subspace(z: Array, squares: Array, folds: Sequence[Mask], basis: Array, *, centred: bool = False) -> Fitted:
-    """The subspace of rows, given as `coordinates`, and those without each fold (n,) in turn.
+    """The subspace of rows, given as `coordinates`, and those that have not seen each fold (n,), in turn.
 
     A fold of no row or of all holds nothing out. A subspace has as many components as hold ENERGY of the variance, at
     most half of the rank. `centred`: the mean is 0 by construction. All subspaces have the same rho.
@@ -418,7 +412,7 @@ def fit_subspace(z: Array, squares: Array, folds: Sequence[Mask], basis: Array, 
     rho = max(whole.remaining, MIN_RHO)
     if both:
         rho = max(rho, sum(part.errors(z[fold], squares[fold]) for part, fold in both) / np.sum([f for _, f in both]))
-    return Fitted(whole.subspace(rho, basis), tuple(part.subspace(rho, basis) for part in parts))
+    return whole.subspace(rho, basis), [part.subspace(rho, basis) for part in parts]
 
 
 def _about(z: Array, squares: Array, mean: Array) -> tuple[Array, float]:

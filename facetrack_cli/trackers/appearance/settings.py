@@ -11,17 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import (
-    Component,
-    Factor,
-    FilterSettings,
-    Length,
-    LikelihoodSettings,
-    MotionSettings,
-    Refusal,
-    ScaledSettings,
-    Section,
-)
+from facetrack_cli.recipe import sections
 
 if TYPE_CHECKING:
     pass
@@ -30,14 +20,14 @@ Points: TypeAlias = Annotated[int, Field(ge=6, le=128)]
 Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
 
 
-class AffineSettings(ScaledSettings):
+class AffineSettings(sections.ScaledSettings):
     """A face under affine maps: place, and what became of the box of the first frame (section 4)."""
 
     engine = "facetrack_cli.trackers.appearance.appearance:AffineSpace.place"
     type: Literal["affine"]
     estimate: Literal["map", "mean"] = "map"
     """The particle of the greatest weight, thus likelihood, which the paper calls MAP, or the mean of them all."""
-    scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.2, 5.0)
+    scale: Annotated[tuple[sections.Factor, sections.Factor], Field(strict=False)] = (0.2, 5.0)
     """The least and the largest scale, as factors of the size at the start."""
 
     @property
@@ -45,7 +35,7 @@ class AffineSettings(ScaledSettings):
         return self.estimate == "map"
 
 
-class VelocitySettings(Section):
+class VelocitySettings(sections.Section):
     """Adaptive velocity: the shift that the change of the image predicts (eq. 12)."""
 
     components: Annotated[int, Field(ge=1, le=500)] = 20
@@ -62,7 +52,7 @@ class VelocitySettings(Section):
     """Beyond the paper: first look for the face so far around, in units of its box; 0: do not."""
 
 
-class NoiseSettings(Section):
+class NoiseSettings(sections.Section):
     """Adaptive noise: r_t / r_0 = a + (b - a) tanh(eps_t / c), eps_t the error of the prediction (eq. 13)."""
 
     least: Annotated[float, Field(gt=0, le=100)] = 0.5
@@ -73,13 +63,13 @@ class NoiseSettings(Section):
     """c; the error is 1 where the patch differs from the appearance as much as that expects."""
 
 
-class AffineWalkSettings(MotionSettings):
+class AffineWalkSettings(sections.MotionSettings):
     """Gaussian noise on the six parameters, around the predicted place: theta_t = theta_{t-1} + nu_t + u_t (eq. 1)."""
 
     engine = "facetrack_cli.trackers.appearance.appearance:affine_walk"
     goes_with = ("affine",)
     type: Literal["affine_walk"]
-    sigma: Length
+    sigma: sections.Length
     """r_0 u_0 of the place: standard deviation along x and y."""
     deform: Annotated[float, Field(ge=0, le=1)]
     """r_0 u_0 of the deformation [[a1, a2], [a3, a4]], the identity at the start: of its scale."""
@@ -93,7 +83,7 @@ class AffineWalkSettings(MotionSettings):
     """r_t; null: fixed, r_0."""
 
 
-class ComponentsSettings(Section):
+class ComponentsSettings(sections.Section):
     """One number for each component of the appearance."""
 
     w: Annotated[float, Field(ge=0, le=100)]
@@ -108,7 +98,7 @@ class ComponentsSettings(Section):
         return self.w, self.s, self.f
 
 
-class AppearanceSettings(LikelihoodSettings):
+class AppearanceSettings(sections.LikelihoodSettings):
     """The adaptive appearance model: a mixture of W, S and F in each pixel of a patch (eq. 6 to 11)."""
 
     engine = "facetrack_cli.trackers.appearance.appearance:Appearance.build"
@@ -133,15 +123,15 @@ class AppearanceSettings(LikelihoodSettings):
     pixels: Annotated[float, Field(gt=0, le=16384)] | None = None
     """Beyond the paper: how many pixels of the patch count as independent; null: all."""
 
-    def mistakes(self) -> Iterable[Refusal]:
+    def mistakes(self) -> Iterable[sections.Refusal]:
         if sum(self.mixing.each) <= 0:
-            yield Refusal(("mixing",), "likelihood.mixing is all 0; give w, s or f a share")
+            yield sections.Refusal(("mixing",), "likelihood.mixing is all 0; give w, s or f a share")
         for name, share, sigma in zip("wsf", self.mixing.each, self.sigma.each, strict=True):
             if share > 0 and sigma < 1e-3:
-                yield Refusal(("sigma", name), f"likelihood.sigma.{name} must be at least 0.001")
+                yield sections.Refusal(("sigma", name), f"likelihood.sigma.{name} must be at least 0.001")
 
 
-class RecognitionSettings(Component):
+class RecognitionSettings(sections.Component):
     """Who it is: the joint posterior of motion and identity (eq. 5, 14 to 16)."""
 
     engine = "facetrack_cli.trackers.appearance.appearance:Recognition.of"
@@ -161,7 +151,7 @@ class RecognitionSettings(Component):
         return {} if self.gallery is None else {"gallery": self.gallery}
 
 
-class AdaptiveSettings(FilterSettings):
+class AdaptiveSettings(sections.FilterSettings):
     """All particles around the predicted place, as many as the prediction is worth (figure 1, eq. 17)."""
 
     engine = "facetrack_cli.engine.filters:adaptive"

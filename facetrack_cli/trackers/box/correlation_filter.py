@@ -151,14 +151,13 @@ def log_student(z: float) -> float:
 class Seen(NamedTuple):
     """What a frame shows: its modes, with log L at each, and how high both filters respond at the highest one.
 
-    Where it was sought `elsewhere`, so high is the response of both together, at the `candidate`. `view` is the window
+    Where it was sought `elsewhere`, so high is the response of both together, at the last mode. `view` is the window
     that was read at `scale`, and `scales` the spectrum over scales at its highest mode.
     """
 
     guides: ModeProposal
     heights: tuple[float, float]
     elsewhere: float | None
-    candidate: Array | None
     view: ResponseView
     scale: float
     scales: NDArray[np.complex64]
@@ -251,23 +250,20 @@ class CorrelationFilter(Likelihood):
         if float(np.hypot(*off)) > _OFF * self._unit * scale:  # near the border of a window responses are low
             view = self._view(learned, frame, centre + off, scale)
             found = peaks(view.response, 0.5, one.modes)
-        heights = view.heights(found[0])
-        log_l: Any = (
-            evidence(learned.heights.now, learned.heights.others, heights[0], one.evidence) + learned.external_log_odds
-        )
+        heights, usual = view.heights(found[0]), learned.heights
+        log_l: Any = evidence(usual.now, usual.others, heights[0], one.evidence) + learned.external_log_odds
         log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _MIN_RATIO))
         modes = [self._modes(view, scale, found, log_l)]
         scales = self._scale_trainer.read(frame, modes[0].mean[0, :2], scale)
         log_s, std = self._scale_at(learned, scales)
         modes[0].mean[:, 2] += log_s
         modes[0].std[:, 2] = std
-        candidate = elsewhere = None
+        elsewhere: float | None = None
         if (redetection := self._detect(learned, frame, expected, scale)) is not None:
             mode, elsewhere = redetection
             modes.append(mode)
-            candidate = mode.mean[0]
         guides = ModeProposal(*(np.concatenate(column) for column in zip(*modes, strict=True)))
-        return learned._replace(seen=Seen(guides, heights, elsewhere, candidate, view, scale, scales))
+        return learned._replace(seen=Seen(guides, heights, elsewhere, view, scale, scales))
 
     def _sample(self, scale: float) -> float:
         """Pixels between two samples of a response."""
@@ -382,9 +378,8 @@ class CorrelationFilter(Likelihood):
         z = np.column_stack([x[:, 0, :2], np.log(x[:, 0, 2])])
         off = np.sum(((z[:, None] - guides.mean) / guides.std) ** 2, axis=2)
         # so that the mean of L over a box and a tenth of log scale is its evidence
-        volume = (
-            (2 * math.pi) ** 1.5 * np.prod(guides.std, axis=1) / (0.1 * self._unit**2 * np.exp(2 * guides.mean[:, 2]))
-        )
+        room = 0.1 * self._unit**2 * np.exp(2 * guides.mean[:, 2])
+        volume = (2 * math.pi) ** 1.5 * np.prod(guides.std, axis=1) / room
         return logsumexp(guides.log_w - np.log(volume) - 0.5 * off, axis=1)[:, None]
 
     def guides(self, learned: CorrelationState) -> ModeProposal:
@@ -399,7 +394,7 @@ class CorrelationFilter(Likelihood):
         if seen is not None:
             learned = learned._replace(heights=learned.heights.learn(seen.heights, seen.elsewhere, visible))
         hidden = learned.hidden + 1 if visible < 0.5 else 0
-        candidate = seen.candidate if hidden and seen is not None else None
+        candidate = seen.guides.mean[-1] if hidden and seen is not None and seen.elsewhere is not None else None
         learned = learned._replace(
             hidden=hidden, candidate=candidate, sighted=(), external_log_odds=0.0, seen=None, frames=frames
         )

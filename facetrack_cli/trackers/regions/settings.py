@@ -9,34 +9,24 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import (
-    Component,
-    Factor,
-    Length,
-    LengthOrNone,
-    LikelihoodSettings,
-    MotionSettings,
-    Refusal,
-    ScaledSettings,
-    Section,
-)
+from facetrack_cli.recipe import sections
 
 Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]
 Entry: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]  # or powers of A overflow, stable or not
 Pair: TypeAlias = Annotated[tuple[Entry, Entry], Field(strict=False)]
-Noise: TypeAlias = Annotated[tuple[LengthOrNone, ...], Field(strict=False, min_length=1, max_length=2)]
+Noise: TypeAlias = Annotated[tuple[sections.LengthOrNone, ...], Field(strict=False, min_length=1, max_length=2)]
 
 
-class RegionSettings(ScaledSettings):
+class RegionSettings(sections.ScaledSettings):
     """A region of the frame: an upright box that moves and changes its size (section 3.2)."""
 
     engine = "facetrack_cli.engine.spaces:BoxSpace.place"
     type: Literal["region"]
-    scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.25, 4.0)
+    scale: Annotated[tuple[sections.Factor, sections.Factor], Field(strict=False)] = (0.25, 4.0)
     """The least and the largest size of the box, as factors of its size at the start."""
 
 
-class DynamicsSettings(Section):
+class DynamicsSettings(sections.Section):
     """c = A c + B w for a value and its speed: of x, likewise of y, or of the scale, which is 1 at the start."""
 
     A: Annotated[tuple[Pair, Pair], Field(strict=False)]
@@ -45,12 +35,12 @@ class DynamicsSettings(Section):
     """How the noise enters value and speed: a row each, with a standard deviation for each of one or two sources; of
     the scale, which has no unit, they are numbers."""
 
-    def mistakes(self) -> Iterable[Refusal]:
+    def mistakes(self) -> Iterable[sections.Refusal]:
         if len(self.B[0]) != len(self.B[1]):
-            yield Refusal(("B",), "both rows of B need the same number of sources of noise")
+            yield sections.Refusal(("B",), "both rows of B need the same number of sources of noise")
 
 
-class FirstOrderSettings(MotionSettings):
+class FirstOrderSettings(sections.MotionSettings):
     """First-order dynamics of place, scale and their speeds: c_k = A c_{k-1} + B w_k (section 3.2)."""
 
     engine = "facetrack_cli.engine.spaces:first_order"
@@ -62,15 +52,15 @@ class FirstOrderSettings(MotionSettings):
     """Of the size of the box."""
 
 
-class ContourSettings(Component):
+class ContourSettings(sections.Component):
     """Edges along the normals of the ellipse in the box (eq. 11)."""
 
     engine = "facetrack_cli.trackers.regions.likelihoods:Contour.build"
     normals: Annotated[int, Field(ge=4, le=360)] = 32
     """L, the number of normals along which edges are looked for."""
-    sigma: Length
+    sigma: sections.Length
     """Standard deviation of the distance of an edge from the ellipse."""
-    search: Length
+    search: sections.Length
     """How far along a normal, inwards and outwards, edges are looked for."""
     threshold: Annotated[float, Field(gt=0, le=255)]
     """Contrast from which on there is an edge, in grey levels."""
@@ -82,7 +72,7 @@ class ContourSettings(Component):
     """Beyond the paper: how many normals count as independent is estimated from their autocorrelation, or all do."""
 
 
-class HistogramSettings(Component):
+class HistogramSettings(sections.Component):
     """Histograms of hue and saturation in sub-regions of the box (section 3.3)."""
 
     engine = "facetrack_cli.trackers.regions.likelihoods:Histogram"
@@ -104,7 +94,7 @@ class HistogramSettings(Component):
     """As in contour.max_size."""
 
 
-class CorrelationSettings(Component):
+class CorrelationSettings(sections.Component):
     """Grey values of the box against those of its parent in the previous frame (eq. 12 and 13)."""
 
     engine = "facetrack_cli.trackers.regions.likelihoods:Correlation.build"
@@ -120,7 +110,7 @@ class CorrelationSettings(Component):
     """Beyond the paper: how many points count as independent is estimated from their autocorrelation, or all do."""
 
 
-class ProductSettings(LikelihoodSettings):
+class ProductSettings(sections.LikelihoodSettings):
     """The product of the likelihoods that are given, each of them usable alone (eq. 10)."""
 
     engine = "facetrack_cli.trackers.regions.likelihoods:Product.build"
@@ -134,7 +124,7 @@ class ProductSettings(LikelihoodSettings):
     """Grey values against those of the parent in the previous frame (eq. 12 and 13)."""
 
     @property
-    def factors(self) -> tuple[Component, ...]:
+    def factors(self) -> tuple[sections.Component, ...]:
         """Those that are given, in the order of the fields."""
         return tuple(factor for factor in (self.contour, self.histogram, self.correlation) if factor is not None)
 
@@ -142,6 +132,6 @@ class ProductSettings(LikelihoodSettings):
     def judges(self) -> bool:
         return self.contour is not None or self.histogram is not None  # correlation cannot tell what it follows
 
-    def mistakes(self) -> Iterable[Refusal]:
+    def mistakes(self) -> Iterable[sections.Refusal]:
         if not self.factors:
-            yield Refusal((), "likelihood has no factor; add contour, histogram or correlation")
+            yield sections.Refusal((), "likelihood has no factor; add contour, histogram or correlation")

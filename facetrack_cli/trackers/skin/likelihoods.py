@@ -204,19 +204,14 @@ def log_weights(settings: ExclusionSettings, x: Array, footprints: Sequence[Foot
 
 @dataclass(frozen=True)
 class SkinCloud(Likelihood):
-    """`size`: width and height in pixels at the start; `teacher`: the box that teaches the colour, in pixels."""
+    """A cloud of pixels, whose colour is learned from a box at the start."""
 
     settings: SkinCloudSettings
-    size: tuple[float, float]
-    teacher: Box
-
-    @classmethod
-    def build(cls, settings: SkinCloudSettings, context: Context) -> SkinCloud:
-        return cls(settings, context.placed.size, box_of(context.start, settings.learn_from or context.name))
+    context: Context
 
     def init(self, frame: Frame, x0: Array) -> SkinModel:
         """The colour of skin in the teacher's box. Raises InputError if nothing of it is in the frame."""
-        return learn_skin(frame, self.teacher)
+        return learn_skin(frame, box_of(self.context.start, self.settings.learn_from or self.context.name))
 
     def score(self, learned: SkinModel, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, 1): log p(y | x) of x (N, 1, D), x and y first."""
@@ -225,13 +220,14 @@ class SkinCloud(Likelihood):
     def distances(self, learned: SkinModel, frame: Frame, x: Array) -> Array:
         """(N, 1): 1 less the mean probability of skin about each place."""
         steps = np.linspace(-0.5, 0.5, GRID) * MIDDLE
-        grid = np.stack(np.meshgrid(steps * self.size[0], steps * self.size[1]), axis=-1).reshape(-1, 2)
+        w, h = self.context.placed.size
+        grid = np.stack(np.meshgrid(steps * w, steps * h), axis=-1).reshape(-1, 2)
         skin = self._skin(learned, frame, (x[:, 0, None, :2] + grid).reshape(-1, 2))
         return np.asarray(1.0 - skin.reshape(len(x), -1).mean(axis=1)[:, None])
 
     def _skin(self, learned: SkinModel, frame: Frame, xy: Array) -> Array:
         """(N,): p of the pixel at each place xy (N, 2); 0 beyond the frame."""
-        factor = factor_for(max(self.size), self.settings.max_size)
+        factor = factor_for(max(self.context.placed.size), self.settings.max_size)
         image, left, top = frame.reduced(factor, extent(np.ascontiguousarray(xy)[:, None], 0.0))
         there = np.floor((xy - (left, top) - (factor - 1) / 2) / factor + 0.5)
         p, within = np.zeros(len(xy)), ((there >= 0) & (there < image.shape[1::-1])).all(axis=1)

@@ -57,7 +57,7 @@ class SkinNccSettings(LikelihoodSettings):
 class SkinCloudSettings(LikelihoodSettings):
     """The probability that the colour of one pixel is skin; each particle is a pixel (Gianni et al. 2007)."""
 
-    engine = "facetrack_cli.trackers.skin.likelihoods:SkinCloud.build"
+    engine = "facetrack_cli.trackers.skin.likelihoods:SkinCloud"
     goes_with = ("cloud",)
     type: Literal["skin"]
     learn_from: str | None = None
