@@ -424,7 +424,7 @@ def _rows(run: Trajectory, truth: Trajectory, clip: int) -> tuple[Sample, Mask]:
         points = [one for one in run.of_target(ours.target) if one.part != BOX and len(one)]
         size = size_of_points(np.array([(one.x[0], one.y[0]) for one in points])) if points else 0.0
         one, mine = rows_of(pair, units[ours.target].at(ours.frame)), boxes_of(ours)
-        known = features(ours, mine, size)
+        known = features(vars(ours), mine, size)
         kept = one.judged & ~one.init & np.all([np.isfinite(values) for values in known.values()], axis=0)
         far = mahalanobis_squared(one.offset, one.std, one.cov_xy)
         samples.append(Sample(known, one.right, one.visible, np.full(len(ours), clip), far).take(kept))

@@ -31,7 +31,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -120,8 +120,12 @@ class Calibration(_StoredPart):
         map. A row is lost where p is below 1/2. Other rows that the tracker does not see are hidden: their target is
         seen, or their place is likely right.
         """
-        boxes, lost, c, unknown = boxes_of(rows), rows.status == "lost", rows.confidence, np.isnan(rows.ess)
-        known = features(rows, boxes, size)
+        return replace(rows, **self.changed(vars(rows), boxes_of(rows), size))
+
+    def changed(self, columns: Mapping[str, Any], boxes: Mask, size: float) -> dict[str, Any]:
+        """As `applied`, the columns that change, of rows that are not made yet; `boxes` (R,) are those of boxes."""
+        status, c, unknown = columns["status"], columns["confidence"], np.isnan(columns["ess"])
+        known, lost = features(columns, boxes, size), status == "lost"
         both = [
             (self.maps[kind].of(known), self.spread.get(kind, 1.0)) if kind in self.maps else (np.nan, 1.0)
             for kind in _KINDS
@@ -130,23 +134,24 @@ class Calibration(_StoredPart):
         if (lost & boxes).any():
             p = np.where(lost, np.minimum(p, self.lost), p)
         factor = np.where(unknown, 1.0, factor)
-        judged = ~((rows.status == "init") | np.isnan(c) | unknown)
-        status = np.where(judged & lost & ~np.isnan(p), "hidden", rows.status)
-        spread = {name: getattr(rows, name) * factor ** (2 if name == "cov_xy" else 1) for name in SPREAD}
+        judged = ~((status == "init") | np.isnan(c) | unknown)
+        status = np.where(judged & lost & ~np.isnan(p), "hidden", status)
+        spread = {name: columns[name] * factor ** (2 if name == "cov_xy" else 1) for name in SPREAD}
         status = np.where(judged & (p < LIKELY), "lost", status)
-        return replace(rows, confidence=np.where(judged, p, c), status=status, **spread)
+        return {"confidence": np.where(judged, p, c), "status": status, **spread}
 
 
-def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]:
+def features(columns: Mapping[str, Any], boxes: Mask, size: float) -> dict[Feature, Array]:
     """The features (R,) of rows of which these (R,) are `boxes`; `size`, in pixels, is that of the points."""
+    c = columns["confidence"]
     with np.errstate(divide="ignore", invalid="ignore"):
-        sides = np.where(boxes | (size == 0), np.sqrt(rows.w * rows.h), size)
+        sides = np.where(boxes | (size == 0), np.sqrt(columns["w"] * columns["h"]), size)
         return {
-            "confidence": rows.confidence,
-            "log_odds": np.log((rows.confidence + 0.01) / (1.01 - rows.confidence)),
-            "spread": np.log(np.clip(np.hypot(rows.std_x, rows.std_y) / sides, 1e-3, 10.0)),
-            "ess": np.log10(np.clip(rows.ess / rows.particles, 1e-3, 1.0)),
-            "lost": (rows.status == "lost").astype(float),
+            "confidence": c,
+            "log_odds": np.log((c + 0.01) / (1.01 - c)),
+            "spread": np.log(np.clip(np.hypot(columns["std_x"], columns["std_y"]) / sides, 1e-3, 10.0)),
+            "ess": np.log10(np.clip(columns["ess"] / columns["particles"], 1e-3, 1.0)),
+            "lost": (columns["status"] == "lost").astype(float),
             # what is small in the picture is placed less exactly, in terms of its size
             "size": np.log(np.clip(sides, 3.0, 1000.0)),
         }

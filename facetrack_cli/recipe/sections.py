@@ -360,15 +360,13 @@ class AuxiliarySettings(ResampledSettings):
     engine = "facetrack_cli.engine.filters:auxiliary"
     goes_with = ("points", "region", "cloud", "affine")
     type: Literal["auxiliary"]
-    look_ahead: Literal["draw", "mean"] = "draw"
-    """What a particle is picked by: the likelihood at a draw of its transition, as published, or at its mean."""
 
 
 class LooksAheadSettings(ResampledSettings):
     """A filter that steps each part on its own."""
 
-    look_ahead: Literal["draw", "mean", "none"] = "draw"
-    """What a part is picked by: the likelihood at a draw of its transition, as published, at its mean, or none."""
+    look_ahead: Literal["draw", "none"] = "draw"
+    """What a part is picked by: the likelihood at a draw of its transition, as published, or none."""
 
 
 class FactorizedSettings(LooksAheadSettings):
@@ -377,8 +375,8 @@ class FactorizedSettings(LooksAheadSettings):
     engine = "facetrack_cli.engine.filters:factorized"
     goes_with = ("points",)  # it resamples parts apart, and the other targets are one part
     type: Literal["factorized"]
-    reweight: Literal["prior", "transition", "both"] = "prior"
-    """By the shape prior (eq. 11), by the particles of the last frame (eq. 7), or, beyond the paper, by both."""
+    reweight: Literal["prior", "transition"] = "prior"
+    """By the shape prior (eq. 11), or by the particles of the last frame (eq. 7)."""
     from_prior: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Share of a part's sub-particles that is proposed from the prior given the other parts; as published 0."""
 

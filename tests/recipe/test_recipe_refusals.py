@@ -14,7 +14,7 @@ WRONG = [
     ("factorized", "prior=null", "prior needs a prior; add a prior section"),
     ("factorized", "prior=null filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 needs a prior"),
     ("factorized", "filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 goes with reweight: prior"),
-    ("factorized", "filter.reweight=both filter.particles=2001", "compares every two particles; give 2,000 at most"),
+    ("factorized", "filter.reweight=transition filter.particles=2001", "compares every two particles; give 2,000"),
     ("factorized", "target.points=[]", 'unknown key "points" in "target"; the keys there are: type, parts, windows'),
     ("auxiliary_prior", "filter.type=independent", "makes no use of a prior"),
     ("sir", f"motion={{type: first_order, position: {DYNAMICS}, scale: {DYNAMICS}}}",
