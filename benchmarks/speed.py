@@ -83,9 +83,7 @@ def kernel() -> None:
     sides, parts = np.array([[side, side]]), np.array([0])
 
     def ours() -> None:
-        windows.colour_ratio_distances(
-            rows, ratios, offsets, sides, parts, x, 0, 0, 1, 1.0, windows.L1, 1.0, out
-        )  # fmt: skip
+        windows.colour_ratio_distances(rows, ratios, offsets, sides, parts, x, 0, 0, 1, 1.0, out)
 
     def theirs() -> np.ndarray:
         return remap_distances(image, template, side, centres)

@@ -129,8 +129,6 @@ def facetrack(clips, tmp_path, monkeypatch, capfd):
     work.mkdir()
     monkeypatch.chdir(work)
     monkeypatch.delenv("FACETRACK_DEBUG", raising=False)
-    # what is said must not depend on what earlier tests have compiled
-    monkeypatch.setattr("facetrack_cli.engine.kernels.cache.tell", lambda say: None)
     threads = cv2.getNumThreads()
 
     def call(*args):

@@ -20,8 +20,6 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Array, Mask, Whole
 from facetrack_cli.engine.confidence import (
-    MAX_SPREAD_FACTOR,
-    RISES,
     Calibration,
     Feature,
     Isotonic,
@@ -29,6 +27,7 @@ from facetrack_cli.engine.confidence import (
     Map,
     PartKind,
     boxes_of,
+    features,
 )
 from facetrack_cli.evaluation.accuracy import (
     ELLIPSE_50,
@@ -42,6 +41,12 @@ from facetrack_cli.recipe.model import LIKELY, ParticleFilterSettings, Particles
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 MAX_ROWS: Final = 500  # of a kind of part in a clip
+MAX_SPREAD_FACTOR: Final = 20.0
+"""What a spread is multiplied by at most; divided by no more."""
+RISES: Final[Mapping[Feature, int]] = {
+    "confidence": 1, "log_odds": 1, "spread": -1, "ess": 0, "lost": -1, "size": 1,
+}  # fmt: skip
+"""Whether p rises with a feature or falls; 0: either."""
 KINDS: Final[tuple[PartKind, ...]] = ("points", "box")
 ALIKE: Final = 20
 LEVELS: Final = 20  # quantiles of a score that isotonic regression tells apart
@@ -181,20 +186,6 @@ def pool(y: Array, weight: Array) -> Array:
             weights[-2:] = [w]
             counts[-2:] = [counts[-2] + counts[-1]]
     return np.repeat(means, counts)
-
-
-def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]:
-    """The features (R,) of rows of which these (R,) are `boxes`; `size`, in pixels, is that of the points."""
-    c = rows.confidence
-    sides = np.where(boxes | (size == 0), np.sqrt(rows.w * rows.h), size)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        spread = np.log(np.minimum(np.maximum(np.hypot(rows.std_x, rows.std_y) / sides, 1e-3), 10))
-        ess = np.log10(np.minimum(np.maximum(rows.ess / rows.particles, 1e-3), 1))
-    odds = np.log((c + 0.01) / (1.01 - c))
-    # what is small in the picture is placed less exactly, in terms of its size
-    logs = np.log(np.clip(sides, 3.0, 1000.0)) + 0.0 * c
-    lost = (rows.status == "lost") * 1.0
-    return {"confidence": c, "log_odds": odds, "spread": spread, "ess": ess, "lost": lost, "size": logs}
 
 
 def probability(fitted: Map, values: Mapping[Feature, Array]) -> Array:
@@ -427,7 +418,7 @@ def _rows(run: Trajectory, truth: Trajectory, clip: int) -> tuple[Sample, Mask]:
         points = [one for one in run.of_target(ours.target) if one.part != BOX and len(one)]
         size = size_of_points(np.array([(one.x[0], one.y[0]) for one in points])) if points else 0.0
         mine = boxes_of(ours)
-        known = features(ours, mine, size)
+        known = features(vars(ours), mine, size)
         kept = one.judged & ~one.init & np.all([np.isfinite(values) for values in known.values()], axis=0)
         far = mahalanobis_squared(one.offset, one.std, one.cov_xy)
         samples.append(Sample(known, one.right, one.visible, np.full(len(ours), clip), far).take(kept))

@@ -144,7 +144,7 @@ def main() -> None:
         except FacetrackError as e:
             print(f"{path.stem}: no calibration: {e}", file=sys.stderr, flush=True)
             continue
-        file.write_text(found.calibration.to_json(), encoding="utf-8")
+        file.write_text(found.calibration.model_dump_json(indent=1) + "\n", encoding="utf-8")
         for kind, one in found.fitted.items():
             now, clips = SimpleNamespace(**one.checked), len(one.sample.clips)
             print(

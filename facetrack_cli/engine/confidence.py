@@ -28,10 +28,8 @@ A part is `lost` once its confidence has stayed under `lost_below` for `patience
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
 
@@ -41,21 +39,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Whole
-from facetrack_cli.engine.kernels.compiled import AS_IT_IS, HIDDEN, calibrate
 from facetrack_cli.recipe.model import LIKELY, ConfidenceSettings
 from facetrack_cli.trajectory.trajectory import SPREAD, Status, Trajectory
 
 if TYPE_CHECKING:
-    from facetrack_cli.engine.protocols import Belief, Likelihood
+    from facetrack_cli.engine.protocols import Belief
 
-MAX_SPREAD_FACTOR: Final = 20.0
-"""What a spread is multiplied by at most; divided by no more."""
 Feature: TypeAlias = Literal["confidence", "log_odds", "spread", "ess", "lost", "size"]
-RISES: Final[Mapping[Feature, int]] = {
-    "confidence": 1, "log_odds": 1, "spread": -1, "ess": 0, "lost": -1, "size": 1,
-}  # fmt: skip
-"""Whether p rises with a feature or falls; 0: either."""
 PartKind: TypeAlias = Literal["points", "box"]
+Metric: TypeAlias = Callable[[Frame, Array], Array]  # `distances` of a likelihood and what it has learned
+_KINDS: Final[tuple[PartKind, ...]] = ("box", "points")
 
 
 class _StoredPart(BaseModel):
@@ -70,6 +63,11 @@ class Logistic(_StoredPart):
     coefficients: dict[Feature, float]
     least: Annotated[float, Field(ge=0, le=0.5)]
 
+    def of(self, features: Mapping[Feature, Array]) -> Array:
+        """p (R,) of rows, by features (R,)."""
+        score = self.intercept + sum(slope * features[name] for name, slope in self.coefficients.items())
+        return np.asarray(np.clip(1 / (1 + np.exp(-np.clip(score, -700, 700))), self.least, 1 - self.least))
+
 
 class Isotonic(_StoredPart):
     """p is linear between `knots`, pairs of a value of the score and p, and level beyond them.
@@ -80,6 +78,11 @@ class Isotonic(_StoredPart):
     method: Literal["isotonic"] = "isotonic"
     score: Feature | Logistic
     knots: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=1)]
+
+    def of(self, features: Mapping[Feature, Array]) -> Array:
+        """p (R,) of rows, by features (R,)."""
+        score = self.score.of(features) if isinstance(self.score, Logistic) else features[self.score]
+        return np.asarray(np.interp(score, *np.transpose(self.knots)))
 
 
 Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
@@ -100,7 +103,7 @@ class Calibration(_StoredPart):
     right: Literal["error of the centre below 1/4 of the size"] = "error of the centre below 1/4 of the size"
     maps: dict[PartKind, Map]
     lost: Annotated[float, Field(ge=0, lt=LIKELY)]
-    spread: dict[PartKind, Annotated[float, Field(gt=0, le=MAX_SPREAD_FACTOR)]]
+    spread: dict[PartKind, Annotated[float, Field(gt=0, le=20)]]
     checked: dict[PartKind, dict[str, int | float]]
     clips: list[str]
     seeds: int
@@ -117,34 +120,41 @@ class Calibration(_StoredPart):
         map. A row is lost where p is below 1/2. Other rows that the tracker does not see are hidden: their target is
         seen, or their place is likely right.
         """
-        values, how = np.array([getattr(rows, name) for name in _READ]), np.empty(len(rows), np.int64)
-        about = boxes_of(rows), rows.status == "lost", rows.status == "init"
-        status = rows.status
-        if calibrate(values, *about, size, *self._tables, self.lost, LIKELY, how):
-            status = np.where(how == AS_IT_IS, status, np.where(how == HIDDEN, "hidden", "lost"))
-        return replace(rows, confidence=values[0], status=status, **dict(zip(SPREAD, values[5:], strict=True)))
+        return replace(rows, **self.changed(vars(rows), boxes_of(rows), size))
 
-    @cached_property
-    def _tables(self) -> tuple[Array, Array, Array, Whole, Array]:
-        """The maps and spreads of points and of boxes, as the kernel takes them."""
-        kinds: list[PartKind] = ["points", "box"]
-        maps = [self.maps.get(kind) for kind in kinds]
-        scores = [one.score if isinstance(one, Isotonic) else one for one in maps]
-        each = [one.coefficients if isinstance(one, Logistic) else {one: 1.0} for one in scores]
-        ends = [(one.intercept, one.least) if isinstance(one, Logistic) else (0.0, np.nan) for one in scores]
-        steps = [one.knots if isinstance(one, Isotonic) else [] for one in maps]
-        knots = np.zeros((2, 2, max(1, *map(len, steps))))
-        for table, own in zip(knots, steps, strict=True):
-            table[:, : len(own)] = np.array(own).reshape(-1, 2).T
-        counts = np.array([-1 if one is None else len(own) for one, own in zip(maps, steps, strict=True)])
-        slopes = np.array([[own.get(name, 0.0) for name in RISES] for own in each])
-        return slopes, np.array(ends), knots, counts, np.array([self.spread.get(kind, 1.0) for kind in kinds])
-
-    def to_json(self) -> str:
-        return json.dumps(self.model_dump(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    def changed(self, columns: Mapping[str, Any], boxes: Mask, size: float) -> dict[str, Any]:
+        """As `applied`, the columns that change, of rows that are not made yet; `boxes` (R,) are those of boxes."""
+        status, c, unknown = columns["status"], columns["confidence"], np.isnan(columns["ess"])
+        known, lost = features(columns, boxes, size), status == "lost"
+        both = [
+            (self.maps[kind].of(known), self.spread.get(kind, 1.0)) if kind in self.maps else (np.nan, 1.0)
+            for kind in _KINDS
+        ]
+        p, factor = (np.where(boxes, *each) for each in zip(*both, strict=True))
+        if (lost & boxes).any():
+            p = np.where(lost, np.minimum(p, self.lost), p)
+        factor = np.where(unknown, 1.0, factor)
+        judged = ~((status == "init") | np.isnan(c) | unknown)
+        status = np.where(judged & lost & ~np.isnan(p), "hidden", status)
+        spread = {name: columns[name] * factor ** (2 if name == "cov_xy" else 1) for name in SPREAD}
+        status = np.where(judged & (p < LIKELY), "lost", status)
+        return {"confidence": np.where(judged, p, c), "status": status, **spread}
 
 
-_READ: Final = ("confidence", "w", "h", "ess", "particles", *SPREAD)
+def features(columns: Mapping[str, Any], boxes: Mask, size: float) -> dict[Feature, Array]:
+    """The features (R,) of rows of which these (R,) are `boxes`; `size`, in pixels, is that of the points."""
+    c = columns["confidence"]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sides = np.where(boxes | (size == 0), np.sqrt(columns["w"] * columns["h"]), size)
+        return {
+            "confidence": c,
+            "log_odds": np.log((c + 0.01) / (1.01 - c)),
+            "spread": np.log(np.clip(np.hypot(columns["std_x"], columns["std_y"]) / sides, 1e-3, 10.0)),
+            "ess": np.log10(np.clip(columns["ess"] / columns["particles"], 1e-3, 1.0)),
+            "lost": (columns["status"] == "lost").astype(float),
+            # what is small in the picture is placed less exactly, in terms of its size
+            "size": np.log(np.clip(sides, 3.0, 1000.0)),
+        }
 
 
 def boxes_of(rows: Trajectory) -> Mask:
@@ -175,18 +185,16 @@ class Judgement:
     status: tuple[Status, ...]
 
 
-def begin(
-    settings: ConfidenceSettings, likelihood: Likelihood, learned: Any, frame: Frame, x0: Array, windows: Array
-) -> Judgement:
+def begin(settings: ConfidenceSettings, metric: Metric, frame: Frame, x0: Array, windows: Array) -> Judgement:
     """The judgement of the first frame, whose parts are at x0 (K, D) and `windows` (K, 2) pixels large."""
     k = len(x0)
     angles = np.arange(16) * (2 * np.pi / 16)
     ring = np.zeros((16, *x0.shape))
     ring[..., :2] = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None] * windows
-    near = np.median(likelihood.distances(learned, frame, x0 + ring / 13), axis=0)
-    beside = np.quantile(likelihood.distances(learned, frame, x0 + ring), settings.beside, axis=0)
+    near = np.median(metric(frame, x0 + ring / 13), axis=0)
+    beside = np.quantile(metric(frame, x0 + ring), settings.beside, axis=0)
     blank = Frame(frame.index, frame.time_s, np.full_like(frame.bgr, 128))
-    bad = np.minimum(beside, likelihood.distances(learned, blank, x0[None])[0])
+    bad = np.minimum(beside, metric(blank, x0[None])[0])
     return Judgement(near, bad, np.ones(k), np.zeros(k, np.int64), tuple(["init"] * k))
 
 
@@ -208,23 +216,14 @@ def decide(settings: ConfidenceSettings, last: Judgement, confidence: Array) -> 
 
 
 def resume(
-    settings: ConfidenceSettings,
-    first: Judgement,
-    relearned: Mask,
-    likelihood: Likelihood,
-    learned: Any,
-    frame: Frame,
-    x0: Array,
-    windows: Array,
+    settings: ConfidenceSettings, first: Judgement, fresh: Mask, metric: Metric, frame: Frame, x0: Array, windows: Array
 ) -> Judgement:
-    """The judgement where a target begins again at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.
+    """The judgement where a target begins again at x0 (K, D), with `windows` (K, 2).
 
-    Parts `relearned` (K,) are judged from here on, others by the `first` frame; one in doubt is `lost` at once.
+    Parts that are `fresh` (K,) are judged from here on, others by the `first` frame; one in doubt is `lost` at once.
     """
     impatient = np.full(len(first.below), settings.patience - 1, np.int64)
-    kept = judge(settings, replace(first, below=impatient), likelihood.distances(learned, frame, x0[None])[0])
-    if not relearned.any():
-        return kept
-    new = begin(settings, likelihood, learned, frame, x0, windows)
-    mixed = {key.name: np.where(relearned, getattr(new, key.name), getattr(kept, key.name)) for key in fields(kept)}
+    kept = judge(settings, replace(first, below=impatient), metric(frame, x0[None])[0])
+    new = begin(settings, metric, frame, x0, windows)
+    mixed = {key.name: np.where(fresh, getattr(new, key.name), getattr(kept, key.name)) for key in fields(kept)}
     return Judgement(**{**mixed, "status": tuple(mixed["status"].tolist())})

@@ -24,7 +24,7 @@ from numpy.random import Generator
 from facetrack_cli.core.npz import STORED
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
 from facetrack_cli.engine.loop import Footprint, Target, Tracker
-from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajectory, build
+from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajectory, of_frame
 
 STREAM: Final = 2**31  # keeps the streams of corrections apart from those of targets
 
@@ -135,10 +135,9 @@ class CorrectedTarget:
 
     def _absent(self, frame: Frame) -> TargetResult:
         """The result while nothing of the target is visible."""
-        k, names = len(self.parts), [(self.name, part) for part in self.parts]
-        frames, times = np.full(k, frame.index), np.full(k, frame.time_s)
-        rows = build(names, np.arange(k), frames, time_s=times, status=["absent"] * k)
-        return TargetResult(rows, np.zeros((0, k, 2)))
+        names = tuple((self.name, part) for part in self.parts)
+        rows = of_frame(names, frame, {}, status=["absent"] * len(names))
+        return TargetResult(rows, np.zeros((0, len(names), 2)))
 
 
 def restored(tracker: Tracker, states: Sequence[Any], frame: Callable[[int], Frame]) -> list[Any]:

@@ -8,40 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.types import Array, Info, Mask, Particles, Whole
-from facetrack_cli.engine.resampling import (
-    distinct,
-    effective_sample_size,
-    logsumexp,
-    normalise,
-    summed,
-    systematic,
-    uniform,
-)
+from facetrack_cli.engine.protocols import Prediction
+from facetrack_cli.engine.resampling import distinct, effective_sample_size, logsumexp, summed, systematic, uniform
 from facetrack_cli.recipe.sections import AuxiliarySettings, FactorizedSettings, IndependentSettings, SirSettings
 
 if TYPE_CHECKING:
     from facetrack_cli.engine.target import FrameModel
-
-
-class Prediction(NamedTuple):
-    """Where a target is expected in this frame, before any particle is drawn (Zhou et al. 2003, section 3.1.2).
-
-    `state` (K, D) is the point estimate of the last frame and `shift` (K, D) what is added to it (nu_t, eq. 12);
-    `noise` is eta, by which the noise is larger than usual (eq. 13), and `error` the eps_t that it follows from.
-    `entropy_fell`: whether the identity had become more certain in the last frame; None if nobody is recognised.
-    """
-
-    state: Array
-    shift: Array
-    noise: float = 1.0
-    error: float | None = None
-    entropy_fell: bool | None = None
 
 
 # in place of log 0, so that a ratio of two zeros is 1 and not a NaN: where nothing is likely, nothing is preferred
@@ -57,23 +35,18 @@ def sir(settings: SirSettings, rng: Generator, particles: Particles, model: Fram
 
 
 def auxiliary(settings: AuxiliarySettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
-    """Auxiliary filter over the joint state (section 4; Pitt & Shephard 1999); mu is drawn of p(s|s^-), not a mean.
-
-    `look_ahead: mean` takes the mean, as Pitt & Shephard do.
-    """
-    mu = model.expect(particles.x) if settings.look_ahead == "mean" else model.propagate(rng, particles.x)
-    log_first = particles.log_w + (log_lambda := _log_observation(model, mu, particles.x))
-    chosen = systematic(rng, normalise(log_first), len(mu))
+    """Auxiliary filter over the joint state (section 4; Pitt & Shephard 1999); mu is drawn of p(s|s^-), not a mean."""
+    mu = model.propagate(rng, particles.x)
+    log_lambda = _log_observation(model, mu, particles.x)
+    first, log_first = summed(particles.log_w + log_lambda)
+    chosen = systematic(rng, first, len(mu))
     parents = particles.x[chosen]
     moved, info = weighted(model, model.propagate(rng, parents), parents, -log_lambda[chosen])
-    return moved, info._replace(evidence=info.evidence + float(logsumexp(log_first)))
+    return moved, info._replace(evidence=info.evidence + float(log_first))
 
 
 def factorized(
-    settings: FactorizedSettings | IndependentSettings,
-    rng: Generator,
-    particles: Particles,
-    model: FrameModel,
+    settings: FactorizedSettings | IndependentSettings, rng: Generator, particles: Particles, model: FrameModel
 ) -> Stepped:
     """Filter with factorized likelihoods (Patras & Pantic 2004, section 2.1).
 
@@ -86,8 +59,8 @@ def factorized(
     - `none`, of `independent`: 1. That is N independent auxiliary filters, the paper's first baseline.
 
     As published the auxiliary step looks ahead by a draw mu of the transition; the weights then divide by a random
-    lambda, and few of them are large. Beyond the paper, `look_ahead: mean` takes the mean of the transition, `none`
-    makes it a bootstrap step, which evaluates the likelihood half as often.
+    lambda, and few of them are large. Beyond the paper, `look_ahead: none` makes it a bootstrap step, which evaluates
+    the likelihood half as often.
 
     With `from_prior` (beyond the paper) the transition of a part is the mixture of both; the label of the component
     belongs to the auxiliary variable, and the weights of steps 3 and 5 hold as they are.
@@ -99,8 +72,7 @@ def factorized(
         chosen = systematic(rng, np.repeat(particles.log_w[:, None], k, axis=1), n)
         base, evidence = np.zeros((n, k)), 0.0
     else:
-        mean, all_ = settings.look_ahead == "mean", np.broadcast_to(np.arange(n)[:, None], (n, k))
-        mu = _move(rng, particles.x, model, particles.x, jumps, all_, mean=mean)
+        mu = _move(rng, particles.x, model, particles.x, jumps, np.broadcast_to(np.arange(n)[:, None], (n, k)))
         log_lambda = np.maximum(model.log_likelihood(mu, particles.x), MIN_LOG)
         first, log_first = summed(particles.log_w[:, None] + log_lambda)
         chosen = systematic(rng, first, n)
@@ -113,31 +85,20 @@ def factorized(
     x = s.reshape(n * k, d).take(picked * k + columns, axis=0)
     log_ratio = np.zeros(n)
     if settings.reweight == "prior":
-        log_ratio = log_ratio + model.log_prior(x)
-    elif settings.reweight == "transition":
-        log_ratio = log_ratio + _log_ratio(x, particles, model)
+        log_ratio = model.log_prior(x)
+    elif settings.reweight == "transition":  # eq. 7, of the joint predictive density to the product of the parts'
+        step = model.log_transition(x, particles.x)  # (N, M, K)
+        marginals = logsumexp(step + particles.log_w[:, None], axis=1)
+        log_ratio = logsumexp(step.sum(axis=2) + particles.log_w, axis=1) - marginals.sum(axis=1)
     log_w, log_sum = summed(log_ratio)
     log_w = uniform(n) if settings.reweight == "none" else log_w
     evidence += float(each.sum()) - k * math.log(n) + float(log_sum) - math.log(n)
     return Particles(x, log_w), Info(distinct(picked, log_w), evidence)
 
 
-def _log_ratio(x: Array, previous: Particles, model: FrameModel) -> Array:
-    """(N,): log of the ratio of eq. 7, of the joint predictive density to the product of the parts'."""
-    step = model.log_transition(x, previous.x)  # (N, M, K)
-    joint = logsumexp(step.sum(axis=2) + previous.log_w, axis=1)
-    marginals = logsumexp(step + previous.log_w[:, None], axis=1)
-    return np.asarray(joint - marginals.sum(axis=1))
-
-
-def _move(
-    rng: Generator, x: Array, model: FrameModel, whole: Array, jumps: Mask | None, chosen: Whole, *, mean: bool = False
-) -> Array:
-    """x (N, K, D) moved by the transition, or by the prior where `jumps` (N, K); `whole` are the parents entire.
-
-    With `mean` the transition's mean is taken in place of a draw.
-    """
-    moved = model.expect(x) if mean else model.propagate(rng, x)
+def _move(rng: Generator, x: Array, model: FrameModel, whole: Array, jumps: Mask | None, chosen: Whole) -> Array:
+    """x (N, K, D) moved by the transition, or by the prior where `jumps` (N, K); `whole` are the parents entire."""
+    moved = model.propagate(rng, x)
     if jumps is None:
         return moved
     for i in range(x.shape[1]):
@@ -145,6 +106,30 @@ def _move(
         if rows.size:
             moved[rows, i] = model.prior.propose(rng, whole[chosen[rows, i]], i)
     return moved
+
+
+def adaptive(settings: Any, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+    """Around the one place that is predicted (Zhou et al. 2003, figure 1): theta_t = theta_{t-1} + nu_t + u_t."""
+    ahead = model.ahead
+    parents = np.repeat(ahead.state[None], number(settings, ahead), axis=0)
+    x = model.propagate(rng, parents)
+    if settings.centre:
+        x[0] = ahead.state + ahead.shift
+    return weighted(model, x, parents, 0.0)
+
+
+def number(settings: Any, ahead: Prediction) -> int:
+    """J_t, the number of particles (eq. 17). With J_0 = `particles` and d = `entropy` it is
+
+        J_t = J_0 (eta + d)  if the entropy of the identity rose,  J_0 (eta - d)  if it did not,
+
+    and J_0 eta where nobody is recognised; never below `least`. Eq. 17 prints (-1)^I[H_{t-1} < H_{t-2}], which adds d
+    if the entropy stayed the same; taken is the text, "otherwise we deduct".
+    """
+    if not settings.adapt:
+        return int(settings.particles)
+    change = {None: 0.0, True: -settings.entropy, False: settings.entropy}[ahead.entropy_fell]
+    return int(max(round(settings.particles * (ahead.noise + change)), settings.least))
 
 
 def weighted(model: FrameModel, x: Array, parents: Array, base: Array | float) -> Stepped:

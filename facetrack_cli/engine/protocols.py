@@ -39,6 +39,21 @@ class Belief(NamedTuple):
     named: Array | None = None
 
 
+class Prediction(NamedTuple):
+    """Where a target is expected in this frame, before any particle is drawn (Zhou et al. 2003, section 3.1.2).
+
+    `state` (K, D) is the point estimate of the last frame and `shift` (K, D) what is added to it (nu_t, eq. 12);
+    `noise` is eta, by which the noise is larger than usual (eq. 13), and `error` the eps_t that it follows from.
+    `entropy_fell`: whether the identity had become more certain in the last frame; None if nobody is recognised.
+    """
+
+    state: Array
+    shift: Array
+    noise: float = 1.0
+    error: float | None = None
+    entropy_fell: bool | None = None
+
+
 class Likelihood(Protocol):
     """An observation model, of N particles, K parts and D coordinates of a part; lengths are pixels of the frame.
 
@@ -109,7 +124,7 @@ class Motion(Protocol):
 
     Of a motion that predicts from the frame where the target went, before any particle is drawn, `begin` returns what
     it learns of a frame, a value, the flow. It also has `learn` and `predict`, and a field `ahead`, the prediction
-    around which it moves in a frame: see `PredictedWalk` in `trackers/appearance/affine.py`.
+    around which it moves in a frame: see `PredictedWalk` in `trackers/appearance/appearance.py`.
     """
 
     diagnostics: ClassVar[tuple[Diagnostic, ...]] = ()

@@ -13,9 +13,9 @@ from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask, Particles, Start, TargetStart
 from facetrack_cli.engine import confidence
 from facetrack_cli.engine.confidence import Calibration, Judgement, load_calibration
-from facetrack_cli.engine.filters import Prediction, Step
+from facetrack_cli.engine.filters import Step
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.engine.protocols import Belief, Likelihood, Linear, Motion, Names, Prior
+from facetrack_cli.engine.protocols import Belief, Likelihood, Linear, Motion, Names, Prediction, Prior
 from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.spaces import Context, Estimate, PointSpace, Space, evenly
 from facetrack_cli.recipe.load import resolve_file
@@ -92,8 +92,8 @@ class ParticleTarget:
         particles, still = self._fresh(rng, self.x0, self.scatter)
         judgement = None
         if self.confidence is not None:
-            windows = self.space.windows(still)
-            judgement = confidence.begin(self.confidence, self.likelihood, learned, frame, self.x0, windows)
+            windows, metric = self.space.windows(still), partial(self.likelihood.distances, learned)
+            judgement = confidence.begin(self.confidence, metric, frame, self.x0, windows)
         state, result = self._initial(rng, frame, ParticleState(particles, still, learned, judgement), "init")
         return state, result._replace(notes=getattr(learned, "notes", ()))
 
@@ -135,8 +135,8 @@ class ParticleTarget:
             if (presence := self.space.presence(particles, still)) is not None:
                 judgement = confidence.decide(self.confidence, judgement, presence)
             else:
-                windows, measure = self.space.windows(still), self.likelihood
-                judgement = confidence.resume(self.confidence, judgement, fresh, measure, learned, frame, x0, windows)
+                windows, metric = self.space.windows(still), partial(self.likelihood.distances, learned)
+                judgement = confidence.resume(self.confidence, judgement, fresh, metric, frame, x0, windows)
         learned = self.likelihood.learn(learned, frame, x0, particles)
         state = ParticleState(particles, still, learned, judgement, absent=hidden if hidden.any() else None)
         return self._initial(rng, frame, state, "tracked")
@@ -203,10 +203,6 @@ class ParticleTarget:
         return Footprint(centre[0, :2], self.space.windows(state.estimated)[0] / 2, lost=lost)
 
     @cached_property
-    def _names(self) -> tuple[tuple[str, str], ...]:
-        return tuple((self.name, part) for part in self.parts)
-
-    @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What is reported of the target beside its rows."""
         return (*self.likelihood.diagnostics, *self.space.diagnostics, *self.motion.diagnostics, EVIDENCE)
@@ -242,7 +238,8 @@ class ParticleTarget:
         if state.absent is not None:
             columns |= {name: np.where(state.absent, np.nan, columns[name]) for name in PLACE if name in columns}
             columns["status"] = np.where(state.absent, "absent", columns["status"])
-        rows = of_frame(self._names, frame, self._reported(state, frame, info), **columns)
+        names = tuple((self.name, part) for part in self.parts)
+        rows = of_frame(names, frame, self._reported(state, frame, info), **columns)
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.size)
         return TargetResult(rows, state.particles.x[..., :2], beliefs=lambda: self.beliefs(state))
@@ -277,8 +274,8 @@ class ParticleTarget:
 class FrameModel:
     """What a filter may ask: a target with one frame, and the motion of it, bound in.
 
-    Of N particles of K parts, with D coordinates a part; the parts of a particle move independently. `motion`,
-    `likelihood`, what it has `learned`, and `prior` are for the filters of one tracker, which know them.
+    Of N particles of K parts, with D coordinates a part; the parts of a particle move independently. `motion`, `prior`,
+    `target` and `state` are for the filters of one tracker, which know them.
     """
 
     target: ParticleTarget
@@ -286,14 +283,6 @@ class FrameModel:
     frame: Frame
     footprints: Sequence[Footprint]
     motion: Any  # a `Motion`, with what one that predicts has beside
-
-    @property
-    def likelihood(self) -> Any:
-        return self.target.likelihood
-
-    @property
-    def learned(self) -> Any:
-        return self.state.learned
 
     @property
     def prior(self) -> Any:
@@ -311,18 +300,13 @@ class FrameModel:
         moved: Array = self.motion.propagate(rng, x)
         return moved
 
-    def expect(self, x: Array) -> Array:
-        """(N, K, D): the mean of p(x_t | x_{t-1} = x)."""
-        mean: Array = self.motion.expect(x)
-        return mean
-
     def log_transition(self, x: Array, parents: Array) -> Array:
         """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D)."""
         return self._of_present(self.motion.log_transition(x, parents))
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
         """(N, K): log p(y | x) of each part; x and the particles that they come from are (N, K, D)."""
-        score = partial(self.likelihood.score, self.learned, self.frame, x, parents)
+        score = partial(self.target.likelihood.score, self.state.learned, self.frame, x, parents)
         log_p = self._of_present(self.motion.weighed(x, parents, score))
         exclusion = self.target.exclusion
         return log_p if exclusion is None else log_p + exclusion(x, self.footprints)

@@ -186,10 +186,6 @@ class FilterSettings(Kind):
     def build(self, context: Any) -> Any:
         return partial(pkgutil.resolve_name(self.engine), self)
 
-    def most(self, whole: ParticleFilterSettings) -> tuple[int, Steps]:
-        """The largest number of particles in a frame, and the path of the key that sets it."""
-        return self.particles, ("filter", "particles")
-
 
 class PriorSettings(Kind):
     """Which shapes are likely: p(alpha)."""
@@ -342,7 +338,7 @@ class WindowPerPart(PerPart[Window]):
 
 # --- sections that several trackers share: filters, the random walk, targets whose scale is bounded ------------------
 
-# `engine/filters.py` has the filters side by side, `engine/motion.py` the walk. Sections and equations are those of
+# `engine/filters.py` has the filters side by side, `engine/spaces.py` the walk. Sections and equations are those of
 # Patras & Pantic, "Particle Filtering with Factorized Likelihoods for Tracking Facial Features", FG 2004.
 BOX = "box"  # the one part of a target that is followed as a box
 Factor: TypeAlias = Annotated[float, Field(gt=0, le=100)]
@@ -371,15 +367,13 @@ class AuxiliarySettings(ResampledSettings):
     engine = "facetrack_cli.engine.filters:auxiliary"
     goes_with = ("points", "region", "cloud", "affine")
     type: Literal["auxiliary"]
-    look_ahead: Literal["draw", "mean"] = "draw"
-    """What a particle is picked by: the likelihood at a draw of its transition, as published, or at its mean."""
 
 
 class LooksAheadSettings(ResampledSettings):
     """A filter that steps each part on its own."""
 
-    look_ahead: Literal["draw", "mean", "none"] = "draw"
-    """What a part is picked by: the likelihood at a draw of its transition, as published, at its mean, or none."""
+    look_ahead: Literal["draw", "none"] = "draw"
+    """What a part is picked by: the likelihood at a draw of its transition, as published, or none."""
 
 
 class FactorizedSettings(LooksAheadSettings):
@@ -425,7 +419,7 @@ class IndependentSettings(LooksAheadSettings):
 class RandomWalkSettings(MotionSettings):
     """Zero-order motion with Gaussian noise: p(alpha_i | alpha_i^-) = alpha_i^- + N(0, sigma) (section 3.3)."""
 
-    engine = "facetrack_cli.engine.motion:random_walk"
+    engine = "facetrack_cli.engine.spaces:random_walk"
     goes_with = ("points", "region", "cloud")
     type: Literal["random_walk"]
     sigma: LengthPerPart

@@ -67,9 +67,6 @@ class Progress:
         if not self._quiet:
             self.error(line)
 
-    def hint(self, line: str) -> None:
-        """A line for who sits before a terminal and waits."""
-
     def error(self, line: str) -> None:
         write_line(line, clip=self._clip())
 
@@ -124,7 +121,7 @@ class Bar(Progress):
     def say(self, line: str) -> None:
         self._bar.console.print(flat(line), markup=False, highlight=False, soft_wrap=True)
 
-    error = hint = say
+    error = say
 
     def close(self) -> None:
         self._bar.stop()

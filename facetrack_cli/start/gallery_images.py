@@ -20,7 +20,7 @@ from facetrack_cli.core.types import Array, Box, Frame, Start
 from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.start.init_file import SUFFIXES as INIT_SUFFIXES
 from facetrack_cli.start.init_file import check_start, default_path, find_init, read_init
-from facetrack_cli.trackers.appearance.affine import AffineSpace, Patches
+from facetrack_cli.trackers.appearance.appearance import AffineSpace, Patches
 from facetrack_cli.trackers.appearance.gallery import Rows, name_problem
 from facetrack_cli.trackers.face.detectors import find_faces
 from facetrack_cli.video import images

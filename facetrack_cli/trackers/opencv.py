@@ -4,7 +4,7 @@ A tracker that reports its target as lost makes the part `lost`, and the box sta
 """
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final, TypeAlias
 
@@ -22,7 +22,7 @@ MIN_SIDE: Final = 6  # pixels: MIL looks for ever for features in a box of 4x4
 State: TypeAlias = "tuple[Any, tuple[int, int, int, int]]"  # OpenCV's tracker, and the last box
 
 
-def find(tracker: str) -> Callable[[], Any] | None:
+def find(tracker: str) -> Any:
     """What makes a tracker of that name, None where this build of OpenCV has none."""
     module: Any = getattr(cv2, "legacy", None) if tracker == "mosse" else cv2
     return getattr(module, f"Tracker{tracker.upper()}_create", None)
@@ -49,11 +49,9 @@ class OpenCvTarget:
 
     def begin(self, rng: Generator, frame: Frame) -> tuple[State, TargetResult]:
         """Raises InputError for a box too small, or too large, for this tracker."""
-        create = find(self.tracker)
-        assert create is not None
         box = self._whole(frame)
         _seed(int(rng.integers(1, 2**31)))
-        tracker = create()
+        tracker = find(self.tracker)()
         try:
             tracker.init(frame.bgr, box)
         except cv2.error as e:

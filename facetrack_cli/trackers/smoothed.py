@@ -21,7 +21,7 @@ import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import chain, pairwise, repeat
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -86,36 +86,25 @@ def lagged(results: Iterable[FrameResult], lag: int) -> Iterator[FrameResult]:
     They are those of `smoothed_rows` of all frames up to then, where no part takes longer than `lag` frames to be lost.
     """
     kept = deque[FrameResult]()
-    before: list[tuple[Belief, ...]] = []
-    for result in results:
-        kept.append(result)
-        if len(kept) - bool(before) > lag:  # the frame before stays until the next one is done
-            done, before = _next(kept, before)
-            yield done
-    while len(kept) > bool(before):
-        done, before = _next(kept, before)
-        yield done
-
-
-def _next(
-    kept: deque[FrameResult], before: Sequence[tuple[Belief, ...]]
-) -> tuple[FrameResult, list[tuple[Belief, ...]]]:
-    """The next frame of `kept`, smoothed, and its beliefs.
-
-    It is the first of `kept`, or the second if the first has the beliefs `before`; then the first is dropped.
-    """
-    at = 1 if before else 0
-    now, targets, after = kept[at], [], []
-    for i, target in enumerate(now.targets):
-        rows = successive([result.targets[i].rows for result in kept])
-        beliefs = [() if (beliefs_of := result.targets[i].beliefs) is None else beliefs_of() for result in kept]
-        smoother = _SmoothedTarget(rows, beliefs, before[i] if before else (), lag=True, aspect=now.frame.aspect)
-        frame = now.frame.index
-        targets.append(target._replace(rows=smoother.rows().between(frame, frame + 1)))
-        after.append(smoother.carried(at))
-    if before:
-        kept.popleft()
-    return FrameResult(now.frame, tuple(targets)), after
+    before: list[tuple[Belief, ...]] = []  # of the first of `kept`, which stays until the next one is done
+    for result in chain(results, repeat(None, lag)):
+        if result is not None:
+            kept.append(result)
+        at = 1 if before else 0
+        if len(kept) - at <= (lag if result is not None else 0):
+            continue
+        now, targets, after = kept[at], [], []
+        for i, target in enumerate(now.targets):
+            rows = successive([each.targets[i].rows for each in kept])
+            beliefs = [() if (beliefs_of := each.targets[i].beliefs) is None else beliefs_of() for each in kept]
+            smoother = _SmoothedTarget(rows, beliefs, before[i] if before else (), lag=True, aspect=now.frame.aspect)
+            frame = now.frame.index
+            targets.append(target._replace(rows=smoother.rows().between(frame, frame + 1)))
+            after.append(smoother.carried(at))
+        if before:
+            kept.popleft()
+        before = after
+        yield FrameResult(now.frame, tuple(targets))
 
 
 class _SmoothedTarget:
@@ -129,6 +118,7 @@ class _SmoothedTarget:
         `aspect` is the width of a pixel over its height.
         """
         self.all, k, t, self.lag, self.aspect = rows, len(rows.names), len(beliefs), lag, aspect
+        self.reported = rows.diagnostics.get(rows.target)
         table = {name: getattr(rows, name).reshape(k, t).T for name in (*_SMOOTHED, "status", "by_hand")}
         self.of = table
         self.gone: Mask = np.isnan(table["x"])
@@ -142,16 +132,12 @@ class _SmoothedTarget:
             placed[0] = False
         self.sizes = [len(belief.mean) for belief in first]
         ends = np.cumsum([0, *self.sizes])
-        # a calibration may call a part lost that the filter sees: then nothing is in doubt
-        self.chains = [
-            chained(
-                of := [each[i] for each in whole],
-                lost[:, a:b] & np.stack([belief.doubt for belief in of]),
-                self.gone[:, a:b],
-                placed,
-            )
-            for i, (a, b) in enumerate(pairwise(ends.tolist()))
-        ]
+        self.chains: list[Chain] = []
+        for i, (a, b) in enumerate(pairwise(ends.tolist())):
+            of = [each[i] for each in whole]
+            # a calibration may call a part lost that the filter sees: then nothing is in doubt
+            lost[:, a:b] &= np.stack([belief.doubt for belief in of])
+            self.chains.append(chained(of, lost[:, a:b], self.gone[:, a:b], placed))
 
     def rows(self) -> Trajectory:
         if not self.chains:
@@ -162,7 +148,8 @@ class _SmoothedTarget:
         before, box = [head], BOX in [part for _, part in self.all.names]
         after = [smoothed(head)]
         if len(self.chains) > 1:
-            points = _side_by_side([chain for chain in self.chains if chain is not head])
+            others = [each for each in self.chains if each is not head]
+            points = Chain(*(np.concatenate(each, axis=1) for each in zip(*others, strict=True)))
             before, after = [points, head], [self._face(columns, points, head, *after[0]), *after]
         elif box and before[0].mean.shape[-1] > 2:
             self._box(columns, before[0], *after[0])
@@ -177,7 +164,7 @@ class _SmoothedTarget:
 
     def _box(self, columns: dict[str, Array], before: Chain, mean: Array, cov: Array) -> None:
         columns |= _places(mean, cov)
-        sides, state, reported = {"w": [2], "h": [2]}, before.mean, self._reported
+        sides, state, reported = {"w": [2], "h": [2]}, before.mean, self.reported
         affine = reported is not None and AFFINE.name in reported.values
         if reported is not None and affine:
             # of the rows' state, which may be that of the best particle
@@ -231,13 +218,9 @@ class _SmoothedTarget:
             columns[f"std_{side}"][:, k] = self.of[side][:, k] * np.sqrt(box_cov[:, 0, 2, 2]) / head.mean[:, 0, 2]
         return still, cov
 
-    @property
-    def _reported(self) -> Diagnostics | None:
-        return self.all.diagnostics.get(self.all.target)
-
     def _diagnostics(self, before: Sequence[Chain], after: Sequence[_Moments], keep: Mask) -> Mapping[str, Diagnostics]:
         """Those that tell of place and size as the rows do; all others are the filter's."""
-        reported, (mean, _) = self._reported, after[-1]
+        reported, (mean, _) = self.reported, after[-1]
         if reported is None or (len(after) == 1 and AFFINE.name not in reported.values):
             return self.all.diagnostics
         at = np.searchsorted(self.all.frames, reported.frame)  # there are none of frames in which it is absent
@@ -254,21 +237,9 @@ class _SmoothedTarget:
     def carried(self, at: int) -> tuple[Belief, ...]:
         """The beliefs of a frame, with predictions of the parts that it did not show."""
         beliefs = []
-        for chain in map(bridged, self.chains):
-            motion = Linear(*(each[at] for each in chain.motion))
-            beliefs.append(Belief(chain.mean[at], chain.cov[at], motion, chain.unseen[at]))
+        for mean, cov, *motion, unseen, _, _ in map(bridged, self.chains):
+            beliefs.append(Belief(mean[at], cov[at], Linear(*(each[at] for each in motion)), unseen[at]))
         return tuple(beliefs)
-
-
-def _side_by_side(chains: Sequence[Chain]) -> Chain:
-    """The chains of several sets of parts as one."""
-    if len(chains) == 1:
-        return chains[0]
-    motion = Linear(*(np.concatenate(each, axis=1) for each in zip(*(chain.motion for chain in chains), strict=True)))
-    others = [name for name in Chain._fields if name != "motion"]
-    return Chain(
-        motion=motion, **{name: np.concatenate([getattr(chain, name) for chain in chains], axis=1) for name in others}
-    )
 
 
 def _mapped(matrix: Array, cov: Array) -> Array:
@@ -285,7 +256,7 @@ def _places(mean: Array, cov: Array) -> dict[str, Array]:
 
 
 class Chain(NamedTuple):
-    """Beliefs of T frames: `mean` (T, K, D), `cov` (T, K, D, D), the motions into each frame, of one axis more.
+    """Beliefs of T frames: `mean` (T, K, D), `cov` (T, K, D, D); of the motions into each frame the same as `Linear`.
 
     Of (T, K) are `unseen`, whether the frame did not show the part; `joined`, whether there is a belief of it in this
     frame and in the one before; `linked`, whether it also says something of the frame before.
@@ -293,7 +264,9 @@ class Chain(NamedTuple):
 
     mean: Array
     cov: Array
-    motion: Linear
+    matrix: Array
+    offset: Array
+    noise: Array
     unseen: Mask
     joined: Mask
     linked: Mask
@@ -326,13 +299,13 @@ def chained(beliefs: Sequence[Belief], lost: Mask, gone: Mask, by_hand: Mask) ->
     joined = np.zeros_like(unseen)
     joined[1:] = ~gone[1:] & ~gone[:-1]
     mean, cov = (np.stack([getattr(belief, name) for belief in beliefs]) for name in ("mean", "cov"))
-    motion = Linear(*(np.stack(each) for each in zip(*(belief.motion for belief in beliefs), strict=True)))
+    matrix, offset, noise = (np.stack(each) for each in zip(*(belief.motion for belief in beliefs), strict=True))
     # what a frame does not show moves with the parts that it shows
-    shown, offset = joined & ~unseen, motion.offset.copy()
+    shown = joined & ~unseen
     shown[1:] &= ~unseen[:-1] & ~by_hand[1:, None]
     for t in np.flatnonzero(shown.any(axis=1) & (joined & ~shown).any(axis=1)).tolist():
         offset[t, joined[t] & ~shown[t]] += (mean[t] - mean[t - 1])[shown[t]].mean(axis=0)
-    return Chain(mean, cov, motion._replace(offset=offset), unseen, joined, joined & (~unseen | seen_later))
+    return Chain(mean, cov, matrix, offset, noise, unseen, joined, joined & (~unseen | seen_later))
 
 
 def bridged(beliefs: Chain) -> Chain:
@@ -353,7 +326,7 @@ def smoothed(beliefs: Chain) -> tuple[Array, Array]:
         if not beliefs.linked[t].any():
             continue
         ahead, spread = _predicted(beliefs, t, mean[t - 1], cov[t - 1])
-        gain = cov[t - 1] @ beliefs.motion.matrix[t].mT @ _inverse(spread)
+        gain = cov[t - 1] @ beliefs.matrix[t].mT @ _inverse(spread)
         gain[~beliefs.linked[t]] = 0.0
         mean[t - 1] += np.einsum("kde,ke->kd", gain, mean[t] - ahead)
         new = cov[t - 1] + gain @ (cov[t] - spread) @ gain.mT
@@ -363,9 +336,9 @@ def smoothed(beliefs: Chain) -> tuple[Array, Array]:
 
 def _predicted(beliefs: Chain, t: int, mean: Array, cov: Array) -> tuple[Array, Array]:
     """What the motion into frame t makes of mean (K, D) and covariance (K, D, D)."""
-    matrix = beliefs.motion.matrix[t]
-    ahead = np.einsum("kde,ke->kd", matrix, mean) + beliefs.motion.offset[t]
-    return ahead, matrix @ cov @ matrix.mT + beliefs.motion.cov[t]
+    matrix = beliefs.matrix[t]
+    ahead = np.einsum("kde,ke->kd", matrix, mean) + beliefs.offset[t]
+    return ahead, matrix @ cov @ matrix.mT + beliefs.noise[t]
 
 
 def steadied(at: Array, shown: Mask) -> Array:

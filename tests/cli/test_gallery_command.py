@@ -13,7 +13,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.start.gallery_images import SHIFT, STRETCH, TURN, Reading, count, find_people, moved, near, off
 from facetrack_cli.start.gallery_images import read_faces as read_all
-from facetrack_cli.trackers.appearance.affine import Patches
+from facetrack_cli.trackers.appearance.appearance import Patches
 from facetrack_cli.trackers.appearance.gallery import load_gallery
 from facetrack_cli.trackers.face.detectors import find_faces
 from tests.support.media import write_video

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.engine.confidence import RISES
 from facetrack_cli.evaluation.accuracy import ELLIPSE_90
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.samples import from_tools
@@ -64,7 +63,7 @@ def test_no_map_falls_with_confidence_or_rises_with_spread(random, rows, clips):
     for name, candidate in fitting.CANDIDATES.items():
         made = candidate(drawn)
         known = {feature: np.full(9, values.mean()) for feature, values in drawn.known.items()}
-        for feature, sign in RISES.items():
+        for feature, sign in fitting.RISES.items():
             span = drawn.known[feature]
             p = fitting.probability(made, {**known, feature: np.linspace(span.min() - 1, span.max() + 1, 9)})
             assert np.all((p > 0) & (p < 1)), name
@@ -106,7 +105,7 @@ def test_each_clip_is_checked_by_the_map_of_the_others():
 
 
 def test_figures_by_hand():
-    known = {name: np.array([0.05, 0.95, 0.95]) for name in RISES}
+    known = {name: np.array([0.05, 0.95, 0.95]) for name in fitting.RISES}
     three = Sample(known, np.array([False, True, False]), np.ones(3, np.bool_), np.array([0, 1, 1]), np.ones(3))
     found = figures(three, known["confidence"])  # the first row weighs as much as the other two
     assert found.ece == pytest.approx((0.05 + abs(0.5 - 0.95)) / 2)

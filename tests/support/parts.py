@@ -3,10 +3,13 @@
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
+from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.engine import filters as steps
+from facetrack_cli.engine.spaces import Context, Placed
 from facetrack_cli.recipe.sections import AuxiliarySettings, FactorizedSettings, SirSettings, type_of
-from facetrack_cli.trackers.appearance.affine import AffineWalk, PredictedWalk
-from facetrack_cli.trackers.appearance.appearance import Appearance, Recognition
+from facetrack_cli.trackers.appearance.appearance import AffineWalk, Appearance, PredictedWalk, Recognition
 from facetrack_cli.trackers.appearance.settings import (
     AdaptiveSettings,
     AffineWalkSettings,
@@ -34,8 +37,14 @@ def changed(part, **settings):
     return replace(part, settings=part.settings.model_copy(update=settings))
 
 
+def placed(windows):
+    """The context of a target with such windows."""
+    windows = np.array(windows, float)
+    return Context(None, "", None, None, "face", Placed(None, np.zeros((len(windows), 2)), windows, 1.0))
+
+
 def colour_ratio(windows, **settings):
-    return ColourRatio(section(ColourRatioSettings, **settings), windows)
+    return ColourRatio(section(ColourRatioSettings, **settings), placed(windows))
 
 
 def contour(size, sigma, search, **settings):
@@ -45,12 +54,11 @@ def contour(size, sigma, search, **settings):
 
 def histogram(size, **settings):
     plain = {"hue_bins": 8, "saturation_bins": 4, "regions": (3, 3), "lambda_h": 20.0, "max_size": None}
-    return Histogram(section(HistogramSettings, **{**plain, **settings}), size)
+    return Histogram(section(HistogramSettings, **{**plain, **settings}), placed([size]))
 
 
-def correlation(size, distance="l2", **settings):
-    plain = {"sigma": 100.0, "saturation": 20.0 if distance == "saturated_l1" else None}
-    return Correlation(section(CorrelationSettings, distance=distance, **{**plain, **settings}), size)
+def correlation(size, **settings):
+    return Correlation(section(CorrelationSettings, **{"sigma": 100.0, **settings}), size)
 
 
 def skin_cue(**settings):
@@ -63,11 +71,12 @@ def pattern(mean="keep", **settings):
 
 def skin_ncc(size, **settings):
     plain = {"skin": skin_cue(), "ncc": pattern(), "sigma": 0.1}
-    return SkinNcc(section(SkinNccSettings, **{**plain, **settings}), size)
+    return SkinNcc(section(SkinNccSettings, **{**plain, **settings}), placed([size]))
 
 
 def skin_cloud(size, teacher, **settings):
-    return SkinCloud(section(SkinCloudSettings, **settings), size, teacher)
+    start = Start(0, {"face": TargetStart(box=teacher)}, "x")
+    return SkinCloud(section(SkinCloudSettings, **settings), replace(placed([size]), start=start))
 
 
 def components(w, s, f):

@@ -14,13 +14,12 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import MAX_REMEMBERED, Frame
-from facetrack_cli.engine.filters import Prediction
+from facetrack_cli.engine import filters
+from facetrack_cli.engine.protocols import Prediction
 from facetrack_cli.engine.spaces import evenly
 from facetrack_cli.engine.target import ParticleTarget
-from facetrack_cli.trackers.appearance import affine as filters
 from facetrack_cli.trackers.appearance import appearance_kernels as kernel
-from facetrack_cli.trackers.appearance.affine import AffineSpace, Patches, eta
-from facetrack_cli.trackers.appearance.appearance import OUTLIER_RANGE, Appearance, Mixture
+from facetrack_cli.trackers.appearance.appearance import OUTLIER_RANGE, AffineSpace, Appearance, Mixture, Patches, eta
 from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
 from tests.support.parts import adaptive, affine_walk, appearance, changed, components, predicted

@@ -143,6 +143,6 @@ def test_lengths_scale_with_the_target_and_windows_of_the_init_file_win():
 
     a, b = built(points=small), built(points=large, windows={"nose": (31.0, 17.0)})
     np.testing.assert_allclose(b.motion.sigma, 4 * a.motion.sigma)
-    np.testing.assert_allclose(b.likelihood.windows[1:], 4 * a.likelihood.windows[1:])
-    np.testing.assert_allclose(b.likelihood.windows[0], [31, 17])
+    np.testing.assert_allclose(b.likelihood.context.placed.windows[1:], 4 * a.likelihood.context.placed.windows[1:])
+    np.testing.assert_allclose(b.likelihood.context.placed.windows[0], [31, 17])
     np.testing.assert_allclose(built("motion.sigma=3px", points=large).motion.sigma, 3.0)

@@ -13,15 +13,13 @@ from facetrack_cli.core.types import Frame, Particles
 from facetrack_cli.engine.resampling import normalise
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import check_gallery
-from facetrack_cli.trackers.appearance.affine import Patches
-from facetrack_cli.trackers.appearance.appearance import Appearance
+from facetrack_cli.trackers.appearance.appearance import Appearance, Patches
 from facetrack_cli.trackers.appearance.gallery import (
     MIN_RHO,
     NONE,
-    Moments,
-    Samples,
     Subspace,
     common_basis,
+    coordinates,
     equal_errors,
     fit_gallery,
     fit_logistic,
@@ -29,13 +27,14 @@ from facetrack_cli.trackers.appearance.gallery import (
     folds_by,
     logistic,
     name_problem,
+    stand_in,
+    to_own,
 )
 from tests.support import parts
 from tests.twins import appearance as naive
 
 SHAPE = (10, 8)
 D = SHAPE[0] * SHAPE[1]
-WHOLE = np.eye(D)
 
 
 def normalised(x):
@@ -71,6 +70,10 @@ def gallery():
     return fitted(*people(), proportion=0.8)
 
 
+def subspaces(x, folds, basis):
+    return fit_subspace(*coordinates(x, basis), folds, basis)
+
+
 def as_lists(space):
     return space.mean.tolist(), space.vectors.tolist(), space.values.tolist(), space.rho
 
@@ -99,13 +102,13 @@ def test_density_agrees_with_its_plain_twin_and_with_the_normal_density(d, s, se
 
 def test_rho_is_the_mean_of_d_less_s_eigenvalues_as_printed():
     x = np.random.default_rng(1).normal(size=(9, 5)) * [3.0, 1.0, 0.5, 0.4, 0.2]
-    space = fit_subspace(x, (), np.eye(5)).whole
+    space = subspaces(x, (), np.eye(5))[0]
     values = np.sort(np.linalg.eigvalsh(np.cov(x.T)))[::-1]
     s = len(space.values)
     assert 0 < s < 5
     assert space.rho == pytest.approx(values[s:].sum() / (5 - s))
     np.testing.assert_allclose(space.values, values[:s], rtol=1e-6)
-    alike = fit_subspace(np.ones((4, 6)), folds_by(np.arange(4)), np.eye(6)).whole
+    alike = subspaces(np.ones((4, 6)), folds_by(np.arange(4)), np.eye(6))[0]
     assert alike.rho == MIN_RHO
 
 
@@ -113,11 +116,11 @@ def test_a_basis_changes_nothing_and_what_was_held_out_was_not_seen():
     rng = np.random.default_rng(3)
     x, y = rng.normal(size=(15, 40)) * np.linspace(3, 0.1, 40), rng.normal(size=(4, 40))
     folds = folds_by(np.arange(15) // 3)
-    plain, reduced = (fit_subspace(x, folds, basis) for basis in (np.eye(40), common_basis(x, 20)))
-    for a, b in zip((plain.whole, *plain.without), (reduced.whole, *reduced.without), strict=True):
+    plain, reduced = (subspaces(x, folds, basis) for basis in (np.eye(40), common_basis(x, 20)))
+    for a, b in zip((plain[0], *plain[1]), (reduced[0], *reduced[1]), strict=True):
         np.testing.assert_allclose(a.log_density(y), b.log_density(y), rtol=1e-4)
-    for fold, space in zip(folds, plain.without, strict=True):
-        alone = fit_subspace(x[~fold], (), np.eye(40)).whole
+    for fold, space in zip(folds, plain[1], strict=True):
+        alone = subspaces(x[~fold], (), np.eye(40))[0]
         np.testing.assert_allclose(np.abs(space.vectors @ alone.vectors.T), np.eye(len(space.values)), atol=1e-5)
         np.testing.assert_allclose(space.mean, alone.mean)
 
@@ -129,43 +132,17 @@ def test_differences_agree_with_their_plain_twins():
     x, _ = people(3, 4)
     who = np.array([0, 0, 0, 0, 1, 2, 2, 0, 1, 2, 1, 2])
     groups = [x[who == p].tolist() for p in range(3)]
-    shown = Samples(x, who, np.arange(12), WHOLE)
-    own, of = shown.to_own()
+    own, of = to_own(x, who, np.arange(12))
     order = np.argsort(who[of], kind="stable")
     np.testing.assert_allclose(own[order], naive.to_own(groups), atol=1e-12)
-    np.testing.assert_allclose(shown.faces, [naive.stand_in(group) for group in groups], atol=1e-12)
-
-
-@settings(max_examples=20)
-@given(st.lists(st.integers(0, 3), min_size=2, max_size=9), st.booleans(), st.integers(0, 999))
-def test_moments_of_differences_to_others_are_those_of_the_differences(labels, reduced, seed):
-    rng = np.random.default_rng(seed)
-    who = np.unique(labels, return_inverse=True)[1]
-    x = normalised(smooth(rng, len(who)))
-    patches, persons = rng.random(len(who)) < 0.7, rng.random(who.max() + 1) < 0.7
-    basis = common_basis(x, 4) if reduced else WHOLE
-    groups = [x[who == p].tolist() for p in range(who.max() + 1)]
-    asked = [
-        patches[np.flatnonzero(who == p)[k]] and persons[q]
-        for p, group in enumerate(groups) for k in range(len(group)) for q in range(len(groups)) if q != p
-    ]  # fmt: skip
-    rows = np.array(naive.to_others(groups)).reshape(-1, D)[np.array(asked, bool)]
-    got = Samples(x, who, np.arange(len(x)), basis).to_others(patches, persons)
-    expected = Moments.of(rows @ basis.T, (rows**2).sum(1))
-    assert got.number == expected.number
-    np.testing.assert_allclose(got.total, expected.total, atol=1e-9)
-    np.testing.assert_allclose(got.products, expected.products, atol=1e-9)
-    assert got.square == pytest.approx(expected.square, abs=1e-9)
+    np.testing.assert_allclose([stand_in(np.array(g)) for g in groups], [*map(naive.stand_in, groups)], atol=1e-12)
 
 
 def test_copies_are_compared_with_other_pictures_or_with_their_own():
     x, _ = people(2, 3)
-    shown = Samples(x, np.array([0, 0, 0, 1, 1, 1]), np.array([0, 0, 1, 2, 2, 2]), WHOLE)
-    own, of = shown.to_own()
+    own, of = to_own(x, np.array([0, 0, 0, 1, 1, 1]), np.array([0, 0, 1, 2, 2, 2]))
     np.testing.assert_array_equal(own, [x[0] - x[2], x[1] - x[2], x[2] - x[0], x[4] - x[3], x[5] - x[3]])
     assert of.tolist() == [0, 1, 2, 4, 5]
-    # one image stands for a person as published
-    np.testing.assert_array_equal(shown.faces[1], x[3])
 
 
 # --- calibration ---------------------------------------------------------------------------------------------------

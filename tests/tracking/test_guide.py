@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.trackers.appearance.affine import RANK, Patches, eta
+from facetrack_cli.trackers.appearance.appearance import RANK, Patches, eta
 from facetrack_cli.trackers.appearance.appearance_kernels import differences, gain, mapped
 from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
 from tests.support.parts import affine_walk, appearance, changed, predicted

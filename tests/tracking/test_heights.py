@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from facetrack_cli.trackers.box.correlation_filter import Heights, Peaks, ResponseView, Usual, evidence
+from facetrack_cli.trackers.box.correlation_filter import Heights, ResponseView, Usual, evidence
 from facetrack_cli.trackers.box.features import UPSAMPLED
 
 
@@ -45,8 +45,8 @@ def test_the_standard_deviation_is_bounded_by_shares_of_the_mean():
 
 
 def test_peaks_elsewhere_are_learned_where_the_target_is_hidden():
-    usual, peaks = Usual(SEEN, SEEN, OTHER, OTHER), Peaks(0.2, 0.2, 0.3)
-    hidden, shown = usual.learn(peaks, 0.0), usual.learn(peaks, 1.0)
+    usual, peaks = Usual(SEEN, SEEN, OTHER, OTHER), ((0.2, 0.2), 0.3)
+    hidden, shown = usual.learn(*peaks, 0.0), usual.learn(*peaks, 1.0)
     assert hidden.now == SEEN and hidden.elsewhere.mean > OTHER.mean
     assert shown.now.mean < SEEN.mean and shown.elsewhere == OTHER
     assert hidden.others == shown.others == OTHER
@@ -59,5 +59,5 @@ def test_heights_of_a_view_are_the_highest_within_a_cell(at):
     column, row = at
     found = ResponseView(np.zeros(2), now, now, now, now, first).heights(np.array([column + 0.3, row - 0.3, 1.0]))
     near = [(i, j) for i in range(40) for j in range(40) if abs(i - row) <= UPSAMPLED and abs(j - column) <= UPSAMPLED]
-    assert found == Peaks(float(max(now[i, j] for i, j in near)), float(max(first[i, j] for i, j in near)))
-    assert not math.isnan(found.now)
+    assert found == (float(max(now[i, j] for i, j in near)), float(max(first[i, j] for i, j in near)))
+    assert not math.isnan(found[0])

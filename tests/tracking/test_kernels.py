@@ -34,7 +34,7 @@ def test_window_is_bilinear_and_replicates_the_border(x, y, w, h, as_float):
     np.testing.assert_array_equal(seen[:, w], 0.0)
 
 
-def distances(image, templates, x, robust="l1", scale=0.2, origin=(0, 0), factor=1):
+def distances(image, templates, x, origin=(0, 0), factor=1):
     """The kernel on a list of templates (h, w, 3) for parts 1, 2, ... of x (N, K, 2)."""
     rows, sides = [], []
     for template in templates:
@@ -48,43 +48,40 @@ def distances(image, templates, x, robust="l1", scale=0.2, origin=(0, 0), factor
     parts = np.arange(1, len(templates) + 1)
     windows.colour_ratio_distances(
         windows.flat(image), np.concatenate(rows), offsets, np.array(sides), parts, x, *origin, factor,
-        1.0, windows.ROBUST[robust], scale, out,
+        1.0, out,
     )  # fmt: skip
     assert np.all(np.isnan(out[:, 0]))
     return out[:, 1:]
 
 
 @given(
-    robust=st.sampled_from(sorted(windows.ROBUST)),
-    scale=st.floats(0.02, 2.0),
     x=st.floats(-6, 36),
     y=st.floats(-6, 30),
     seed=st.integers(0, 20),
 )
-def test_distances_agree_with_the_formula(robust, scale, x, y, seed):
+def test_distances_agree_with_the_formula(x, y, seed):
     image = picture(seed)
     templates = [picture(seed + 100, 7, 5).astype(float), picture(seed + 200, 3, 9).astype(float)]
     centres = np.array([[[0, 0], [x, y], [12.25, 9.5]], [[0, 0], [3.0, y], [x, 2.5]]])
     expected = [
-        [naive.colour_ratio_distance(image, template, *place, robust, scale)
+        [naive.colour_ratio_distance(image, template, *place)
          for template, place in zip(templates, line[1:], strict=True)]
         for line in centres
     ]  # fmt: skip
-    np.testing.assert_allclose(distances(image, templates, centres, robust, scale), expected, rtol=2e-4, atol=2e-6)
+    np.testing.assert_allclose(distances(image, templates, centres), expected, rtol=2e-4, atol=2e-6)
 
 
 X0, SIDES = np.array([[60.0, 51.0], [100.0, 70.0]]), np.array([[13.0, 13.0], [25.0, 21.0]])
 
 
-@pytest.mark.parametrize(("robust", "scale"), [("l1", None), ("geman_mcclure", 0.3)])
-def test_the_likelihood_of_colours_is_the_formula_and_its_floor_bounds_it(robust, scale):
+def test_the_likelihood_of_colours_is_the_formula_and_its_floor_bounds_it():
     image = picture(5, 120, 160)
-    plain, floored = (colour_ratio(SIDES, robust=robust, scale=scale, **more) for more in ({}, {"floor": -10.0}))
+    plain, floored = (colour_ratio(SIDES, **more) for more in ({}, {"floor": -10.0}))
     learned, x = plain.init(frame(image), X0), X0 + 2.7
     score = plain.score(learned, frame(image), x[None])
     for i, (w, h) in enumerate(SIDES.astype(int)):
         template = naive.window(image, *X0[i], w, h)
-        d = naive.colour_ratio_distance(image, template, *x[i], robust, scale)
+        d = naive.colour_ratio_distance(image, template, *x[i])
         assert score[0, i] == pytest.approx(-d / (1.5 / template.mean()), rel=1e-4)
     bounded = floored.score(learned, frame(image), x[None])
     np.testing.assert_allclose(bounded, np.log(np.exp(score) + np.exp(-10.0)))

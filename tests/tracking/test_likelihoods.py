@@ -26,15 +26,14 @@ WIDE = "likelihood.{}.max_size=26"
 # recipe and overrides, which together cover each likelihood and each way in which one reads a frame
 CASES = {
     "colour_ratio": ("factorized", "likelihood.floor=null"),
-    "colour_ratio, robust": ("factorized", "likelihood={type: colour_ratio, robust: geman_mcclure, scale: 0.2}"),
     "colour_ratio, reduced": ("factorized", "likelihood.max_samples=7"),
     "contour": ("contour",),
     "contour, reduced": ("contour", WIDE.format("contour")),
     "histogram": ("histogram",),
     "histogram, reduced": ("histogram", WIDE.format("histogram")),
     "histogram and greys": ("histogram", "likelihood.histogram.value_bins=8"),
-    **{f"correlation, {kind}": ("histogram", f"{PRODUCT}correlation: {{sigma: 60, distance: {kind}}}}}")
-       for kind in ("l2", "saturated_l1, saturation: 20")},
+    "correlation, plain": ("histogram", f"{PRODUCT}correlation: {{sigma: 60}}}}"),
+    "correlation, saturated": ("histogram", f"{PRODUCT}correlation: {{sigma: 60, saturation: 20}}}}"),
     "product": ("contour_histogram_correlation",),
     "product, estimated shares": ("contour_histogram_correlation_robust",),
     "skin": ("skin",),
@@ -226,7 +225,7 @@ def test_estimated_the_likelihood_is_flatter_and_has_the_same_order(kind):
     model = {
         "contour": lambda: contour((40.0, 48.0), 2.0, 8.0, normals=32, threshold=2.0, outlier=0.05),
         "correlation": lambda: correlation((40.0, 48.0), grid=(16, 16)),
-        "saturated": lambda: correlation((40.0, 48.0), "saturated_l1", grid=(16, 16)),
+        "saturated": lambda: correlation((40.0, 48.0), saturation=20.0, grid=(16, 16)),
     }[kind]()
     x = np.repeat(BOX[None], 40, axis=0)
     x[..., :2] += np.random.default_rng(3).normal(0, 2, (40, 1, 2))

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from facetrack_cli.engine.motion import FirstOrder, RandomWalk
-from facetrack_cli.trackers.appearance.affine import AffineWalk
+from facetrack_cli.engine.spaces import FirstOrder, RandomWalk
+from facetrack_cli.trackers.appearance.appearance import AffineWalk
 from facetrack_cli.trackers.appearance.settings import AffineWalkSettings
 from facetrack_cli.trackers.box.hidden_box import VisibleWalk
 from facetrack_cli.trackers.box.settings import VisibleWalkSettings

@@ -42,8 +42,9 @@ def log_conditional(bound, x_part, x, part):
     """(N,): log density, per square pixel, with which `propose` draws x_part (N, 2) for `part` of x (N, K, 2)."""
     full = np.array(x, np.float64)
     full[:, part] = x_part
-    others = bound._log_sum(bound._without[part], full)
-    return bound._log_sum(bound._all, full) - others - math.log(2 * math.pi * bound._spread(part) ** 2)
+    all_, others = (parzen(full, *table, np.empty(0))[0] for table in (bound._all, bound._without[part]))
+    spread = bound._width / (math.sqrt(len(bound.moving)) if part == bound.stable else 1)
+    return all_ - others - math.log(2 * math.pi * spread**2)
 
 
 # --- kernels -----------------------------------------------------------------------------------------------------

@@ -158,7 +158,7 @@ def test_boxes_far_apart_are_counted_as_alone(monkeypatch):
 
 # --- frame and frame before
 
-DISTANCES = ["l2", "saturated_l1", "hausdorff"]
+DISTANCES = ["l2", "saturated_l1"]
 SIZE = (40.0, 48.0)
 
 
@@ -207,7 +207,7 @@ def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size,
     of = np.tile(parent, (len(x), 1))
     of[split:, other[0]] += other[1]
     out = np.full(len(x), np.nan)
-    how = (0.0 if kind == "l2" else 25.0), kind == "hausdorff", 1000.0
+    how = (0.0 if kind == "l2" else 25.0), 1000.0
     kernel.patch_distances(now, now_view, before, before_view, factor, x, of, size, *grid, *how, out)
     for n in range(len(x)):
         a = naive.patch(now, now_view, factor, x[n], size, *grid)
@@ -219,7 +219,7 @@ def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size,
 @pytest.mark.parametrize("kind", DISTANCES)
 def test_likelihood_is_the_formula_of_the_paper(kind):
     before, now = grey(texture(0)), grey(texture(0) * 0.9 + 20)
-    likelihood = correlation(SIZE, kind, grid=(5, 4), sigma=60.0, saturation=15.0 if kind == "saturated_l1" else None)
+    likelihood = correlation(SIZE, grid=(5, 4), sigma=60.0, saturation=15.0 if kind == "saturated_l1" else None)
     x, parent = [[70.3, 50.2, 1.1], [20.0, 30.0, 0.5], [150.0, 60.0, 1.0]], [71.0, 49.0, 1.05]
     factor = 8
     assert likelihood.factor == factor, "40 / 5 pixels a step"
@@ -229,6 +229,6 @@ def test_likelihood_is_the_formula_of_the_paper(kind):
     for row, log_p in zip(x, scored(likelihood, before, now, x, parent), strict=True):
         here = naive.patch(a, view, factor, row, SIZE, 5, 4)
         there = naive.patch(b, view, factor, parent, SIZE, 5, 4)
-        outside = {"l2": OUTSIDE**2, "saturated_l1": 15.0, "hausdorff": OUTSIDE}[kind]
+        outside = {"l2": OUTSIDE**2, "saturated_l1": 15.0}[kind]
         d = naive.distance(here, there, kind, 15.0, outside)
         assert log_p == pytest.approx(-d / (2 * 60.0**2 if kind == "l2" else 60.0), rel=1e-3)

@@ -85,7 +85,7 @@ def test_lengths_are_in_units_of_the_mean_side_of_the_box():
     assert (contour.sigma, contour.search) == pytest.approx((0.08 * 45, 0.3 * 45))
     np.testing.assert_allclose(target.motion.position[1], [[0.05 * 45], [0.03 * 45]])
     np.testing.assert_allclose(target.motion.scale[1], [[0.01], [0]])
-    assert contour.size == histogram.size == target.space.size == (30.0, 67.5)
+    assert contour.size == histogram.context.placed.size == target.space.size == (30.0, 67.5)
     assert correlation.size == (30.0, 67.5)
     np.testing.assert_array_equal(target.x0, [[24.5, 53.25, 1, 0, 0, 0]])
 

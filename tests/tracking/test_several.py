@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, Particles, Start, TargetStart
 from facetrack_cli.engine.loop import Footprint, track
-from facetrack_cli.engine.motion import FirstOrder
 from facetrack_cli.engine.protocols import Likelihood
-from facetrack_cli.engine.spaces import BoxSpace, evenly
+from facetrack_cli.engine.spaces import BoxSpace, FirstOrder, evenly
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
@@ -20,7 +19,7 @@ from facetrack_cli.trackers.skin.settings import ExclusionSettings
 from tests.support.parts import sir
 from tests.support.results import target
 
-PICTURE = np.zeros((20, 30, 3), np.uint8)
+PICTURE, SIZE = np.zeros((20, 30, 3), np.uint8), (12.0, 8.0)
 
 
 def frames(count):
@@ -97,7 +96,7 @@ def state_of(target):
     return ParticleState(particles, evenly(target.x0, np.array([[8.0, 4.0]])), (), None)
 
 
-@pytest.mark.parametrize(("space", "half"), [(BoxSpace((12.0, 8.0)), (9.0, 6.0)), (CloudSpace(), (4.0, 2.0))])
+@pytest.mark.parametrize(("space", "half"), [(BoxSpace(SIZE), (9.0, 6.0)), (CloudSpace(SIZE), (4.0, 2.0))])
 def test_what_a_target_covers_is_its_box_where_it_is_or_will_be(space, half):
     one = moving(space)
     now, next_ = (one.footprint(state_of(one), ahead=ahead) for ahead in (False, True))
@@ -115,7 +114,7 @@ def test_notes_of_the_start_are_said_in_the_first_frame_alone():
         def learn(self, learned, frame, state, particles):
             return learned
 
-    tracker = (replace(moving(CloudSpace()), likelihood=Noted()),)
+    tracker = (replace(moving(CloudSpace(SIZE)), likelihood=Noted()),)
     assert [result.notes for result in track(tracker, frames(3), 0)] == [("one", "two"), (), ()]
 
 

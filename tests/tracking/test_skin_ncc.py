@@ -1,6 +1,5 @@
 """Faces by skin and template: rho, NCC and the score are those of the formulas, and nothing wild breaks them."""
 
-import dataclasses
 from functools import cache
 
 import cv2
@@ -10,7 +9,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Particles
 from facetrack_cli.trackers.skin import likelihoods as matching
 from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin.likelihoods import MIN_NCC
@@ -172,10 +170,10 @@ def test_ncc_with_means_is_that_of_area_means_wherever_boxes_lie(boxes, size, pi
     values = grey(np.random.default_rng(1).integers(0, 256, picture))
     template = matching.learn_template(values, size, states((picture[1] / 2, picture[0] / 2))[0], most)
     found = matching.correlate(template, values, states(boxes))[0]
-    factor, (th, tw) = template.factor, template.first.shape
+    factor, (th, tw) = template.factor, template.centred.shape
     height, width = (side // factor for side in picture)
     seen = values.grey(factor, (0, 0, picture[1] - 1, picture[0] - 1))[0][:height, :width]
-    centred, mean, variance = template.moments
+    centred, mean, variance = template.centred, template.mean, template.variance
     for n, (cx, cy, s) in enumerate(boxes):
         u = (cx - (factor - 1) / 2) / factor + s * (template.offset[0] - (tw - 1) / 2)
         v = (cy - (factor - 1) / 2) / factor + s * (template.offset[1] - (th - 1) / 2)
@@ -202,27 +200,6 @@ def test_ncc_is_equation_10_between_pixels(dense, monkeypatch):
     found = matching.correlate(template, grey(values), states([(u + 5.5 * s, v + 4 * s, s) for u, v, s in boxes]))
     for n, (u, v, s) in enumerate(boxes):
         seen = naive.patch(values, u, v, s, 9, 12)
-        assert found[1][n] == pytest.approx(naive.ncc(template.first, seen, remove=True), abs=1e-5)
+        assert found[1][n] == pytest.approx(naive.ncc(template.centred + template.mean, seen, remove=True), abs=1e-5)
     whole = naive.patch(values, 25.0, 21.0, 1.0, 9, 12)
-    assert found[0][0] == pytest.approx(naive.ncc(template.first, whole, remove=False), abs=1e-5)
-
-
-def test_template_adapts_only_while_it_knows_the_first_one():
-    here, there = states(TRUTH)[0], states((200, 60))[0]
-    light = np.clip(scene() * 0.6 + 30, 0, 255).astype(np.uint8)
-    none = Particles(here[None], np.zeros(1))
-    likelihood, known = learned(scene(), ncc=pattern(adapt=0.25, adapt_above=0.8))
-    first = known.template.first
-    after = likelihood.learn(known, frame(light), here, none).template
-    darker = learned(light)[1].template.first
-    np.testing.assert_allclose(after.now, 0.75 * first + 0.25 * darker, atol=0.01)
-    np.testing.assert_array_equal(after.first, first)
-    again = likelihood.learn(dataclasses.replace(known, template=after), frame(light), here, none).template
-    np.testing.assert_allclose(again.now, 0.75 * after.now + 0.25 * darker, atol=0.01)
-    assert likelihood.learn(known, frame(light), there, none).template.now is known.template.now
-    # what counts is the first template: one that has drifted does not vouch for itself
-    ground = dataclasses.replace(known.template, now=matching.learn_template(frame(scene()), SIZE, there, None).now)
-    drifted = dataclasses.replace(known, template=ground)
-    assert likelihood.learn(drifted, frame(scene()), there, none).template.now is ground.now
-    fixed, known = learned(scene())
-    assert fixed.learn(known, frame(light), here, none).template.now is known.template.now
+    assert found[0][0] == pytest.approx(naive.ncc(template.centred + template.mean, whole, remove=False), abs=1e-5)

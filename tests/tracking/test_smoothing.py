@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Correction, Particles
 from facetrack_cli.engine.loop import track
-from facetrack_cli.engine.motion import RandomWalk
 from facetrack_cli.engine.protocols import Belief
+from facetrack_cli.engine.spaces import RandomWalk
 from facetrack_cli.engine.target import belief
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import tracker_for

@@ -120,13 +120,6 @@ def to_own(people):
     ]  # fmt: skip
 
 
-def to_others(people):
-    return [
-        minus(picture, stand_in(other))
-        for p, pictures in enumerate(people) for picture in pictures for q, other in enumerate(people) if q != p
-    ]  # fmt: skip
-
-
 def figure_1(beta, p_a, p_f, p_n, switch=0.0):
     """Weights w (J,) and beta (L,) after a frame; p_a and p_f (J,), p_n (J, L), each in plain numbers."""
     n = len(beta)

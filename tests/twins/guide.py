@@ -1,4 +1,4 @@
-"""Slow, plain twins of trackers/appearance/affine.py: shift, noise and walk, from the formulas alone."""
+"""Slow, plain twins of trackers/appearance/appearance.py: shift, noise and walk, from the formulas alone."""
 
 import math
 

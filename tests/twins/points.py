@@ -15,20 +15,12 @@ def window(image, x, y, w, h):
     )
 
 
-def rho(u, robust, scale):
-    """The robust functions: |u| near zero or far out in all of them, with `scale` where they bend."""
-    a = abs(u)
-    if robust == "l1":
-        return a
-    return scale * u * u / (scale * scale + u * u)
-
-
-def colour_ratio_distance(image, template, x, y, robust="l1", scale=0.2, least_mean=1.0):
+def colour_ratio_distance(image, template, x, y, least_mean=1.0):
     """Eq. 8 and 9: `template` (h, w, 3) as seen, not divided by its mean."""
     h, w = template.shape[:2]
     q = window(image, x, y, w, h)
     c = template / max(template.mean(), least_mean) - q / max(q.mean(), least_mean)
-    return float(np.mean([rho(v, robust, scale) for v in c.ravel()]))
+    return float(np.abs(c).mean())
 
 
 def registered(x, parts, first, stable, width):

@@ -129,22 +129,10 @@ def patch(picture, view, factor, box, size, cols, rows):
     }
 
 
-def directed(a, b, both):
-    """Sum of the least differences of the points of `a` from the 3x3 of `b`, among points that lie in both."""
-    return sum(
-        min(
-            abs(a[i, j] - b[k, m]) for k in range(i - 1, i + 2) for m in range(j - 1, j + 2) if (k, m) in both
-        )
-        for i, j in both
-    )  # fmt: skip
-
-
 def distance(a, b, kind, saturation, outside):
     """d_c of eq. 13 of two patches; `outside` is rho of a point that one of them lacks."""
     both = {place for place in a if a[place] is not None and b[place] is not None}
     missing = (len(a) - len(both)) * outside
-    if kind == "hausdorff":
-        return max(directed(a, b, both), directed(b, a, both)) + missing
     differences = [abs(a[place] - b[place]) for place in both]
     if kind == "l2":
         return sum(d * d for d in differences) + missing

@@ -146,7 +146,6 @@ def run_command(
     4 lost (--fail-on-lost), 5 some of several inputs failed,
     130 interrupted, 143 terminated.
     """
-    from facetrack_cli.engine.kernels import cache
     from facetrack_cli.recipe.load import default_recipe, load_recipe
     from facetrack_cli.recipe.model import seeded
     from facetrack_cli.run_folder.status import write_batch
@@ -202,7 +201,6 @@ def run_command(
     clips, places = clips[first - 1 :: step], places[first - 1 :: step]
     workers = jobs if split else max(1, min(jobs, len(clips)))
     with Stop().listening() as stop, progress(quiet) as shown:
-        cache.tell(shown.hint)
         todo = [
             Job(
                 clip=clip,

@@ -1,25 +1,11 @@
-"""The folder of compiled kernels, and the message that they are being compiled.
+"""The folder of compiled kernels.
 
 numba keeps them in the package's folder or the user's cache, and fails if it can write to neither: then this file names
 a third folder, for this process alone. numba reads NUMBA_CACHE_DIR when it is imported, so the package sets it first.
 """
 
 import os
-from collections.abc import Callable
 from os import path
-
-_listeners: list[Callable[[str], None]] = []
-
-
-def tell(say: Callable[[str], None]) -> None:
-    """Call `say` once, with a message, when a kernel is not in the cache: to compile it takes seconds."""
-    _listeners[:] = [say]
-
-
-def compiling() -> None:
-    """To be called before a kernel is compiled."""
-    if _listeners:
-        _listeners.pop()("compiling kernels, once: this takes some 10 s, and later runs find them")
 
 
 def provide_cache() -> None:

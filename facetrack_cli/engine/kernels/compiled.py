@@ -1,25 +1,24 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
 """How kernels are compiled and cached, a decorator for each kind of arithmetic, and what several trackers share.
 
-That is bilinear reading, where boxes lie, drawing indices by weights, mean and covariance, and calibrated rows.
+That is bilinear reading, where boxes lie, drawing indices by weights, mean and covariance.
 """
 
 import contextlib
-import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import llvmlite.binding as ll
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numba.core import caching
 from numba.core.runtime.nrt import rtsys
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import warn
-from facetrack_cli.engine.kernels.cache import compiling
 
+Extent: TypeAlias = tuple[float, float, float, float]
 _NOTHING: Final = ll.parse_assembly("").as_bitcode()
 
 
@@ -54,19 +53,16 @@ class KernelCache(caching.FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         rtsys.initialize(target_context)  # enough to load; numba makes the compiler ready too, which takes 0.3 s
-        overload = None
         try:
             with self._guard_against_spurious_io_errors():
-                overload = self._load_overload(sig, target_context)
+                return self._load_overload(sig, target_context)
         except Exception as error:
             if not KernelCache.warned:
                 KernelCache.warned = True
                 warn(f"compiled kernels in {self._cache_path} are damaged ({type(error).__name__}): compiled anew")
             with contextlib.suppress(OSError):
                 self.flush()
-        if overload is None:
-            compiling()
-        return overload
+        return None
 
     def holds(self, kernel: Any, sig: Any) -> bool:
         """Whether `kernel` need not be compiled for `sig`. `load_overload` reports damaged files."""
@@ -82,9 +78,29 @@ _KERNEL: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 def exact(function: Any, **more: Any) -> Any:
+    """The kernel of a function, or a decorator that makes it, if given a signature: what a recipe's kernel `takes`.
+
+    A signature has a word for each argument: f8 a number, f8x2 a tuple, f8:2 an array of two axes, f8:2r a read-only
+    one.
+    """
+    if isinstance(function, str):
+        return partial(_declared, function, more)
     kernel = njit(cache=True, **_KERNEL, **more)(function)
     if isinstance(cache := getattr(kernel, "_cache", None), caching.FunctionCache):  # not with NUMBA_DISABLE_JIT
         cache.__class__, cache._impl.__class__ = KernelCache, _Kept
+    return kernel
+
+
+def _declared(words: str, more: Any, function: Any) -> Any:
+    def type_of(word: str) -> Any:
+        word, _, many = word.partition("x")
+        word, _, axes = word.partition(":")
+        kind = getattr(types, word)
+        kind = types.Array(kind, int(axes[0]), "C", readonly=axes.endswith("r")) if axes else kind
+        return types.UniTuple(kind, int(many)) if many else kind
+
+    kernel = exact(function, **more)
+    kernel.takes = tuple(map(type_of, words.split()))
     return kernel
 
 
@@ -157,7 +173,7 @@ def read_at(values, x, y):
     )
 
 
-@exact
+@exact("f8:2 f8:2 i8:2")
 def invert_cdf(weights, points, out):
     """Indices `out` (M, K) by weights (N, K) and points (M, K), as `engine.resampling` says."""
     (n, columns), m = weights.shape, points.shape[0]
@@ -175,7 +191,7 @@ def invert_cdf(weights, points, out):
             out[j, k] = i
 
 
-@exact
+@exact("f8:3 f8:1 f8:1 f8:2 f8:3")
 def moments(x, w, more, mean, cov):
     """Of x (N, K, D) with weights w (N,) the `mean` (K, D), and the covariance of the first two `cov` (K, 2, 2).
 
@@ -197,78 +213,10 @@ def moments(x, w, more, mean, cov):
         cov[k, 0, 0], cov[k, 1, 1] = more[k] * cov[k, 0, 0], more[k] * cov[k, 1, 1]
 
 
-# --- the loop over the rows of a calibration, as `engine/confidence.py` says what it computes; nan stays nan
-
-AS_IT_IS, HIDDEN, LOST = 0, 1, 2
-
-
-@part
-def _within(x, low, high):
-    return low if x < low else high if x > high else x
-
-
-@part
-def _between(knots, count, x):
-    """Linear between the first `count` of the knots (2, M), level beyond them."""
-    i = 0
-    while i < count - 2 and x > knots[0, i + 1]:
-        i += 1
-    if count == 1 or x <= knots[0, 0]:
-        return knots[1, 0]
-    share = (x - knots[0, i]) / (knots[0, i + 1] - knots[0, i])
-    return knots[1, i] + (1.0 if share > 1.0 else share) * (knots[1, i + 1] - knots[1, i])
-
-
-@exact
-def calibrate(rows, boxes, lost, init, size, slopes, ends, knots, counts, spread, cap, likely, how):
-    """Overwrites confidence and spread of `rows` (10, R), and says `how` (R,) they are seen; returns if that changes.
-
-    `rows` are confidence, w, h, ess, particles, std_x, std_y, cov_xy, std_w and std_h; `boxes`, `lost` and `init` (R,)
-    say which of them are. Of points and of boxes are `slopes` (2, 6) of the features, `ends` (2, 2), the intercept and
-    the least p, which is nan without a logistic regression, `knots` (2, 2, M), and their `counts` (2,), 0 without any
-    and -1 without a map.
-    """
-    f, gone, changes = np.empty(6), False, False
-    for i in range(len(boxes)):
-        gone |= lost[i] and boxes[i]
-    for i in range(len(boxes)):
-        kind, side, c, ess, p = 1 if boxes[i] else 0, size, rows[0, i], rows[3, i], np.nan
-        if counts[kind] >= 0 and not math.isnan(c):
-            if boxes[i] or size == 0.0:
-                side = math.sqrt(rows[1, i] * rows[2, i])
-            f[0], f[1], f[4] = c, math.log((c + 0.01) / (1.01 - c)), 1.0 if lost[i] else 0.0
-            f[2] = math.log(_within(math.hypot(rows[5, i], rows[6, i]) / side, 1e-3, 10.0))
-            f[3] = math.log10(_within(ess / rows[4, i], 1e-3, 1.0))
-            # what is small in the picture is placed less exactly, in terms of its size
-            f[5], p = math.log(_within(side, 3.0, 1000.0)), ends[kind, 0]
-            for j in range(6):
-                p += slopes[kind, j] * f[j] if slopes[kind, j] != 0.0 else 0.0
-            if not math.isnan(ends[kind, 1]):
-                p = _within(1.0 / (1.0 + math.exp(-_within(p, -700.0, 700.0))), ends[kind, 1], 1.0 - ends[kind, 1])
-            if counts[kind] > 0 and not math.isnan(p):
-                p = _between(knots[kind], counts[kind], p)
-        if gone and lost[i] and p > cap:
-            p = cap
-        factor = 1.0 if math.isnan(ess) or counts[kind] < 0 else spread[kind]
-        for j in range(5, 10):
-            rows[j, i] *= factor**2 if j == 7 else factor
-        kept, how[i] = init[i] or math.isnan(c) or math.isnan(ess), AS_IT_IS
-        if not kept:
-            rows[0, i] = p
-            if p < likely:
-                how[i] = LOST
-            elif lost[i] and not math.isnan(p):
-                how[i] = HIDDEN
-        changes |= how[i] != AS_IT_IS
-    return changes
-
-
 # --- which part of a frame boxes cover
 
 
-def boxes_extent(
-    x: NDArray[np.float64], w: float, h: float, width: int, height: int
-) -> tuple[float, float, float, float]:
+def boxes_extent(x: NDArray[np.float64], w: float, h: float, width: int, height: int) -> Extent:
     """(x from, y from, x to, y to) of boxes (w, h), centred, at x, within the image.
 
     x (N, 3) = (cx, cy, s), or (N, 6) = (cx, cy, a1, a2, a3, a4), deformed by [[a1, a2], [a3, a4]].
@@ -282,9 +230,8 @@ def boxes_extent(
 
 
 def cropped(
-    read: Callable[[int, tuple[float, float, float, float]], tuple[NDArray[np.uint8], int, int]],
-    factor: int, x0: int, y0: int, x1: int, y1: int,
-) -> NDArray[np.uint8]:  # fmt: skip
+    read: Callable[[int, Extent], tuple[NDArray[np.uint8], int, int]], factor: int, x0: int, y0: int, x1: int, y1: int
+) -> NDArray[np.uint8]:
     """Pixels [x0, x1) x [y0, y1), and no more, of a frame reduced by `factor`, as its `grey` or its `reduced` reads."""
     image, left, top = read(factor, (x0 * factor, y0 * factor, x1 * factor - 1, y1 * factor - 1))
     dx, dy = left // factor, top // factor

@@ -82,7 +82,7 @@ def _normalise(row, seen, count, out):
         out[k] = row[k] * scale if shown else _ZERO
 
 
-@fast
+@fast("u1:2 i8 i8 i8 i8 i8 f8x4 f8:2 f8 f8 i8 i8")
 def read_patches(grey, left, top, factor, width, height, extent, x, w, h, rows, cols):
     """Patches (N, rows * cols) float32 at x (N, 6) = (cx, cy, a1, a2, a3, a4), pixels of the whole image.
 
@@ -184,7 +184,7 @@ def _log2_product(values, lanes):
     return math.log2(product)
 
 
-@fast
+@fast("f4:2r f4:2 f4:2 f4:2 f8 b1")
 def log_densities(y, mu, rate, log, outlier, laplace):
     """log p (N,) of patches y (N, d): eq. 6, the sum over the pixels of the log of each one's mixture.
 
@@ -210,7 +210,7 @@ def log_densities(y, mu, rate, log, outlier, laplace):
     return out
 
 
-@fast
+@fast("f4:2r f4:2 f4:2 f4:2")
 def errors(y, m, mu, sigma):
     """phi (N,) of patches y (N, d): the mean over the pixels of sum_i m_i ((y - mu_i) / sigma_i)^2."""
     count, d = y.shape
@@ -224,7 +224,7 @@ def errors(y, m, mu, sigma):
     return out
 
 
-@fast
+@fast("f4:1r f4:2 f4:2 f4:2 f8:2 f4:2 f4:2 f8 b1 f8 f8 f8")
 def update(y, m, mu, sigma, moments, rate, log, outlier, laplace, alpha, least_sigma, least_mixing):
     """m, mu, sigma (3, d) float32 and the moments (2, d) float64 after the patch y (d,): eq. 7-11.
 
@@ -279,7 +279,7 @@ def update(y, m, mu, sigma, moments, rate, log, outlier, laplace, alpha, least_s
     return new_m, new_mu, new_sigma, new_moments
 
 
-@fast
+@fast("f4:2r f4:2")
 def best_matches(y, templates):
     """The largest NCC of patches y (N, d) of mean 0 with any of the templates (n, d) -> (N,); 0 of a flat one."""
     count, d = y.shape
@@ -312,7 +312,7 @@ _WIDE = 8  # columns that are turned together: the six of a motion, filled up
 _SWEEPS = 60  # for one value at most; it takes two
 
 
-@fast
+@fast("f4:2r i8:1 f4:1r")
 def differences(y, chosen, patch):
     """y[chosen] - patch (J, d), and the products of its rows (J, J) float64; y (N, d), chosen (J,), patch (d,)."""
     count, d = len(chosen), len(patch)
@@ -338,7 +338,7 @@ def differences(y, chosen, patch):
     return rows[:count], np.ascontiguousarray(products[:count, :count])
 
 
-@fast
+@fast("f8:2 f4:2 f4:1")
 def mapped(gain, rows, off):
     """gain (6, J) times rows (J, d) times off (d,) -> (6,)."""
     out = np.zeros(len(gain))
@@ -445,7 +445,7 @@ def _diagonal(d, e, w, turns, at):
     return count
 
 
-@fast
+@fast("f8:2 f8:2 i8 f8")
 def gain(x, products, components, rank):
     """X V_q S_q^-2 V_q^T (6, J), of motions x (J, 6) and Y^T Y = V S^2 V^T, `products` (J, J).
 

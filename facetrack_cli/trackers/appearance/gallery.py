@@ -29,8 +29,8 @@ learned from those whom the spaces have not seen. The eigenvalues that are left 
 over, by far where the images are frames of a few clips. So rho is what maximises the density of images held out: the
 mean of err^2 / (d - s) of each, reconstructed from those of other people. Where nothing is held out, rho is as printed.
 
-Of many rows only their moments are kept, in the coordinates of a basis (`Moments`): of up to MAX_DIRECTIONS rows it
-spans all, of more the largest directions. Of the other directions the lengths of the rows tell the variance.
+Rows are kept in the coordinates of a basis: of up to MAX_DIRECTIONS rows it spans all, of more the largest directions.
+Of the other directions the lengths of the rows tell the variance.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ from facetrack_cli.engine.resampling import logsumexp
 Rows: TypeAlias = NDArray[np.float32]
 Reals: TypeAlias = NDArray[np.floating[Any]]
 Indices: TypeAlias = NDArray[np.intp]
+Fitted: TypeAlias = "tuple[Subspace, list[Subspace]]"
 NONE: Final = "none"  # what the posterior calls nobody of the gallery
 MAX_FRONTAL: Final = 0.5
 KIND: Final = Kind("facetrack-gallery", 1, "gallery", "facetrack gallery fit")
@@ -62,6 +63,7 @@ FOLDS = 10
 ENERGY = 0.9  # share of the variance that a subspace keeps
 MAX_DIRECTIONS = 256  # of a basis; of ten people's patches what is beyond holds about 1 % of the variance
 MAX_ROWS = 1500  # from which a basis is found
+MAX_PAIRS = 10_000  # patches and faces of others that are compared, evenly chosen
 _CHANGES = "how {} with light, expression and pose cannot be learned from it"
 _TITLES: Final = {"frontal": "frontal faces", "intra": "intra-personal", "extra": "extra-personal"}
 _SPACES = (*_TITLES,)
@@ -76,15 +78,6 @@ class Subspace:
     vectors: Rows
     values: Array
     rho: float
-
-    def __post_init__(self) -> None:
-        s, d = len(self.values), len(self.mean)
-        if self.vectors.shape != (s, d) or s > d or not d:
-            raise ValueError(f"directions of {self.vectors.shape} do not fit {s} variances of {d} points")
-        if not all(np.isfinite(a).all() for a in (self.mean, self.vectors, self.values, self.rho)):
-            raise ValueError("a number is not finite")
-        if not (self.rho > 0.0 and (self.values > 0.0).all()):
-            raise ValueError("a variance is not above 0")
 
     @property
     def log_constant(self) -> float:
@@ -136,20 +129,22 @@ class Gallery:
     proportion: float | None = None
 
     def __post_init__(self) -> None:
-        p, d, spaces = len(self.names), self.faces.shape[-1], (self.frontal, self.intra, self.extra)
+        p, spaces = len(self.names), (self.frontal, self.intra, self.extra)
         if p < 2 or len(set(self.names)) != p:
             raise ValueError("a gallery needs two persons or more, each named once")
         if problem := next(filter(None, map(name_problem, self.names)), None):
             raise ValueError(problem)
-        fits = len(self.shape) == 2 and self.faces.shape == (p, math.prod(self.shape)) and min(self.shape) > 0
-        if not fits or any(len(space.mean) != d for space in spaces):
-            raise ValueError(f"faces of {self.faces.shape} do not fit {p} persons and a template of {self.shape}")
-        numbers = (*self.calibration, self.most_frontal, self.threshold, self.errors)
-        if not (np.isfinite(self.faces).all() and np.isfinite(numbers).all()):
+        d = math.prod(self.shape) if len(self.shape) == 2 and min(self.shape) > 0 else -1
+        fit = (space.mean.shape == (d,) and space.vectors.shape == (len(space.values), d) for space in spaces)
+        if self.faces.shape != (p, d) or not all(fit):
+            raise ValueError(f"faces and spaces do not fit {p} persons and a template of {self.shape}")
+        variances = np.concatenate([[self.proportion or 1.0], *([space.rho, *space.values] for space in spaces)])
+        numbers = np.array([self.threshold, self.errors, *self.calibration, *variances])
+        arrays = self.faces, numbers, *(array for space in spaces for array in (space.mean, space.vectors))
+        if not all(np.isfinite(array).all() for array in arrays):
             raise ValueError("a number is not finite")
-        ranged = self.proportion is None or 0.0 < self.proportion < math.inf
-        if not ranged or len(self.counts) != p or len(self.calibration) != 2 or not 0.0 <= self.most_frontal <= 1.0:
-            raise ValueError("counts, proportion or the calibration of p_f are out of range")
+        if variances.min() <= 0 or self.proportion == 0 or len(self.counts) != p or not 0 <= self.most_frontal <= 1:
+            raise ValueError("variances, counts, proportion or the bound of p_f are out of range")
 
     def log_scores(self, patches: Rows, *, sharpness: float = 1.0, none: bool = False) -> tuple[Array, Array]:
         """p_f (N,), 0 of a patch of zeros, and log p_n (N, P) of patches (N, d), with logsumexp 0 over the identities.
@@ -281,37 +276,41 @@ def fit_gallery(
     """
     x = np.asarray(patches, np.float64)
     names, who = np.unique(np.array(persons, str), return_inverse=True)
-    of = np.unique(np.arange(len(x)) if images is None else np.asarray(images), return_inverse=True)[1]
-    samples = Samples(x, who, of, common_basis(x))
-    own, own_of = samples.to_own()
+    _, first, of = np.unique(np.arange(len(x)) if images is None else images, return_index=True, return_inverse=True)
+    own, own_of = to_own(x, who, of)
     if not len(own):
         remedy = "add a second image of somebody, or copies that are cut a little off"
         raise InputError(f"there is one image of each person, and {_CHANGES.format('one face changes')}; {remedy}")
     # persons that are held out together; where that leaves nothing to learn from, images are, for rho alone
     folds, by_image = folds_by(who), folds_by(of)
-    frontal = fit_subspace(x, folds, samples.basis)
+    basis, faces = common_basis(x), np.stack([stand_in(x[first[who[first] == p]]) for p in range(len(names))])
+    (z, squares), (face_z, face_squares) = (coordinates(rows, basis) for rows in (x, faces))
+    frontal, frontals = fit_subspace(z, squares, folds, basis)
     able = any(mask[own_of].any() and not mask[own_of].all() for mask in folds)
-    intra = fit_subspace(own, [mask[own_of] for mask in (folds if able else by_image)], samples.basis, centred=True)
+    held = [mask[own_of] for mask in (folds if able else by_image)]
+    intra, intras = fit_subspace(*coordinates(own, basis), held, basis, centred=True)
     # of what a fold holds out, neither patches nor faces are used; without one of two nobody is left to differ from
-    anyone = np.ones(len(names), bool)
     apart = len(names) > 2
-    held = [(mask, ~anyone if not apart else np.bincount(who, mask) > 0) for mask in (folds if apart else by_image)]
-    without = [samples.to_others(~mask, ~gone) for mask, gone in held]
-    extra = fit_moments(samples.to_others(who >= 0, anyone), without, samples.basis, centred=True)
-    right_q = np.concatenate([space.log_density(x[mask]) for space, mask in zip(frontal.without, folds, strict=True)])
-    wrong_q = np.mean([space.log_density(negatives) for space in frontal.without], axis=0)
-    genuine, best, faces = np.empty(len(own)), np.empty(len(x)), samples.faces
+    patch, other = np.nonzero(who[:, None] != np.arange(len(names)))
+    some = np.linspace(0, len(patch) - 1, min(len(patch), MAX_PAIRS)).astype(int)
+    patch, other = patch[some], other[some]
+    held = [mask[patch] | (apart & (np.bincount(who, mask) > 0)[other]) for mask in (folds if apart else by_image)]
+    lengths = squares[patch] + face_squares[other] - 2.0 * (x @ faces.T)[patch, other]
+    extra, extras = fit_subspace(z[patch] - face_z[other], lengths, held, basis, centred=True)
+    right_q = np.concatenate([space.log_density(x[mask]) for space, mask in zip(frontals, folds, strict=True)])
+    wrong_q = np.mean([space.log_density(negatives) for space in frontals], axis=0)
+    genuine, best = np.empty(len(own)), np.empty(len(x))
     for k, mask in enumerate(folds):  # log ratios (eq. 16) by spaces that have not seen the person
-        within, between = intra.without[k] if able else intra.whole, extra.without[k] if apart else extra.whole
+        within, between = intras[k] if able else intra, extras[k] if apart else extra
         genuine[mask[own_of]] = within.log_density(own[mask[own_of]]) - between.log_density(own[mask[own_of]])
         ratios = within.log_densities(x[mask], faces) - between.log_densities(x[mask], faces)
         ratios[np.arange(len(ratios)), who[mask]] = -np.inf  # the largest is to another person
         best[mask] = ratios.max(axis=1)
     threshold, errors = equal_errors(genuine, best)
-    counts = tuple(np.bincount(who[samples.first]).tolist())
+    counts = tuple(np.bincount(who[first]).tolist())
     return Gallery(
-        tuple(map(str, names)), samples.faces.astype(np.float32), (int(shape[0]), int(shape[1])),
-        frontal.whole, intra.whole, extra.whole, fit_logistic(right_q, wrong_q), threshold, errors, counts,
+        tuple(map(str, names)), faces.astype(np.float32), (int(shape[0]), int(shape[1])),
+        frontal, intra, extra, fit_logistic(right_q, wrong_q), threshold, errors, counts,
         notes=_notes(names.tolist(), counts, errors), proportion=proportion,
     )  # fmt: skip
 
@@ -378,64 +377,19 @@ def equal_errors(genuine: Array, impostor: Array) -> tuple[float, float]:
     return float((at[best[0]] + at[best[-1]]) / 2), float((missed[k] + passed[k]) / 2)
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Patches `x` (n, d), the person `who` (n,) and the image `of` (n,) of each, counted from 0.
+def to_own(x: Array, who: Indices, of: Indices) -> tuple[Array, Indices]:
+    """Differences of patches x (n, d) to the mean of the other images of the person, or to the only one; their index.
 
-    The first patch of an image is the image itself, others are copies cut a little off. `basis` (r, d): orthonormal.
+    `who` (n,) are the persons and `of` (n,) the images, from 0; the first patch of an image is the image itself.
     """
-
-    x: Array
-    who: Indices
-    of: Indices
-    basis: Array
-
-    @cached_property
-    def first(self) -> Mask:
-        """(n,): the images themselves."""
-        mask = np.zeros(len(self.x), bool)
-        mask[np.unique(self.of, return_index=True)[1]] = True
-        return mask
-
-    @cached_property
-    def faces(self) -> Array:
-        """(P, d): what stands for each person."""
-        return np.stack([stand_in(self.x[self.first & (self.who == p)]) for p in range(self.who.max() + 1)])
-
-    def to_own(self) -> tuple[Array, Indices]:
-        """Differences of patches to the mean of the other images of the person, or to the only one; their index."""
-        rows, index = [], []
-        for k in range(self.of.max() + 1):
-            copies = np.flatnonzero(self.of == k)
-            others = self.first & (self.who == self.who[copies[0]]) & (self.of != k)
-            stands = stand_in(self.x[others]) if others.any() else self.x[copies[0]]
-            copies = copies if others.any() else copies[1:]
-            rows.append(self.x[copies] - stands)
-            index.append(copies)
-        return np.concatenate(rows), np.concatenate(index)
-
-    def to_others(self, patches: Mask, persons: Mask) -> Moments:
-        """Moments, from sums, of the differences of these patches (n,) to the faces of others of these persons (P,)."""
-        coordinates, squares, face_coordinates, face_squares, products_of_both = self._sums
-        z, who, faces = coordinates[patches], self.who[patches], face_coordinates[persons]
-        own = persons[who]
-        apart = np.where(own[:, None], face_coordinates[who], 0.0)  # a patch is not compared with its own person
-        number = persons.sum() - own
-        asked = len(z) - np.bincount(who, minlength=len(persons))[persons]
-        cross = z.T @ (faces.sum(0) - apart)
-        products = (z.T * number) @ z - cross - cross.T + (faces.T * asked) @ faces
-        along = products_of_both[patches]
-        between = (along @ persons).sum() - along[np.arange(len(z)), who][own].sum()
-        square = number @ squares[patches] - 2.0 * between + asked @ face_squares[persons]
-        return Moments(int(number.sum()), number @ z - asked @ faces, products, max(float(square), 0.0))
-
-    @cached_property
-    def _sums(self) -> tuple[Array, ...]:
-        """Coordinates (n, r) and squared lengths (n,) of patches, the same of faces, and their products (n, P)."""
-        of_each = []
-        for rows in (self.x, self.faces):
-            of_each += [rows @ self.basis.T, np.einsum("nd,nd->n", rows, rows)]
-        return (*of_each, self.x @ self.faces.T)
+    first, rows, index = np.unique(of, return_index=True)[1], [], []
+    for k, image in enumerate(first.tolist()):
+        copies, others = np.flatnonzero(of == k), first[(who[first] == who[image]) & (first != image)]
+        stands = stand_in(x[others]) if others.size else x[image]
+        copies = copies if others.size else copies[1:]
+        rows.append(x[copies] - stands)
+        index.append(copies)
+    return np.concatenate(rows), np.concatenate(index)
 
 
 def stand_in(images: Array) -> Array:
@@ -447,33 +401,6 @@ def stand_in(images: Array) -> Array:
     return np.asarray((mean - mean.mean()) / spread)
 
 
-class Fitted(NamedTuple):
-    """The subspace of all rows, and one subspace per fold: `without[k]` has not seen the rows of fold k."""
-
-    whole: Subspace
-    without: tuple[Subspace, ...]
-
-
-class Moments(NamedTuple):
-    """Of `number` rows: sums of coordinates (r,) and of their products (r, r), and of squared lengths of whole rows."""
-
-    number: int
-    total: Array
-    products: Array
-    square: float
-
-    @staticmethod
-    def of(z: Array, square: Array) -> Moments:
-        """Of coordinates z (n, r) and squared lengths (n,)."""
-        return Moments(len(z), z.sum(0), z.T @ z, float(square.sum()))
-
-    def about(self, mean: Array) -> tuple[Array, float]:
-        """Of differences to a mean (r,): sums of the products (r, r), and of the squared lengths."""
-        cross, n = np.outer(mean, self.total), self.number
-        square = self.square - 2.0 * mean @ self.total + n * mean @ mean
-        return self.products - cross - cross.T + n * np.outer(mean, mean), float(square)
-
-
 def common_basis(x: Array, most: int = MAX_DIRECTIONS) -> Array:
     """Orthonormal rows (r, d), r at most `most`: the largest directions of rows x (n, d), or all."""
     some = x[np.linspace(0, len(x) - 1, min(len(x), MAX_ROWS)).astype(int)]
@@ -481,32 +408,33 @@ def common_basis(x: Array, most: int = MAX_DIRECTIONS) -> Array:
     return np.asarray(np.linalg.qr(some.T @ largest)[0].T)
 
 
-def fit_subspace(x: Array, folds: Sequence[Mask], basis: Array, *, centred: bool = False) -> Fitted:
-    """The subspace of rows x (n, d), without those of each fold (n,) in turn, as `fit_moments` says."""
-    z, square = x @ basis.T, np.einsum("nd,nd->n", x, x)
-    without = [Moments.of(z[~fold], square[~fold]) for fold in folds]
-    return fit_moments(Moments.of(z, square), without, basis, centred=centred)
+def coordinates(rows: Array, basis: Array) -> tuple[Array, Array]:
+    """Of rows (n, d) those in a basis (n, r), and their squared lengths (n,), which include all other directions."""
+    return rows @ basis.T, np.einsum("nd,nd->n", rows, rows)
 
 
-def fit_moments(all_rows: Moments, without: Sequence[Moments], basis: Array, *, centred: bool) -> Fitted:
-    """The subspace of all rows, and of those `without` each fold; a fold of no row or of all holds nothing out.
+def fit_subspace(z: Array, squares: Array, folds: Sequence[Mask], basis: Array, *, centred: bool = False) -> Fitted:
+    """The subspace of rows, given as `coordinates`, and those that have not seen each fold (n,), in turn.
 
-    It has as many components as hold ENERGY of the variance, at most half of the rank. `basis` (r, d) is orthonormal,
-    of a space that the rows are nearly in. `centred`: the mean is 0 by construction. All subspaces have the same rho.
+    A fold of no row or of all holds nothing out. A subspace has as many components as hold ENERGY of the variance, at
+    most half of the rank. `centred`: the mean is 0 by construction. All subspaces have the same rho.
     """
-    d = basis.shape[1]
-    whole = _Components.of(all_rows, centred, d)
-    parts = [_Components.of(rows, centred, d) if 0 < rows.number < all_rows.number else whole for rows in without]
-    held = [
-        (part.errors(all_rows) - part.errors(rows), all_rows.number - rows.number)
-        for part, rows in zip(parts, without, strict=True) if part is not whole
-    ]  # fmt: skip
-    rho = whole.remaining
-    if held:
-        left_over, number = np.sum(held, axis=0).tolist()
-        rho = max(rho, left_over / number)
-    rho = max(rho, MIN_RHO)
-    return Fitted(whole.subspace(rho, basis), tuple(part.subspace(rho, basis) for part in parts))
+    whole = _Components.of(z, squares, centred, basis.shape[1])
+    parts = [
+        _Components.of(z[~fold], squares[~fold], centred, basis.shape[1]) if 0 < fold.sum() < len(z) else whole
+        for fold in folds
+    ]
+    both = [(part, fold) for part, fold in zip(parts, folds, strict=True) if part is not whole]
+    rho = max(whole.remaining, MIN_RHO)
+    if both:
+        rho = max(rho, sum(part.errors(z[fold], squares[fold]) for part, fold in both) / np.sum([f for _, f in both]))
+    return whole.subspace(rho, basis), [part.subspace(rho, basis) for part in parts]
+
+
+def _about(z: Array, squares: Array, mean: Array) -> tuple[Array, float]:
+    """Rows, given as `coordinates`, less a mean (r,), and the sum of their squared lengths then."""
+    off = z - mean
+    return off, float(np.sum(squares) - np.square(z).sum() + np.square(off).sum())
 
 
 def folds_by(labels: Indices) -> list[Mask]:
@@ -525,13 +453,12 @@ class _Components(NamedTuple):
     others: int
 
     @staticmethod
-    def of(rows: Moments, centred: bool, d: int) -> _Components:
-        """Of rows of d numbers."""
-        n = rows.number
-        mean = np.zeros_like(rows.total) if centred else rows.total / n
-        products, square = rows.about(mean)
-        freedom = n if centred else max(n - 1, 1)
-        values, vectors = np.linalg.eigh(products / freedom)
+    def of(z: Array, squares: Array, centred: bool, d: int) -> _Components:
+        """Of rows of d numbers, given as `coordinates`."""
+        mean = np.zeros(z.shape[1]) if centred else z.mean(0)
+        off, square = _about(z, squares, mean)
+        freedom = len(z) if centred else max(len(z) - 1, 1)
+        values, vectors = np.linalg.eigh(off.T @ off / freedom)
         values = np.maximum(values[::-1], 0.0)
         # the lengths of the rows include directions that are not in the basis
         total = max(square / freedom, float(values.sum()))
@@ -541,11 +468,10 @@ class _Components(NamedTuple):
         left, others = max(total - float(values[:s].sum()), 0.0), max(d - s, 1)
         return _Components(mean, vectors[:, ::-1][:, :s].T, values[:s], left / others, others)
 
-    def errors(self, rows: Moments) -> float:
-        """What rows leave over, the sum of err^2 / (d - s)."""
-        products, square = rows.about(self.mean)
-        kept = np.einsum("si,ij,sj->", self.vectors, products, self.vectors, optimize=True)
-        return max(square - float(kept), 0.0) / self.others
+    def errors(self, z: Array, squares: Array) -> float:
+        """What rows, given as `coordinates`, leave over, the sum of err^2 / (d - s)."""
+        off, square = _about(z, squares, self.mean)
+        return max(square - float(np.square(off @ self.vectors.T).sum()), 0.0) / self.others
 
     def subspace(self, rho: float, basis: Array) -> Subspace:
         # a principal direction varies at least as much as the directions left out

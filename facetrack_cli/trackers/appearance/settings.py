@@ -11,36 +11,23 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import (
-    MAX_COMPARED_PARTICLES,
-    Component,
-    Factor,
-    FilterSettings,
-    Length,
-    LikelihoodSettings,
-    MotionSettings,
-    Refusal,
-    ScaledSettings,
-    Section,
-    Steps,
-)
+from facetrack_cli.recipe import sections
 
 if TYPE_CHECKING:
-    from facetrack_cli.recipe.model import ParticleFilterSettings
+    pass
 
-MAX_TEMPLATE_POINTS = 100_000_000  # particles times points of a template: some gigabytes
 Points: TypeAlias = Annotated[int, Field(ge=6, le=128)]
 Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
 
 
-class AffineSettings(ScaledSettings):
+class AffineSettings(sections.ScaledSettings):
     """A face under affine maps: place, and what became of the box of the first frame (section 4)."""
 
-    engine = "facetrack_cli.trackers.appearance.affine:AffineSpace.place"
+    engine = "facetrack_cli.trackers.appearance.appearance:AffineSpace.place"
     type: Literal["affine"]
     estimate: Literal["map", "mean"] = "map"
     """The particle of the greatest weight, thus likelihood, which the paper calls MAP, or the mean of them all."""
-    scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.2, 5.0)
+    scale: Annotated[tuple[sections.Factor, sections.Factor], Field(strict=False)] = (0.2, 5.0)
     """The least and the largest scale, as factors of the size at the start."""
 
     @property
@@ -48,7 +35,7 @@ class AffineSettings(ScaledSettings):
         return self.estimate == "map"
 
 
-class VelocitySettings(Section):
+class VelocitySettings(sections.Section):
     """Adaptive velocity: the shift that the change of the image predicts (eq. 12)."""
 
     components: Annotated[int, Field(ge=1, le=500)] = 20
@@ -65,7 +52,7 @@ class VelocitySettings(Section):
     """Beyond the paper: first look for the face so far around, in units of its box; 0: do not."""
 
 
-class NoiseSettings(Section):
+class NoiseSettings(sections.Section):
     """Adaptive noise: r_t / r_0 = a + (b - a) tanh(eps_t / c), eps_t the error of the prediction (eq. 13)."""
 
     least: Annotated[float, Field(gt=0, le=100)] = 0.5
@@ -75,18 +62,14 @@ class NoiseSettings(Section):
     rate: Annotated[float, Field(gt=0, le=1e6)] = 1.0
     """c; the error is 1 where the patch differs from the appearance as much as that expects."""
 
-    def mistakes(self) -> Iterable[Refusal]:
-        if self.most < self.least:
-            yield Refusal(("most",), "motion.noise.most is below least; give it a value at least as large")
 
-
-class AffineWalkSettings(MotionSettings):
+class AffineWalkSettings(sections.MotionSettings):
     """Gaussian noise on the six parameters, around the predicted place: theta_t = theta_{t-1} + nu_t + u_t (eq. 1)."""
 
-    engine = "facetrack_cli.trackers.appearance.affine:affine_walk"
+    engine = "facetrack_cli.trackers.appearance.appearance:affine_walk"
     goes_with = ("affine",)
     type: Literal["affine_walk"]
-    sigma: Length
+    sigma: sections.Length
     """r_0 u_0 of the place: standard deviation along x and y."""
     deform: Annotated[float, Field(ge=0, le=1)]
     """r_0 u_0 of the deformation [[a1, a2], [a3, a4]], the identity at the start: of its scale."""
@@ -99,18 +82,8 @@ class AffineWalkSettings(MotionSettings):
     noise: NoiseSettings | None = None
     """r_t; null: fixed, r_0."""
 
-    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        if self.velocity is None:
-            return
-        n, where = whole.filter.most(whole)
-        samples = self.velocity.samples
-        if min(n, samples or n) > MAX_COMPARED_PARTICLES:
-            remedy = "give velocity.samples, as in samples: 32"
-            message = f"motion.velocity compares every two of up to {n:,} particles; {remedy}"
-            yield Refusal(where if samples is None else ("motion", "velocity", "samples"), message)
 
-
-class ComponentsSettings(Section):
+class ComponentsSettings(sections.Section):
     """One number for each component of the appearance."""
 
     w: Annotated[float, Field(ge=0, le=100)]
@@ -125,7 +98,7 @@ class ComponentsSettings(Section):
         return self.w, self.s, self.f
 
 
-class AppearanceSettings(LikelihoodSettings):
+class AppearanceSettings(sections.LikelihoodSettings):
     """The adaptive appearance model: a mixture of W, S and F in each pixel of a patch (eq. 6 to 11)."""
 
     engine = "facetrack_cli.trackers.appearance.appearance:Appearance.build"
@@ -150,21 +123,15 @@ class AppearanceSettings(LikelihoodSettings):
     pixels: Annotated[float, Field(gt=0, le=16384)] | None = None
     """Beyond the paper: how many pixels of the patch count as independent; null: all."""
 
-    def mistakes(self) -> Iterable[Refusal]:
+    def mistakes(self) -> Iterable[sections.Refusal]:
         if sum(self.mixing.each) <= 0:
-            yield Refusal(("mixing",), "likelihood.mixing is all 0; give w, s or f a share")
+            yield sections.Refusal(("mixing",), "likelihood.mixing is all 0; give w, s or f a share")
         for name, share, sigma in zip("wsf", self.mixing.each, self.sigma.each, strict=True):
             if share > 0 and sigma < 1e-3:
-                yield Refusal(("sigma", name), f"likelihood.sigma.{name} must be at least 0.001")
-
-    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        (n, where), (columns, rows) = whole.filter.most(whole), self.template
-        if n * columns * rows > MAX_TEMPLATE_POINTS:
-            most = f"no more than {MAX_TEMPLATE_POINTS:,} points fit into memory"
-            yield Refusal(where, f"{n:,} particles of {columns}x{rows} points each; {most}")
+                yield sections.Refusal(("sigma", name), f"likelihood.sigma.{name} must be at least 0.001")
 
 
-class RecognitionSettings(Component):
+class RecognitionSettings(sections.Component):
     """Who it is: the joint posterior of motion and identity (eq. 5, 14 to 16)."""
 
     engine = "facetrack_cli.trackers.appearance.appearance:Recognition.of"
@@ -184,32 +151,19 @@ class RecognitionSettings(Component):
         return {} if self.gallery is None else {"gallery": self.gallery}
 
 
-class AdaptiveSettings(FilterSettings):
+class AdaptiveSettings(sections.FilterSettings):
     """All particles around the predicted place, as many as the prediction is worth (figure 1, eq. 17)."""
 
-    engine = "facetrack_cli.trackers.appearance.affine:adaptive"
+    engine = "facetrack_cli.engine.filters:adaptive"
     goes_with = ("affine",)
     type: Literal["adaptive"]
     particles: Annotated[int, Field(ge=1)]
     """J_0."""
     adapt: bool = True
-    """J_t follows eq. 17; false: always J_0."""
+    """J_t follows eq. 17 with the noise of the motion; false: always J_0."""
     entropy: Annotated[float, Field(ge=0, lt=1)] = 0.1
     """d of eq. 17, by which there are more or fewer as the identity becomes less or more certain."""
     least: Annotated[int, Field(ge=1)] = 10
     """Never fewer particles than this."""
     centre: bool = False
     """Beyond the paper: the first particle is the predicted place itself."""
-
-    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        if self.adapt and isinstance(whole.motion, AffineWalkSettings) and whole.motion.noise is None:
-            message = "filter.adapt follows motion.noise, which is null; add noise: {}, or write adapt: false"
-            yield Refusal(("filter", "adapt"), message)
-
-    def most(self, whole: ParticleFilterSettings) -> tuple[int, Steps]:
-        n, where = super().most(whole)
-        if not self.adapt:
-            return n, where
-        if isinstance(whole.motion, AffineWalkSettings) and whole.motion.noise is not None:
-            n = round(n * (whole.motion.noise.most + self.entropy))
-        return (self.least, ("filter", "least")) if self.least > n else (n, where)

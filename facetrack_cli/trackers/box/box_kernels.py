@@ -110,7 +110,7 @@ def _normalise(bins, i, norms, out):
             to[j] = _HALF * (pa + pb + pc + pd)
 
 
-@exact
+@exact("u1:3 f4:3")
 def chroma(image, out):
     """a and b of CIELAB, `out` (2, H, W), of an `image` (H, W, 3) in sRGB, to the levels of `cv2.COLOR_BGR2LAB`.
 
@@ -126,7 +126,7 @@ def chroma(image, out):
             out[1, y, x] = np.float32((200 * (fy - fz) + 16384) >> 15) / _CHROMA
 
 
-@exact
+@exact("u1:3 f4:1 f4:1 i8:1 f4:1")
 def colours(image, target, around, bins, p):
     """Of the pixels of `image` (H, W, 3), by rows, which of `COLOURS` each has, and p that it is the target's.
 
@@ -141,7 +141,7 @@ def colours(image, target, around, bins, p):
             n += 1
 
 
-@exact
+@exact("u1:2 f8 f8 f8:2 i8 f4:4")
 def gradients_of_scales(image, x, y, sides, cell, out):
     """The gradients of S windows around (x, y) of grey `image` (H, W) uint8, `sides` (S, 2) pixels wide and high.
 
@@ -171,7 +171,7 @@ def gradients_of_scales(image, x, y, sides, cell, out):
         gradients(window, cell, out[s])
 
 
-@fast
+@fast("f4:2 f4:2 f4:1 f4:2")
 def project(components, features, window, out):
     """out (C, M): `components` (C, L) times `features` (L, M), and times the `window` (M,)."""
     for c in range(len(out)):
@@ -185,7 +185,7 @@ def project(components, features, window, out):
             row[m] *= window[m]
 
 
-@fast
+@fast("f4:3 f4:3 f4")
 def remember(memory, x, rate):
     """`memory` (P, 2, F), Hermitian matrices (C, C) of F frequencies, moved by `rate` towards x x^H of x (2, C, F).
 
@@ -202,7 +202,7 @@ def remember(memory, x, rate):
             p += 1
 
 
-@fast
+@fast("f4:3 f4:3 f4:3")
 def multiply(memory, v, out):
     """`out` (2, C, F): the matrices of `memory` times v (2, C, F)."""
     out[:] = _ZERO
@@ -222,7 +222,7 @@ def multiply(memory, v, out):
             p += 1
 
 
-@fast
+@fast("f4:3 f4:3 f4:2")
 def respond(filters, x, out):
     """`out` (2, F): the sum over channels of conj(filters) x, both (2, C, F)."""
     out[:] = _ZERO
@@ -234,7 +234,7 @@ def respond(filters, x, out):
             imaginary[f] += fr[f] * xi[f] - fi[f] * xr[f]
 
 
-@exact
+@exact("f4:2 f8:1 f8:1 f8:1")
 def read_cubic(values, x, y, out):
     """`values` (H, W) at the places x (N,), y (N,) by Catmull and Rom's cubic; beyond the border as at it."""
     wx, wy = np.empty((2, 4))
@@ -255,7 +255,7 @@ def read_cubic(values, x, y, out):
         out[n] = total
 
 
-@exact
+@exact("f8:2 f8:2 f8:2 f8 f8:1 f8:1 f8:1 f8:1 f8:1 i8:1")
 def arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which):
     """log sum_m w_m p(z_n | m) of places and log scales z (N, 3), where the target is visible, and where it is hidden.
 

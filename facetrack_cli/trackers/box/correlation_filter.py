@@ -43,21 +43,9 @@ from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import logsumexp
 from facetrack_cli.engine.spaces import Context
+from facetrack_cli.trackers.box import features as models
 from facetrack_cli.trackers.box.box_kernels import read_cubic
-from facetrack_cli.trackers.box.features import (
-    UPSAMPLED,
-    ColourModel,
-    Colours,
-    Features,
-    ScaleTrainer,
-    Single,
-    Trained,
-    TrainedScale,
-    Trainer,
-    moved,
-    peaks,
-    shrunk,
-)
+from facetrack_cli.trackers.box.features import UPSAMPLED, Features, Single, peaks, shrunk
 from facetrack_cli.trackers.box.hidden_box import VISIBLE, ModeProposal
 from facetrack_cli.trackers.box.settings import CorrelationFilterSettings
 
@@ -112,14 +100,6 @@ class Heights(NamedTuple):
         return Heights(self.mean + rate * off, math.sqrt((1 - rate) * (self.std**2 + rate * off**2)), frames)
 
 
-class Peaks(NamedTuple):
-    """How high responses are: of both filters at the target, and of both together where it is sought elsewhere."""
-
-    now: float
-    first: float
-    elsewhere: float | None = None
-
-
 class ResponseView(NamedTuple):
     """A window around `centre` (2,): R, the response of the filter of `now`, and that of the first frames.
 
@@ -133,11 +113,11 @@ class ResponseView(NamedTuple):
     now: Single
     first: Single
 
-    def heights(self, peak: Array) -> Peaks:
-        """Those within a cell of a peak (column, row, height)."""
+    def heights(self, peak: Array) -> tuple[float, float]:
+        """Those of both filters within a cell of a peak (column, row, height)."""
         column, row = round(float(peak[0])), round(float(peak[1]))
         rows, columns = (slice(max(k - UPSAMPLED, 0), k + UPSAMPLED + 1) for k in (row, column))
-        return Peaks(float(self.now[rows, columns].max()), float(self.first[rows, columns].max()))
+        return float(self.now[rows, columns].max()), float(self.first[rows, columns].max())
 
 
 class Usual(NamedTuple):
@@ -148,13 +128,11 @@ class Usual(NamedTuple):
     others: Heights
     elsewhere: Heights
 
-    def learn(self, peaks: Peaks, visible: float) -> Usual:
-        """After a frame in which the target is visible with this probability."""
-        elsewhere = self.elsewhere
-        if peaks.elsewhere is not None:
-            elsewhere = elsewhere.learn(peaks.elsewhere, 1 - visible)
-        now, first = self.now.learn(peaks.now, visible), self.first.learn(peaks.first, visible)
-        return Usual(now, first, self.others, elsewhere)
+    def learn(self, heights: tuple[float, float], elsewhere: float | None, visible: float) -> Usual:
+        """After a frame in which the target is visible with this probability; `elsewhere`: as in `Seen`."""
+        now, first = (usual.learn(height, visible) for usual, height in zip(self[:2], heights, strict=True))
+        since = self.elsewhere if elsewhere is None else self.elsewhere.learn(elsewhere, 1 - visible)
+        return Usual(now, first, self.others, since)
 
 
 def evidence(seen: Heights, other: Heights, height: float, bound: float) -> float:
@@ -171,14 +149,15 @@ def log_student(z: float) -> float:
 
 
 class Seen(NamedTuple):
-    """What a frame shows: its modes, with log L at each, and how high responses are at the highest one.
+    """What a frame shows: its modes, with log L at each, and how high both filters respond at the highest one.
 
-    `view` is the window that was read at `scale`, and `scales` the spectrum over scales at its highest mode.
+    Where it was sought `elsewhere`, so high is the response of both together, at the last mode. `view` is the window
+    that was read at `scale`, and `scales` the spectrum over scales at its highest mode.
     """
 
     guides: ModeProposal
-    heights: Peaks
-    candidate: Array | None
+    heights: tuple[float, float]
+    elsewhere: float | None
     view: ResponseView
     scale: float
     scales: NDArray[np.complex64]
@@ -195,10 +174,10 @@ class CorrelationState(NamedTuple):
     """
 
     features: Features
-    filters: Trained
+    filters: models.Trained
     first: Single
-    scales: TrainedScale
-    colours: Colours | None
+    scales: models.TrainedScale
+    colours: models.Colours | None
     heights: Usual
     frames: int = 1
     last: int = 0
@@ -211,36 +190,32 @@ class CorrelationState(NamedTuple):
 
 @dataclass(frozen=True)
 class CorrelationFilter(Likelihood):
-    """`size`: width and height of the box at the start, in pixels; `limits`: of its scale."""
+    """A box by the response of a filter to the window around it."""
 
     settings: CorrelationFilterSettings
-    size: tuple[float, float]
-    limits: tuple[float, float]
-
-    @classmethod
-    def build(cls, settings: CorrelationFilterSettings, context: Context) -> CorrelationFilter:
-        return cls(settings, context.placed.size, context.placed.scale)
+    context: Context
 
     @cached_property
     def _unit(self) -> float:
         """The mean side of the box at the start, in pixels."""
-        return math.sqrt(self.size[0] * self.size[1])
+        return math.sqrt(math.prod(self.context.placed.size))
 
     @cached_property
-    def _trainer(self) -> Trainer:
-        one = self.settings
+    def _trainer(self) -> models.Trainer:
+        one, (w, h) = self.settings, self.context.placed.size
         per_pixel = one.cells / (one.window * self._unit)
-        box = (max(self.size[0] * per_pixel, 1.0), max(self.size[1] * per_pixel, 1.0))
-        return Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3))
+        box = max(w * per_pixel, 1.0), max(h * per_pixel, 1.0)
+        return models.Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3))
 
     @cached_property
-    def _scale_trainer(self) -> ScaleTrainer:
-        return ScaleTrainer(self.size, self.settings.scales.count, self.settings.scales.step)
+    def _scale_trainer(self) -> models.ScaleTrainer:
+        return models.ScaleTrainer(self.context.placed.size, self.settings.scales.count, self.settings.scales.step)
 
     @cached_property
-    def _colour_model(self) -> ColourModel:
+    def _colour_model(self) -> models.ColourModel:
         side = self.settings.window * self._unit
-        return ColourModel((self.size[0] / side, self.size[1] / side))
+        w, h = self.context.placed.size
+        return models.ColourModel((w / side, h / side))
 
     def _side(self, scale: float) -> float:
         """Side of the window in pixels."""
@@ -268,30 +243,27 @@ class CorrelationFilter(Likelihood):
 
     def look(self, learned: CorrelationState, frame: Frame, expected: Array) -> CorrelationState:
         """With what the frame shows around the place (1, D) where the target is `expected`."""
-        one, centre, scale = self.settings, expected[0, :2], float(np.clip(expected[0, 2], *self.limits))
+        one, centre, scale = self.settings, expected[0, :2], float(np.clip(expected[0, 2], *self.context.placed.scale))
         view = self._view(learned, frame, centre, scale)
         found = peaks(view.response, 0.5, one.modes)
         off = (found[0, :2] - len(view.response) // 2) * self._sample(scale)
         if float(np.hypot(*off)) > _OFF * self._unit * scale:  # near the border of a window responses are low
             view = self._view(learned, frame, centre + off, scale)
             found = peaks(view.response, 0.5, one.modes)
-        heights = view.heights(found[0])
-        log_l: Any = (
-            evidence(learned.heights.now, learned.heights.others, heights.now, one.evidence) + learned.external_log_odds
-        )
+        heights, usual = view.heights(found[0]), learned.heights
+        log_l: Any = evidence(usual.now, usual.others, heights[0], one.evidence) + learned.external_log_odds
         log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _MIN_RATIO))
         modes = [self._modes(view, scale, found, log_l)]
         scales = self._scale_trainer.read(frame, modes[0].mean[0, :2], scale)
         log_s, std = self._scale_at(learned, scales)
         modes[0].mean[:, 2] += log_s
         modes[0].std[:, 2] = std
-        candidate = None
+        elsewhere: float | None = None
         if (redetection := self._detect(learned, frame, expected, scale)) is not None:
-            mode, height = redetection
+            mode, elsewhere = redetection
             modes.append(mode)
-            candidate, heights = mode.mean[0], heights._replace(elsewhere=height)
         guides = ModeProposal(*(np.concatenate(column) for column in zip(*modes, strict=True)))
-        return learned._replace(seen=Seen(guides, heights, candidate, view, scale, scales))
+        return learned._replace(seen=Seen(guides, heights, elsewhere, view, scale, scales))
 
     def _sample(self, scale: float) -> float:
         """Pixels between two samples of a response."""
@@ -314,32 +286,27 @@ class CorrelationFilter(Likelihood):
         self, learned: CorrelationState, frame: Frame, expected: Array, scale: float
     ) -> tuple[ModeProposal, float] | None:
         """A mode found elsewhere, where the target is hidden, and how high it is: the best of a few windows."""
-        best: tuple[float, Array, bool] | None = None
         middle = UPSAMPLED * self.settings.cells // 2
         places = [(place, False) for place in self._elsewhere(learned, frame, expected)]
         if learned.hidden:
             places += [(place, True) for place in learned.sighted]
             if (last := learned.candidate) is not None:  # once more, and at the last size
                 places += [(last, False), (np.array([*last[:2], math.log(scale)]), False)]
-        for place, sighted in places:
-            size = float(np.clip(math.exp(place[2]), *self.limits))
-            view = self._view(learned, frame, place[:2], size)
-            [top] = peaks(self._both(learned, view), 1.0, 1)
-            if best is None or top[2] > best[0]:
-                at = place[:2] + (top[:2] - middle) * self._sample(size)
-                best = float(top[2]), np.array([*at, math.log(size)]), sighted
-        if best is None:
+        if not places:
             return None
-        size = math.exp(best[1][2])
-        view = self._view(learned, frame, best[1][:2], size)
+        best, at, size, sighted = -math.inf, places[0][0], 1.0, False
+        for place, by_others in places:
+            own = float(np.clip(math.exp(place[2]), *self.context.placed.scale))
+            [top] = peaks(self._both(learned, self._view(learned, frame, place[:2], own)), 1.0, 1)
+            if top[2] > best:
+                best, at, size, sighted = top[2], place[:2] + (top[:2] - middle) * self._sample(own), own, by_others
+        size = math.exp(math.log(size))  # to the bit that of a mode
+        view = self._view(learned, frame, at, size)
         found = peaks(self._both(learned, view), 1.0, 1)
-        height = float(found[0, 2])
-        log_l = (
-            evidence(learned.heights.now, learned.heights.elsewhere, height, self.settings.evidence)
-            + _SIGHTED * best[2]
-        )
+        height, heights = float(found[0, 2]), learned.heights
+        log_l = evidence(heights.now, heights.elsewhere, height, self.settings.evidence) + _SIGHTED * sighted
         # what others see of the target's own place holds for what is found there again
-        if float(np.hypot(*(best[1][:2] - expected[0, :2]))) < 0.5 * self._unit * scale:
+        if float(np.hypot(*(at - expected[0, :2]))) < 0.5 * self._unit * scale:
             log_l += learned.external_log_odds
         return self._modes(view, size, found, np.array([log_l]), redetected=True), height
 
@@ -411,9 +378,8 @@ class CorrelationFilter(Likelihood):
         z = np.column_stack([x[:, 0, :2], np.log(x[:, 0, 2])])
         off = np.sum(((z[:, None] - guides.mean) / guides.std) ** 2, axis=2)
         # so that the mean of L over a box and a tenth of log scale is its evidence
-        volume = (
-            (2 * math.pi) ** 1.5 * np.prod(guides.std, axis=1) / (0.1 * self._unit**2 * np.exp(2 * guides.mean[:, 2]))
-        )
+        room = 0.1 * self._unit**2 * np.exp(2 * guides.mean[:, 2])
+        volume = (2 * math.pi) ** 1.5 * np.prod(guides.std, axis=1) / room
         return logsumexp(guides.log_w - np.log(volume) - 0.5 * off, axis=1)[:, None]
 
     def guides(self, learned: CorrelationState) -> ModeProposal:
@@ -426,15 +392,15 @@ class CorrelationFilter(Likelihood):
         visible = float(np.clip(state[0, VISIBLE], 0, 1))
         frames = learned.frames + 1
         if seen is not None:
-            learned = learned._replace(heights=learned.heights.learn(seen.heights, visible))
+            learned = learned._replace(heights=learned.heights.learn(seen.heights, seen.elsewhere, visible))
         hidden = learned.hidden + 1 if visible < 0.5 else 0
-        candidate = seen.candidate if hidden and seen is not None else None
+        candidate = seen.guides.mean[-1] if hidden and seen is not None and seen.elsewhere is not None else None
         learned = learned._replace(
             hidden=hidden, candidate=candidate, sighted=(), external_log_odds=0.0, seen=None, frames=frames
         )
         share = one.hidden_rate + (1 - one.hidden_rate) * visible
         if seen is not None:
-            low = max(learned.heights.now.z(seen.heights.now) - _LOW, 0.0)
+            low = max(learned.heights.now.z(seen.heights[0]) - _LOW, 0.0)
             share *= max(math.exp(log_student(low)), _SLOWER)
         step = abs(frame.index - learned.last)  # a track may run backward
         if share < _LEARNS or (frames > FIRST and step < one.every):
@@ -458,7 +424,7 @@ class CorrelationFilter(Likelihood):
             grown, cell = math.log(scale / seen.scale), self._side(seen.scale) / self.settings.cells
             off, mode = (centre - seen.view.centre) / cell, (centre - seen.guides.mean[0, :2]) / cell
             if abs(grown) < _SAME_SCALE and max(np.abs(off).max(), np.abs(mode).max()) < _SAME_PLACE:
-                spectrum = moved(seen.view.spectrum, off, self.settings.cells)
+                spectrum = models.moved(seen.view.spectrum, off, self.settings.cells)
                 return spectrum, seen.view.image, trainer.moved(seen.scales, grown)
         x, window = learned.features.read(frame, centre, self._side(scale))
         window = window if learned.colours is None else shrunk(window)

@@ -48,18 +48,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Image, Whole, factor_for
-from facetrack_cli.trackers.box.box_kernels import (
-    CHANNELS,
-    COLOURS,
-    chroma,
-    colours,
-    gradients,
-    gradients_of_scales,
-    multiply,
-    project,
-    remember,
-    respond,
-)
+from facetrack_cli.trackers.box import box_kernels as kernel
+from facetrack_cli.trackers.box.box_kernels import CHANNELS
 from facetrack_cli.trackers.face.stabilized import Similarity
 
 Single: TypeAlias = NDArray[np.float32]
@@ -138,7 +128,7 @@ class Features:
 
     def _project(self, features: Single) -> Single:
         out = np.empty((len(self.components), features.shape[1]), np.float32)
-        project(self.components, features, self.taper, out)
+        kernel.project(self.components, features, self.taper, out)
         return out
 
 
@@ -147,11 +137,11 @@ def _features(image: Image, cells: int) -> Single:
     colour, small = image.ndim == 3, (cells, cells)
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if colour else image, np.uint8)
     out = np.empty((CHANNELS + 1 + 2 * colour, cells, cells), np.float32)
-    gradients(np.multiply(grey, np.float32(1 / 255), dtype=np.float32), CELL, out[:CHANNELS])
+    kernel.gradients(np.multiply(grey, np.float32(1 / 255), dtype=np.float32), CELL, out[:CHANNELS])
     np.multiply(cv2.resize(grey, small, interpolation=cv2.INTER_AREA), np.float32(1 / 255), out=out[CHANNELS])
     out[CHANNELS] -= np.float32(0.5)
     if colour:
-        chroma(np.asarray(cv2.resize(image, small, interpolation=cv2.INTER_AREA), np.uint8), out[CHANNELS + 1 :])
+        kernel.chroma(np.asarray(cv2.resize(image, small, interpolation=cv2.INTER_AREA), np.uint8), out[CHANNELS + 1 :])
     return out.reshape(len(out), -1)
 
 
@@ -185,7 +175,11 @@ class ColourModel:
 
     def learn(self, known: Colours | None, window: Image, rate: float) -> Colours:
         """From a shrunk window in whose middle the target is; `rate` 1 as Staple learns, 0 not at all."""
-        share, learned, nothing = 1.0 if known is None else _RATE * rate, list[Single](), np.zeros(COLOURS, np.float32)
+        share, learned, nothing = (
+            1.0 if known is None else _RATE * rate,
+            list[Single](),
+            np.zeros(kernel.COLOURS, np.float32),
+        )
         before = known or Colours(nothing, nothing)
         bins, _ = _looked_up(before, window)
         for part, histogram in zip(self._parts, before[:2], strict=True):
@@ -214,7 +208,7 @@ def _looked_up(known: Colours, window: Image) -> tuple[Whole, Single]:
     """Of each pixel of a shrunk window, by rows, its colour, and the probability that it is the target's."""
     pixels = window.shape[0] * window.shape[1]
     bins, p = np.empty(pixels, np.int64), np.empty(pixels, np.float32)
-    colours(window, known.target, known.around, bins, p)
+    kernel.colours(window, known.target, known.around, bins, p)
     return bins, p
 
 
@@ -275,10 +269,10 @@ class ScaleTrainer:
         grey, left, top = frame.grey(factor, (x - right, y - lower, x + right, y + lower))
         at = (np.array([x - left, y - top]) - 0.5 * (factor - 1)) / factor
         signal = np.empty((self.scales, CHANNELS, h // CELL, w // CELL), np.float32)
-        gradients_of_scales(grey, at[0], at[1], sides / factor, CELL, signal)
+        kernel.gradients_of_scales(grey, at[0], at[1], sides / factor, CELL, signal)
         flat = signal.reshape(self.scales, -1)
         found = np.empty((len(self._transform), flat.shape[1]), np.float32)
-        project(self._transform, flat, np.ones(flat.shape[1], np.float32), found)
+        kernel.project(self._transform, flat, np.ones(flat.shape[1], np.float32), found)
         return joined(found.reshape(2, -1, flat.shape[1]))
 
     def moved(self, x: NDArray[np.complex64], by: float) -> NDArray[np.complex64]:
@@ -345,16 +339,16 @@ class Trainer:
         """From the first window's spectrum x (2, C, F)."""
         channels, frequencies = x.shape[1:]
         matrices = np.zeros((channels * (channels + 1) // 2, 2, frequencies), np.float32)
-        remember(matrices, x, np.float32(1.0))
+        kernel.remember(matrices, x, np.float32(1.0))
         nothing = np.zeros_like(x)
         return self._solve(Trained(nothing, matrices, self.y * x, nothing), _FIRST_STEPS)
 
     def learn(self, known: Trained, x: Single, rate: float) -> Trained:
         """With a window more, of weight `rate` in the memory."""
         matrices, share = known.matrices.copy(), np.float32(rate)
-        remember(matrices, x, share)
+        kernel.remember(matrices, x, share)
         off = np.empty((2, x.shape[2]), np.float32)
-        respond(x, known.filters, off)
+        kernel.respond(x, known.filters, off)
         off *= -share
         off[0] += share * self.y
         residual = (1 - share) * known.residual - share * known.walled
@@ -369,7 +363,7 @@ class Trainer:
         g, half = self.cells, self.cells // 2
         found = np.empty((len(filters), 2, x.shape[2]), np.float32)
         for one, out in zip(filters, found, strict=True):
-            respond(one, x, out)
+            kernel.respond(one, x, out)
         few = joined(found.swapaxes(0, 1)).reshape(-1, g, half + 1) * self._middle
         many = np.zeros((len(few), UPSAMPLED * g, half), few.dtype)
         many[:, :half], many[:, 1 - half :] = few[:, :half, :half], few[:, half + 1 :, :half]
@@ -389,7 +383,7 @@ class Trainer:
             cells = inverse(p, self.cells)
             cells *= self.wall
             beyond = spectrum(cells)
-            multiply(matrices, p, ap)
+            kernel.multiply(matrices, p, ap)
             ap += beyond
             alpha, last = np.float32(rz / max(self._dot(p, ap), 1e-20)), rz
             v, r, walled = v + alpha * p, r - alpha * ap, walled + alpha * beyond
@@ -413,18 +407,11 @@ def peaks(response: Single, least: float, most: int) -> Array:
         row, column = np.unravel_index(int(response.argmax()), response.shape)
         return np.array([[float(column), float(row), top]])
     order = np.argsort(-inner[rows, columns], kind="stable")[:most]
-    return np.array([_vertex(response, int(rows[k]) + 1, int(columns[k]) + 1) for k in order])
-
-
-def _vertex(response: Single, row: int, column: int) -> tuple[float, float, float]:
-    middle, height = float(response[row, column]), float(response[row, column])
-    found = []
-    for a, b in (
-        (response[row, column - 1], response[row, column + 1]),
-        (response[row - 1, column], response[row + 1, column]),
-    ):
-        bend = float(a) + float(b) - 2 * middle
-        off = 0.5 * (float(a) - float(b)) / bend if bend < -1e-12 else 0.0
-        height -= 0.25 * (float(a) - float(b)) * off
-        found.append(off)
-    return column + found[0], row + found[1], height
+    i, j, values = rows[order] + 1, columns[order] + 1, response.astype(np.float64)
+    middle, height, place = values[i, j], values[i, j], []
+    for at, a, b in ((j, values[i, j - 1], values[i, j + 1]), (i, values[i - 1, j], values[i + 1, j])):
+        bend = a + b - 2 * middle
+        off = 0.5 * (a - b) / np.where(bend < -1e-12, bend, np.inf)
+        height = height - 0.25 * (a - b) * off
+        place.append(at + off)
+    return np.stack([*place, height], axis=1)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -163,9 +163,8 @@ class VisibleWalk(Motion):
 
 def visible_walk(settings: VisibleWalkSettings, context: Context) -> VisibleWalk:
     unit = context.placed.unit
-    return VisibleWalk(
-        settings, unit, (settings.sigma.pixels(unit), settings.hidden.pixels(unit)), context.placed.scale
-    )
+    sigma = settings.sigma.pixels(unit), settings.hidden.pixels(unit)
+    return VisibleWalk(settings, unit, sigma, context.placed.scale)
 
 
 class ModeProposal(NamedTuple):
@@ -185,10 +184,8 @@ class ModeProposal(NamedTuple):
         both = (self.mean / self.std**2 + mean / std**2) / precision
         kept = self.redetected[:, None]
         off = np.where(self.redetected, 0.0, np.sum((self.mean - mean) ** 2 / (self.std**2 + std**2), axis=1))
-        log_w = self.log_w - 0.5 * off
-        return ModeProposal(
-            np.where(kept, self.mean, both), np.where(kept, self.std, precision**-0.5), log_w, self.redetected
-        )
+        std = np.where(kept, self.std, precision**-0.5)
+        return ModeProposal(np.where(kept, self.mean, both), std, self.log_w - 0.5 * off, self.redetected)
 
     def draw(self, rng: Generator, n: int) -> Array:
         """(n, 3), n even: antithetic pairs, so that a symmetric density has no error of its mean."""
@@ -206,8 +203,7 @@ class ModeProposal(NamedTuple):
 
     def elsewhere(self, spread: Array) -> ModeProposal | None:
         """The modes of re-detection, equally likely, with standard deviations `spread` (3,); None without any."""
-        n = int(self.redetected.sum())
-        if not n:
+        if not (n := int(self.redetected.sum())):
             return None
         return ModeProposal(self.mean[self.redetected], np.tile(spread, (n, 1)), np.zeros(n), np.ones(n, np.bool_))
 
@@ -223,7 +219,8 @@ def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model
     Particles carry both, their sum as weight and the share of v = 1 as a coordinate (Rao-Blackwellised). A hidden
     target may return at a mode that re-detection found.
     """
-    n, guides = settings.particles, model.likelihood.guides(model.learned).after(*model.motion.forecast(particles))
+    likelihood: Any = model.target.likelihood
+    n, guides = settings.particles, likelihood.guides(model.state.learned).after(*model.motion.forecast(particles))
     pairs = round(settings.guided * n / 2)
     # some are drawn from either, or q would not cover what the other one covers
     drawn = 2 * min(max(pairs, 1), (n - 2) // 2) if settings.guided > 0 else 0
@@ -243,10 +240,9 @@ def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model
     log_visible = log_visible + model.log_likelihood(x, x)[:, 0]
     total = np.logaddexp(log_visible, log_hidden)
     x[:, 0, -1] = np.exp(log_visible - total)
-    log_ratio = np.maximum(total - log_q, MIN_LOG)
-    log_w, log_sum = summed(log_ratio)
-    evidence = float(log_sum) - math.log(n)
-    return Particles(x, log_w), Info(np.full(1, float(effective_sample_size(log_w))), evidence)
+    log_w, log_sum = summed(np.maximum(total - log_q, MIN_LOG))
+    ess = np.full(1, float(effective_sample_size(log_w)))
+    return Particles(x, log_w), Info(ess, float(log_sum) - math.log(n))
 
 
 @dataclass(frozen=True)
@@ -259,10 +255,7 @@ class BoxTarget(ParticleTarget):
         """As `advanced`, where others see the box `shift` (2,) from where it is expected."""
         before = state.estimated.state
         step = self.motion.expect(before[None])[0, 0, :2] + shift - before[0, :2]
-        particles = state.particles._replace(x=self.motion.carried(rng, state.particles.x, step))
-        ess = np.full(1, effective_sample_size(particles.log_w))
-        state = state._replace(particles=particles, estimated=self.space.estimate(particles, ess, best=self.best))
-        return state, Info(ess)
+        return self._moved(state, self.motion.carried(rng, state.particles.x, step))
 
     def unseen(
         self, rng: Generator, state: ParticleState, frame: Frame, *, anywhere: bool
@@ -273,8 +266,12 @@ class BoxTarget(ParticleTarget):
         x[:, 0, VISIBLE] = 0.0
         if anywhere:
             x[:, 0, :2] = rng.random((len(x), 2)) * frame.size - 0.5
+        judgement = confidence.decide(self.confidence, state.judgement, np.zeros(1))
+        return self._moved(state._replace(judgement=judgement), x)
+
+    def _moved(self, state: ParticleState, x: Array) -> tuple[ParticleState, Info]:
+        """With the particles at x, of the same weights."""
         particles = state.particles._replace(x=x)
         ess = np.full(1, effective_sample_size(particles.log_w))
         estimated = self.space.estimate(particles, ess, best=self.best)
-        judgement = confidence.decide(self.confidence, state.judgement, np.zeros(1))
-        return state._replace(particles=particles, estimated=estimated, judgement=judgement), Info(ess)
+        return state._replace(particles=particles, estimated=estimated), Info(ess)

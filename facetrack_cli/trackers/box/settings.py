@@ -3,45 +3,34 @@
 Each setting names the paper that it is taken from; the whole is ours. No numerics are imported here.
 """
 
-from collections.abc import Iterable
 from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import (
-    Factor,
-    FilterSettings,
-    Length,
-    LikelihoodSettings,
-    MotionSettings,
-    Refusal,
-    ScaledSettings,
-    Section,
-    Share,
-)
+from facetrack_cli.recipe import sections
 
 Rate: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Probability: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
 
 
-class BoxSettings(ScaledSettings):
+class BoxSettings(sections.ScaledSettings):
     """A box that moves, changes its size, and may be hidden: place, scale, velocity, and whether it is visible."""
 
     engine = "facetrack_cli.trackers.box.hidden_box:VisibleBoxSpace.place"
     type: Literal["box"]
-    scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.15, 6.0)
+    scale: Annotated[tuple[sections.Factor, sections.Factor], Field(strict=False)] = (0.15, 6.0)
     """The least and the largest size of the box, as factors of its size at the start."""
 
 
-class VisibleWalkSettings(MotionSettings):
+class VisibleWalkSettings(sections.MotionSettings):
     """A walk of place and log scale with velocity, of a target that may be hidden (a chain of two states)."""
 
     engine = "facetrack_cli.trackers.box.hidden_box:visible_walk"
     goes_with = ("box",)
     type: Literal["visible_walk"]
-    sigma: Length
+    sigma: sections.Length
     """Standard deviation of a step along x and along y, beside the velocity."""
-    hidden: Length = Length(0.1)
+    hidden: sections.Length = sections.Length(0.1)
     """The same of a target that is hidden."""
     scale: Annotated[float, Field(gt=0, le=1)]
     """Standard deviation of the change of the logarithm of the scale."""
@@ -53,15 +42,15 @@ class VisibleWalkSettings(MotionSettings):
     """P(hidden | visible in the frame before)."""
     show: Probability = 0.2
     """P(visible | hidden in the frame before)."""
-    elsewhere: Share = 0.1
+    elsewhere: sections.Share = 0.1
     """How much of `show` is a return at a place that re-detection proposes, and not near the last one."""
 
 
-class ScalesSettings(Section):
+class ScalesSettings(sections.Section):
     """The filter of scale (Danelljan et al. 2014, DSST)."""
 
     count: Annotated[int, Field(ge=3, le=65)] = 25
-    """S, how many scales are looked at."""
+    """S, how many scales are looked at, an odd number: one of them is the last one."""
     step: Annotated[float, Field(gt=1, le=1.2)] = 1.025
     """a, the ratio of one scale to the next."""
     rate: Rate = 0.025
@@ -69,15 +58,11 @@ class ScalesSettings(Section):
     sharpness: Annotated[float, Field(gt=0, le=100)] = 8.0
     """log p(y | s) is this times the logarithm of the response."""
 
-    def mistakes(self) -> Iterable[Refusal]:
-        if self.count % 2 == 0:
-            yield Refusal(("count",), "likelihood.scales.count must be odd: one scale is the last one")
 
-
-class CorrelationFilterSettings(LikelihoodSettings):
+class CorrelationFilterSettings(sections.LikelihoodSettings):
     """A correlation filter's response, calibrated (ours, of ECO, SRDCF, DSST, Staple and LMCF)."""
 
-    engine = "facetrack_cli.trackers.box.correlation_filter:CorrelationFilter.build"
+    engine = "facetrack_cli.trackers.box.correlation_filter:CorrelationFilter"
     goes_with = ("box",)
     type: Literal["correlation_filter"]
     window: Annotated[float, Field(ge=2, le=10)] = 5.0
@@ -92,11 +77,11 @@ class CorrelationFilterSettings(LikelihoodSettings):
     """Learning rate of the memory, at P(visible) = 1."""
     every: Annotated[int, Field(ge=1, le=10)] = 3
     """The appearance is learned in every so many frames, as much more at a time (ECO: every 6th)."""
-    hidden_rate: Share = 0.05
+    hidden_rate: sections.Share = 0.05
     """How much is learned while the target is hidden, in terms of what is learned while it is visible."""
     scales: ScalesSettings = ScalesSettings()
     """How the scale is found."""
-    colour: Share = 0.3
+    colour: sections.Share = 0.3
     """Share of the per-pixel colours in the response, where they tell the target from its surroundings (Staple)."""
     sharpness: Annotated[float, Field(gt=0, le=100)] = 5.0
     """log p(y | x) is this times the logarithm of the response."""
@@ -108,7 +93,7 @@ class CorrelationFilterSettings(LikelihoodSettings):
     """While the target is hidden, so many windows elsewhere are looked at in a frame."""
 
 
-class GuidedSettings(FilterSettings):
+class GuidedSettings(sections.FilterSettings):
     """Proposes from the likelihood's modes, the transition, and re-detection; weights are exact (Zhang et al. 2017)."""
 
     engine = "facetrack_cli.trackers.box.hidden_box:guided"

@@ -27,7 +27,7 @@ _WAYS = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1).astype(np.float32)
 DIRECTIONS = len(_WAYS)
 
 
-@fast
+@fast("u1:3")
 def looks(image):
     """log(grey + 16), and the redness log((red + 8) / (green + 8)), (2, H, W), of a contiguous image (H, W, 3)."""
     height, width, _ = image.shape
@@ -55,7 +55,7 @@ def grey_channels(sums: NDArray[np.int32]) -> Single:
     return np.asarray(_channels(_OF_NINE[sums][None]), np.float32)
 
 
-@fast
+@fast("f4:3")
 def _channels(seen):
     (many, height, width), whole = seen.shape, len(seen) > 1
     directions = len(_WAYS)
@@ -192,7 +192,7 @@ def _smooth_down(values, out):
             row[_REACH - d], row[width + _REACH - 1 + d] = row[_REACH + d], row[width + _REACH - 1 - d]
 
 
-@fast
+@fast("f4:3 f8:2 f8:2")
 def read(seen, x, offsets):
     """(K, G, C): the channels `seen` at the pixels nearest to the places x (K, 2) and `offsets` (G, 2) beside them."""
     out = np.empty((len(x), len(offsets), len(seen)), np.float32)
@@ -213,7 +213,7 @@ def _read(seen, x, offsets, scale, out):
                 out[k, g, c] = (near + p[0] + p[8]) * _ALL
 
 
-@fast
+@fast("f4:3 f8:2 f8:2 f8:1 f4:3")
 def run_stages(seen, x, offsets, scales, stages):
     """x (K, 2) after S stages (S, F + 1, 2 K), which read at `offsets` (G, 2) times the `scales` (S,) around them."""
     x, move = x.copy(), np.empty(2 * len(x), np.float32)

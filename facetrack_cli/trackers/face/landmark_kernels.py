@@ -70,7 +70,7 @@ def _median(values, mask):
     return 0.5 * (each[(count - 1) // 2] + each[count // 2]) if count > 2 else 0.0
 
 
-@exact
+@exact("f8:2 b1:1 f8:1")
 def median_shift(offsets, mask, shift):
     """`shift` (2,): the median of the offsets (K, 2) in the mask (K,); 0 of less than three."""
     shift[0], shift[1] = _median(offsets[:, 0], mask), _median(offsets[:, 1], mask)
@@ -83,7 +83,7 @@ def _apart(z, var, sure, one, other, k):
     return both and squared > MAX_SQUARED_DISTANCE * (var[one, k] + var[other, k])
 
 
-@exact
+@exact("f8:3 f8:1 f8:3 f8:2 f8:2 f8:2 f8:2 f8 f8 f8:3 f8:2 f8:2")
 def read(z, visible, bias, var, noise, reliability, error_rate, keep, eyes, at, spread, sure):
     """The reading `at`, `spread` and `sure` of measurements z, by the fields of a `BiasFilter`."""
     least, drift = np.inf, (DRIFT * eyes) ** 2
@@ -113,7 +113,7 @@ def _join(z, var, sure, one, other, k):
     var[one, k] = sure[one, k] / total
 
 
-@exact
+@exact("f8:3 f8:2 f8:2 f8:2 f8 f8:2 f8:1")
 def fuse(z, var, sure, before, eyes, fused, shift):
     """The results of `landmark_filters.fused`: `fused` (K, 2), `shift` (2,), returned `apart`. Overwrites readings."""
     apart, off, seen = False, np.empty_like(before), np.empty(len(before), np.bool_)
@@ -131,7 +131,7 @@ def fuse(z, var, sure, before, eyes, fused, shift):
     return apart
 
 
-@exact
+@exact("f8:3 f8:2 f8:2 f8:2 f8:3 f8:1 f8:3 f8:2 f8:2 b1:1 f8:2")
 def compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross):
     """The results of `landmark_filters.compared`: readings `own`, `spread`, `certain` (S + 1, K), `differ`, `cross`."""
     last, off, seen, shift = len(z), np.empty_like(at), np.empty(len(at), np.bool_), np.empty(2)
@@ -154,7 +154,7 @@ def compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross)
             cross[BY_REGRESSION, k] = cross[BY_NETWORK, k] = 0.25 * squared
 
 
-@exact
+@exact("f8:3 f8:2 f8:3 f8:1 f8:2 f8:2 f8:1 f8 f8 f8:3 f8:2 f8:2 f8:2 f8:2")
 def learn(z, state, cov, visible, log_odds, cross, least, keep, eyes, bias, var, noise, reliability, error_rate):
     """The fields of a `BiasFilter` after a frame, overwritten; `least` (S,) are the least r."""
     parts, off, seen, shift = len(visible), np.empty_like(state), np.empty(len(visible), np.bool_), np.empty(2)
@@ -199,7 +199,7 @@ def learn(z, state, cov, visible, log_odds, cross, least, keep, eyes, bias, var,
             var[s, k] *= 1.0 - use * var[s, k] / total
 
 
-@exact
+@exact("b1 f8:2 f8:1 f8 f8:2 f8:2 f8:1 f8:1 f8:1 f8:1 f8:2 f8:3 f8:1")
 def follow(seen, z, log_odds, eyes, rest, offset, var, motion_var, noise_var, visible, carried, last, least):
     """The fields of a `LandmarkFilter` a frame later, overwritten; z (J, 2) counts where the sensor has `seen` a face.
 
@@ -242,7 +242,7 @@ def follow(seen, z, log_odds, eyes, rest, offset, var, motion_var, noise_var, vi
         motion_var[j] = max(motion_var[j] + rate * (moved - motion_var[j]), least[j] ** 2)
 
 
-@exact
+@exact("f8:2 f8:3 f8:1 i8 f8 f8:2 f8:2 f8:1 f8 f8 f8 f8:2 i8:1")
 def show(at, cov, seen, windows, shown, head, matrix, centre, middle, near, least, rows, how):
     """Of parts at `at` (J, 2) of the stabilized image with `cov` (J, 2, 2), `seen` (J,): `rows` (6, J) in the frame.
 
@@ -268,7 +268,7 @@ def show(at, cov, seen, windows, shown, head, matrix, centre, middle, near, leas
             how[j] = 2
 
 
-@exact
+@exact("f8:2 i8:1 i8:2 f4:3 f8:2 f8:1 f8:1 f8:2 f8:3 f8:1 f8 f8:1 f8:1 f8:1 f8:2 b1:1 b1:1")
 def judge(
     like, number, age, maps, corner, beside, odds, state, x, log_w, sure, good, visible, usual, used, new, forgets
 ):  # fmt: skip
@@ -336,7 +336,7 @@ def add_up(z, var, sure, area, at, p, w):
         m *= 2
 
 
-@exact
+@exact("f8:3 f8:2 f8:3 f8:2 f8:2 f8 f8:1 f8:1 f8 f8:2 f8 f8 f4:3 f8:2 f8:1 f8 f8 f8:3 f8:2")
 def jump(
     x, uniform, at, var, sure, area, sigma, wide, jumps, rest, keep, anywhere, maps, corner, visible, sharpness, floor,
     moved, log_p,

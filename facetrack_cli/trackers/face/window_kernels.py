@@ -21,7 +21,7 @@ def stride(width: int) -> int:
 _stride = part(stride)
 
 
-@fast
+@fast("f4:3 f4:4 i8:1 i8:2 f8:2 f4:3")
 def greatest(seen, windows, count, sides, corner, maps):
     """`maps` (K, S, S): the greatest correlation at the whole pixels from `corner` (K, 2) on.
 
@@ -102,7 +102,7 @@ def _energies(region, w, h, sums, energy):
                 sums[1, x] -= region[c, i, x] ** 2
 
 
-@fast
+@fast("f4:3 f4:4 i8:1 i8:2 f8:3 f4:3 f8:3")
 def matched(seen, windows, count, sides, at, found, like):
     """The windows at places `at` (M, K, 2), read bilinearly: `like` (M, K, T), their correlation with each template.
 

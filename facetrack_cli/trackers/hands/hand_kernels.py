@@ -98,7 +98,7 @@ def _drawn(often, u):
     return k
 
 
-@exact
+@exact("f4:2 f8 f8 f8:1 f8 f8 f8 f4:2 f8:2 f8:1")
 def fit_skin(share, strength, skin, face, size, scale, least, fit, at, heights):
     """log p(y | x) of a hand at each pixel, `fit` (H, W), by the `share` of skin there and the reach of an arm.
 
@@ -132,7 +132,7 @@ def fit_skin(share, strength, skin, face, size, scale, least, fit, at, heights):
     return count
 
 
-@exact
+@exact("f8:3 b1:2 b1:1 f8:3 f8:3 f8:2 f8:1 f8:1 f8:1 f8:1 f8 f4:2 f4:2 f8:1 f8 f8 f8:1")
 def move(
     x, seen, parted, luck, noise, peaks, often, steps, shares, chances, strength, evidence, covered, face, size, scale,
     weight,
@@ -196,7 +196,7 @@ def move(
         weight[n] = total
 
 
-@exact
+@exact("f8:3 b1:2 b1:1 f4:2 f4:2 f4:2 f8:1 f8 f8 f8 f8 f8 f8:1")
 def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, strength, skin, out):
     """Adds log p(y, x) of both hands, but for the motion, to `out` (N,); `fit` is log p(y | x) of a hand at each pixel,
     `share` that of skin in it. `radius` is that of a hand in sizes of the face now, `skin` what a hand has.
@@ -230,7 +230,7 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
         out[n] += total
 
 
-@exact
+@exact("f8:3 b1:2 f8:1 f4:2 f8 f4:2 f8 f8:1 f8:2 f8:3 f8:1 f8:1 f8:2")
 def gather(x, seen, w, skin_at, scale, evidence, radius, p, at, cov, near, skin, form):
     """Each hand where most of the particles that see it are; all of them where none does. See `joint.Belief`.
 
@@ -275,7 +275,7 @@ def gather(x, seen, w, skin_at, scale, evidence, radius, p, at, cov, near, skin,
         form[hand, 2] = 2 * both / (across + down) if across + down > 0.0 else 0.0
 
 
-@exact
+@exact("f8:3 b1:2 b1:1 f8:1 f8 f8:2 f8:3 b1:2 b1:1")
 def resample(x, seen, parted, w, u, at, to, to_seen, to_parted):
     """As many particles drawn by the weights w (N,), evenly from the offset u on (`engine.resampling.systematic`).
 
@@ -298,7 +298,7 @@ def resample(x, seen, parted, w, u, at, to, to_seen, to_parted):
         to_seen[k, 0], to_seen[k, 1], to_parted[k] = seen[i, 0], seen[i, 1], parted[i]
 
 
-@exact
+@exact("f4:3 f4:3 f4:1 f8 f8:2 f8 f4:2 f4:2 f4:1")
 def learn_head(seen, head, weights, limit, hands, radius, change, new, apart):
     """Learn how a head looks, `head` (h, w, 3), from how it is `seen`, less where a hand is before it.
 
@@ -347,7 +347,7 @@ def learn_head(seen, head, weights, limit, hands, radius, change, new, apart):
     return count
 
 
-@exact
+@exact("u1:3 u1:3 i8")
 def is_lit_alike(first, now, step):
     """Whether each channel of `now` has the light of `first` (H, W, 3), or too few pixels of every `step`-th tell.
 

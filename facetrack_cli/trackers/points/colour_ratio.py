@@ -3,7 +3,7 @@
 Patras & Pantic, FG 2004, section 3.2:
 
     c(o, q) = o / E{o} - q / E{q}          each window divided by its own mean, over pixels and channels    (eq. 8)
-    d(o, q) = E_j{ rho(c_j) }              mean over the window of a robust function, L1 as published       (eq. 9)
+    d(o, q) = E_j{ rho(c_j) }              mean over the window of a robust function, here L1              (eq. 9)
     p(y|a)  = exp(-d / sigma_i)            sigma_i = sigma / E{o_i}, sigma = 1.5 for intensities in 0..255  (eq. 10)
 
 rho is the L1 norm of the colour difference at pixel j, and E_j a mean over pixels, of the sum of rho over three
@@ -56,14 +56,10 @@ class Templates:
 
 @dataclass(frozen=True)
 class ColourRatio(Likelihood):
-    """`windows` (K, 2): width and height of each part's window, in pixels."""
+    """Windows of points against those of the first frame."""
 
     settings: ColourRatioSettings
-    windows: Array
-
-    @classmethod
-    def build(cls, settings: ColourRatioSettings, context: Context) -> ColourRatio:
-        return cls(settings, context.placed.windows)
+    context: Context
 
     @cached_property
     def _groups(self) -> tuple[tuple[int, Whole, Whole, Whole], ...]:
@@ -71,13 +67,13 @@ class ColourRatio(Likelihood):
 
         Last offsets (G + 1,): template g is `ratios[offsets[g] : offsets[g + 1]]`.
         """
-        most, end = self.settings.max_samples, 0
-        factors = np.array([factor_for(side, most) for side in self.windows.max(axis=1).tolist()])
+        windows, most, end = self.context.placed.windows, self.settings.max_samples, 0
+        factors = np.array([factor_for(side, most) for side in windows.max(axis=1).tolist()])
         groups = []
         for factor in np.unique(factors).tolist():
             parts = np.flatnonzero(factors == factor)
             # odd, and at least 3, so that a window has a pixel at its centre
-            odd = [[max(3, 2 * round((side / factor - 1) / 2) + 1) for side in self.windows[k]] for k in parts]
+            odd = [[max(3, 2 * round((side / factor - 1) / 2) + 1) for side in windows[k]] for k in parts]
             offsets = np.cumsum([end, *(CHANNELS * (w + 1) * h for w, h in odd)])
             groups.append((factor, parts, np.array(odd, np.int64), offsets))
             end = int(offsets[-1])
@@ -86,7 +82,7 @@ class ColourRatio(Likelihood):
     @cached_property
     def _reach(self) -> float:
         """How far any window reaches, in whole pixels of reduced frames."""
-        return float(self.windows.max()) / 2 + 3 * self._groups[-1][0]
+        return float(self.context.placed.windows.max()) / 2 + 3 * self._groups[-1][0]
 
     def init(self, frame: Frame, x0: Array) -> Templates:
         """The templates of K parts at x0 (K, 2)."""
@@ -110,12 +106,11 @@ class ColourRatio(Likelihood):
     def distances(self, learned: Templates, frame: Frame, x: Array) -> Array:
         """d(o_i, q_i) of eq. 9 for windows at x (N, K, 2) -> (N, K)."""
         out, extent = np.empty(x.shape[:2]), windows.extent(x, self._reach)
-        how = MIN_MEAN, windows.ROBUST[self.settings.robust], self.settings.scale or 1.0
         # a picture much reduced is made from one reduced less, at least as large
         for factor, parts, sides, offsets in reversed(self._groups):
             image, left, top = frame.reduced(factor, extent)
             template, at = (learned.ratios, offsets, sides, parts), (x, left, top, factor)
-            windows.colour_ratio_distances(windows.flat(image), *template, *at, *how, out)
+            windows.colour_ratio_distances(windows.flat(image), *template, *at, MIN_MEAN, out)
         return out
 
     def relearn(self, learned: Templates, frame: Frame, x0: Array, parts: Mask) -> Templates:

@@ -20,9 +20,6 @@ from numpy.typing import NDArray
 
 from facetrack_cli.engine.kernels.compiled import exact, fast, inline
 
-L1, GEMAN_MCCLURE = 0, 1
-ROBUST = {"l1": L1, "geman_mcclure": GEMAN_MCCLURE}
-
 
 @inline
 def _read_window(image, x, y, w, h, pixels, out):
@@ -61,43 +58,18 @@ def _read_window(image, x, y, w, h, pixels, out):
     return total
 
 
-def read_window(image: NDArray[Any], x: float, y: float, w: int, h: int) -> NDArray[np.float32]:
-    """The window of w x h pixels of image (H, W * 3) at (x, y): (h, w + 1, 3) float32, its last column zero.
-
-    By NumPy, since it is read a few times a frame: the arithmetic of `_read_window`, to the bit.
-    """
-    height, width = image.shape[0], image.shape[1] // 3
-    left, top = x - (w - 1) / 2, y - (h - 1) / 2
-    x0, y0, one = math.floor(left), math.floor(top), np.float32(1.0)
-    fx, fy = np.float32(left - x0), np.float32(top - y0)
-    rows = np.clip(np.arange(y0, y0 + h + 1), 0, height - 1)
-    columns = np.clip(np.arange(x0, x0 + w + 1), 0, width - 1)
-    pixels = image.reshape(height, width, 3)[rows[:, None], columns].astype(np.float32)
-    out = np.zeros((h, w + 1, 3), np.float32)
-    upper = (one - fy) * (one - fx) * pixels[:-1, :-1] + (one - fy) * fx * pixels[:-1, 1:]
-    out[:, :w] = upper + fy * (one - fx) * pixels[1:, :-1] + fy * fx * pixels[1:, 1:]
-    return out
+@exact("u1:2 f8 f8 i8 i8")
+def read_window(image, x, y, w, h):
+    """The window of w x h pixels of image (H, W * 3) at (x, y): (h, w + 1, 3) float32, its last column zero."""
+    length = 3 * h * (w + 1)
+    pixels, out = np.zeros(length + 3 * (w + 2), np.float32), np.empty(length, np.float32)
+    _read_window(image, x, y, w, h, pixels, out)
+    return out.reshape(h, w + 1, 3)
 
 
-@inline
-def _mean_rho(template, window, gain, robust, scale, n):
-    """Mean of a robust function of template - gain * window, two flat rows that hold n values and zeros."""
-    one, d, inverse = np.float32(1.0), np.float32(0.0), np.float32(1.0 / scale)
-    if robust == L1:
-        for j in range(len(template)):
-            d += abs(template[j] - gain * window[j])
-        return d / n
-    for j in range(len(template)):
-        u = (template[j] - gain * window[j]) * inverse
-        d += u * u / (one + u * u)
-    return scale * d / n
-
-
-@fast
-def colour_ratio_distances(
-    image, ratios, offsets, sides, parts, x, origin_x, origin_y, factor, least_mean, robust, scale, out
-):
-    """Mean robust difference of mean-normalised colours between templates and the windows at x (eq. 8 and 9).
+@fast("u1:2 f4:1 i8:1 i8:2 i8:1 f8:3 i8 i8 i8 f8 f8:2")
+def colour_ratio_distances(image, ratios, offsets, sides, parts, x, origin_x, origin_y, factor, least_mean, out):
+    """Mean absolute difference of mean-normalised colours between templates and the windows at x (eq. 8 and 9).
 
     Template g of part `parts[g]` is `ratios[offsets[g] : offsets[g + 1]]`, divided by its own mean and laid out as
     `read_window` does, of `sides[g]` = (w, h) pixels. `x` (N, K, 2) are centres in the whole image; `image`
@@ -119,8 +91,10 @@ def colour_ratio_distances(
             cy = (x[p, k, 1] - origin_y - 0.5 * (factor - 1)) / factor
             cx, cy = min(max(cx, -reach), reach), min(max(cy, -reach), reach)
             total = _read_window(image, cx, cy, w, h, pixels, window)
-            gain = np.float32(1.0 / max(total / n, least_mean))
-            out[p, k] = _mean_rho(template, window, gain, robust, scale, n)
+            gain, d = np.float32(1.0 / max(total / n, least_mean)), np.float32(0.0)
+            for j in range(len(template)):
+                d += abs(template[j] - gain * window[j])
+            out[p, k] = d / n
 
 
 def extent(x: NDArray[np.float64], reach: float) -> tuple[float, float, float, float]:
@@ -207,7 +181,7 @@ def _weigh(x, parts, first, stable, width, h, bias, w, bits, scale):
     return float(top) - 0.5 * norm, total
 
 
-@exact
+@exact("f8:3 i8:1 f8:2 i8 f8 f4:2 f4:1 f8:1")
 def parzen(x, parts, first, stable, width, h, bias, u):
     """log sum_j exp(-|q_n - h_j|^2 / 2), (N,), and the index j of a shape for each hypothesis if `u` is not empty.
 

@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import (
-    Length,
-    LikelihoodSettings,
-    PriorSettings,
-    Refusal,
-    TargetSettings,
-    WindowPerPart,
-)
+from facetrack_cli.recipe import sections
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilterSettings
@@ -26,45 +19,41 @@ if TYPE_CHECKING:
 PartName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 
 
-class PointsSettings(TargetSettings):
+class PointsSettings(sections.TargetSettings):
     """Named points of a face, each the centre of a window (section 3.1: alpha = <alpha_1 ... alpha_N>)."""
 
     engine = "facetrack_cli.trackers.points.colour_ratio:place_points"
     type: Literal["points"]
     parts: Annotated[tuple[PartName, ...], Field(strict=False, min_length=1, max_length=100)]
     """The names of the points, in the order of the state; left and right as seen in the frame."""
-    windows: WindowPerPart
+    windows: sections.WindowPerPart
     """The window around each part: the side of a square, or [width, height]."""
 
-    def mistakes(self) -> Iterable[Refusal]:
+    def mistakes(self) -> Iterable[sections.Refusal]:
         for part in sorted({part for part in self.parts if self.parts.count(part) > 1}):
-            yield Refusal(("parts",), f'the part "{part}" is named twice; remove one')
+            yield sections.Refusal(("parts",), f'the part "{part}" is named twice; remove one')
         if "default" in self.parts:
-            yield Refusal(("parts",), 'a part cannot be called "default"; give it another name')
+            yield sections.Refusal(("parts",), 'a part cannot be called "default"; give it another name')
 
     @property
     def points(self) -> tuple[str, ...]:
         return self.parts
 
-    def window(self, part: str) -> tuple[Length, Length]:
+    def window(self, part: str) -> tuple[sections.Length, sections.Length]:
         """(width, height) of a part's window."""
         window = self.windows.of(part)
         return window if isinstance(window, tuple) else (window, window)
 
-    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[sections.Refusal]:
         return self.windows.refusals(("target", "windows"), self.parts)
 
 
-class ColourRatioSettings(LikelihoodSettings):
+class ColourRatioSettings(sections.LikelihoodSettings):
     """Colours of a window, each divided by the window's mean, against the first frame's (section 3.2, eq. 8-10)."""
 
-    engine = "facetrack_cli.trackers.points.colour_ratio:ColourRatio.build"
+    engine = "facetrack_cli.trackers.points.colour_ratio:ColourRatio"
     goes_with = ("points",)
     type: Literal["colour_ratio"]
-    robust: Literal["l1", "geman_mcclure"] = "l1"
-    """rho of eq. 9, the robust function of a colour difference; the paper takes l1."""
-    scale: Annotated[float, Field(gt=0)] | None = None
-    """Scale of rho, in colour differences (window mean = 1), beyond which it grows less; not for l1."""
     sigma: Annotated[float, Field(gt=0)] = 1.5
     """sigma_i of eq. 10 is this / E{o_i}, with intensities in 0..255; the 1.5 of the paper, by its d, is 0.5 here."""
     floor: Annotated[float, Field(lt=0)] | None = None
@@ -72,14 +61,8 @@ class ColourRatioSettings(LikelihoodSettings):
     max_samples: Annotated[int, Field(ge=5)] | None = None
     """Samples along a side of a window at most: a larger one is read from a reduced frame; null: every pixel."""
 
-    def mistakes(self) -> Iterable[Refusal]:
-        if self.robust == "l1" and self.scale is not None:
-            yield Refusal(("scale",), "likelihood.scale has no meaning for robust: l1; remove it")
-        if self.robust != "l1" and self.scale is None:
-            yield Refusal(("robust",), f"robust: {self.robust} needs likelihood.scale; add it, as in scale: 0.2")
 
-
-class ParzenSettings(PriorSettings):
+class ParzenSettings(sections.PriorSettings):
     """Shape prior: a sum of Gaussian kernels over registered training shapes (section 3.3, eq. 11)."""
 
     engine = "facetrack_cli.trackers.points.shape_prior:build"

@@ -158,26 +158,22 @@ class BoundPrior(Prior):
         padded = np.ascontiguousarray(np.pad(flat, ((0, 0), (0, len(bias) - len(h)))))
         return np.array(parts, np.int64), self.first, stable, self._width, padded, bias
 
-    def _log_sum(self, table: tuple[Any, ...], x: Array) -> Array:
-        return np.asarray(parzen(np.ascontiguousarray(x, np.float64), *table, np.empty(0))[0])
-
-    def _spread(self, part: int) -> float:
-        return self._width / math.sqrt(len(self.moving)) if part == self.stable else self._width
-
     def log_density(self, x: Array) -> Array:
         """(N,): eq. 11 in logs, divided by the number of shapes; at most 0, right to 1e-5, or 1e-6 of large ones."""
-        return self._log_sum(self._all, x) - math.log(len(self.shapes))
+        sums, _ = parzen(np.ascontiguousarray(x, np.float64), *self._all, np.empty(0))
+        return np.asarray(sums - math.log(len(self.shapes)))
 
     def propose(self, rng: np.random.Generator, x: Array, part: int) -> Array:
         """(N, 2): part `part` drawn from the prior given the other parts of each particle; x[:, part] is not read."""
         x = np.ascontiguousarray(x, np.float64)
-        u, noise = rng.random(len(x)), rng.standard_normal((len(x), 2))
+        u, noise, spread = rng.random(len(x)), rng.standard_normal((len(x), 2)), self._width
         chosen = parzen(x, *self._without[part], u)[1]
         if part == self.stable:
             centre = (x - self.first - self.length * self.shapes[chosen])[:, self.moving].mean(1)
+            spread /= math.sqrt(len(self.moving))
         else:
             centre = x[:, self.stable] - self.first[self.stable] + self.length * self.shapes[chosen, part]
-        return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
+        return np.asarray(self.first[part] + centre + spread * noise, np.float64)
 
 
 def fit_prior(

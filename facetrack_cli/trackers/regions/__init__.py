@@ -6,6 +6,6 @@
   (sections 3.1 and 3.3, eq. 12 and 13), and the product of likelihoods (eq. 10).
 - `settings.py`: what a recipe may say. `region_kernels.py`: the loops.
 
-Its motion, dynamics of value and speed (section 3.2), is in `engine/motion.py`. Recipes: `contour`, `histogram`, and
+Its motion, dynamics of value and speed (section 3.2), is in `engine/spaces.py`. Recipes: `contour`, `histogram`, and
 those whose names have both.
 """

@@ -40,15 +40,12 @@ paper notes that this is not strictly so for colours and correlation, which look
 p_c scores how a particle moved, not where it lies: one that rests on a resting background has distance 0. R are the
 centres of equal cells of the box, read bilinearly from the grey frame. The distances of figure 5:
 
-    l2            rho(x) = x^2, lambda_c = 1 / (2 sigma^2)            as published
-    saturated_l1  rho(x) = min(|x|, saturation), lambda_c = 1 / sigma
-    hausdorff     lambda_c = 1 / sigma; no formula in the paper. The modified distance (Dubuisson & Jain 1994): for each
-                  point the least |difference| from the 3x3 points of the other patch around it, summed over the grid,
-                  and of both directions the larger sum.
+    L2            rho(x) = x^2, lambda_c = 1 / (2 sigma^2)            as published
+    saturated L1  rho(x) = min(|x|, saturation), lambda_c = 1 / sigma
 
-d_c is a sum, so sigma belongs to one grid: with n points in place of 16x16, times sqrt(n / 256) for l2, and n / 256 for
-the others. Of 200 particles that are scattered by 5 % of the region's size, sigma = 100 (l2), 400 (saturated_l1 at 20)
-or 100 (hausdorff) leaves some tens. The recipes take 60 (l2) and 120 (saturated_l1), which leave two to five: a flatter
+d_c is a sum, so sigma belongs to one grid: with n points in place of 16x16, times sqrt(n / 256) for L2, and n / 256 for
+saturated L1. Of 200 particles that are scattered by 5 % of the region's size, sigma = 100 (L2) or 400 (saturated L1
+at 20) leaves some tens. The recipes take 60 (L2) and 120 (saturated L1), which leave two to five: a flatter
 likelihood has a truer spread, but lets a region drift (`docs/decisions.md` has the figures).
 
 Chosen here: the frame is reduced by the largest power of two that leaves a pixel for each step of the grid at the start
@@ -178,18 +175,14 @@ class Reference:
 
 @dataclass(frozen=True)
 class Histogram(Likelihood):
-    """`size`: width and height of the box at scale 1, in pixels."""
+    """Colours in sub-regions of a box."""
 
     settings: HistogramSettings
-    size: tuple[float, float]
-
-    @classmethod
-    def build(cls, settings: HistogramSettings, context: Context) -> Histogram:
-        return cls(settings, context.placed.size)
+    context: Context
 
     def init(self, frame: Frame, x0: Array) -> Reference:
         """The histogram of the box at x0 (1, 6). InputError without colours where `value_bins` knows no greys."""
-        settings, factor = self.settings, factor_for(max(self.size), self.settings.max_size)
+        settings, factor = self.settings, factor_for(max(self.context.placed.size), self.settings.max_size)
         hsv, ex, ey, _ = self._read(frame, x0[None], factor)
         if hsv is None:
             wrong = f"the box has no pixel of the image at 1/{factor} of its size"
@@ -247,7 +240,7 @@ class Histogram(Likelihood):
         rows as well. Areas (N,) are those of whole boxes, also beyond the frame, and 0 of what is no box.
         """
         s, sizes, edges = x[:, 0, 2] / factor, [max(side // factor, 1) for side in frame.size], []
-        sides = s * np.array(self.size)[:, None]
+        sides = s * np.array(self.context.placed.size)[:, None]
         with np.errstate(invalid="ignore"):  # of boxes that lie nowhere
             low = (x[:, 0, :2].T - 0.5 * (factor - 1)) / factor - 0.5 * sides
         good = (s > 0.0) & ((np.abs(low) < 1e15) & (sides < 1e15)).all(axis=0)  # comparisons with nan are false
@@ -323,13 +316,13 @@ class Correlation:
         """log p_c of x (N, 1, 6) in `frame` given its parents (N, 1, 6) in the frame before -> (N, 1), at most 0."""
         here, there = (np.ascontiguousarray(boxes[:, 0, :3]) for boxes in (x, parents))
         images = *self._image(frame, here), *self._image(learned.frame, there)
-        sigma, most, nearest = self.settings.sigma, self.settings.saturation, self.settings.distance == "hausdorff"
+        sigma, most = self.settings.sigma, self.settings.saturation
         rate, outside = 1.0 / sigma, min(OUTSIDE, most or OUTSIDE)
-        if self.settings.distance == "l2":
+        if most is None:
             rate, outside = 0.5 / sigma**2, OUTSIDE**2
         sums = np.empty((len(x), 1))  # d_c of eq. 13
         boxes = here, there, self.size, *self.settings.grid
-        kernel.patch_distances(*images, self.factor, *boxes, most or 0.0, nearest, outside, sums[:, 0])
+        kernel.patch_distances(*images, self.factor, *boxes, most or 0.0, outside, sums[:, 0])
         return -rate * learned.share.mean * sums
 
     def learn(self, learned: Previous, frame: Frame, state: Array, particles: Particles | None = None) -> Previous:

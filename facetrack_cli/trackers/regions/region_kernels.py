@@ -75,7 +75,7 @@ def _edges(place, least, nearest, o, i, outer, inner):
     return none
 
 
-@fast
+@fast("u2:2 f8:2 i8 i8 i8 f8:2 f8:2 f8 f8")
 def nearest_edges(image, x, origin_x, origin_y, factor, points, normals, reach, threshold):
     """How far the nearest edge lies from each point of an outline, along its normal: (N, L), inf where there is none.
 
@@ -142,7 +142,7 @@ def nearest_edges(image, x, origin_x, origin_y, factor, points, normals, reach, 
 LANES = 16  # so many bins are counted at a time: enough to vectorise, few enough to fit into memory
 
 
-@exact
+@exact("u2:2 i8:2 i8:2 f8:1 f4:2")
 def match_boxes(codes, ex, ey, area, root):
     """sum_j sqrt(b_j b_ref_j) of each box, (N,).
 
@@ -188,8 +188,6 @@ def match_boxes(codes, ex, ey, area, root):
 
 
 # --- correlation
-
-NOTHING = np.float32(1e9)  # grey level of what is not there: so far from all others that it is nobody's nearest
 
 
 @fast_part
@@ -244,51 +242,20 @@ def _read_patch(image, view, factor, box, size, columns, across, lines, down, li
     return r0, r1, c0, c1
 
 
-@fast_part
-def _nearest(a, b, stride, n):
-    """Sum over the points of patch `a` of the least difference from the 3x3 points of patch `b` around each."""
-    first = stride + 1
-    row = a[first : first + n]
-    b00, b01, b02 = b[:n], b[1 : n + 1], b[2 : n + 2]
-    b10, b11, b12 = b[stride : stride + n], b[first : first + n], b[first + 1 : first + 1 + n]
-    b20, b21, b22 = b[2 * stride : 2 * stride + n], b[2 * stride + 1 : 2 * stride + 1 + n], b[2 * stride + 2 :]
-    total = np.float32(0.0)
-    for j in range(n):
-        v = row[j]
-        above = min(min(abs(v - b00[j]), abs(v - b01[j])), abs(v - b02[j]))
-        level = min(min(abs(v - b10[j]), abs(v - b11[j])), abs(v - b12[j]))
-        below = min(min(abs(v - b20[j]), abs(v - b21[j])), abs(v - b22[j]))
-        total += min(min(above, level), below)
-    return total
-
-
-@fast_part
-def _cut(patch, r0, r1, c0, c1, stride, out):
-    """`patch` with NOTHING outside rows r0..r1 and columns c0..c1, into `out`."""
-    out[:] = NOTHING
-    for first in range((r0 + 1) * stride + 1, (r1 + 1) * stride + 1, stride):
-        for k in range(first + c0, first + c1):
-            out[k] = patch[k]
-
-
-@fast
-def patch_distances(
-    now, now_view, before, before_view, factor, x, parents, size, cols, rows, saturation, nearest, outside, out
-):
+@fast("u1:2 i8x4 u1:2 i8x4 i8 f8:2 f8:2 f8x2 i8 i8 f8 f8 f8:1")
+def patch_distances(now, now_view, before, before_view, factor, x, parents, size, cols, rows, saturation, outside, out):
     """Distances `out` (N,) of the patches of x (N, 3) in `now` from those of parents (N, 3) in `before` (eq. 13).
 
     x and parents are (cx, cy, s), boxes of `size` (w, h) times s; pixels of the whole image, centres at whole
     numbers. Both images are grey (H, W) uint8, reduced by `factor`; a view is (left, top, width, height): where in
     the whole image it begins, and how large that is. The patch is the grid of cols x rows cell centres of the box.
     A point adds rho, which is the least of |difference| and `saturation`, or the square of the difference where that
-    is 0; one that lies beyond the whole image in either of the two adds `outside`. With `nearest` it is the Hausdorff
-    distance instead.
+    is 0; one that lies beyond the whole image in either of the two adds `outside`.
     """
-    # a border of NOTHING runs around a patch; what ends a row begins the next
+    # a border of zeros runs around a patch; what ends a row begins the next
     stride = cols + 1
-    length, n = (rows + 2) * stride + 1, rows * stride - 1
-    a, b = np.full(length, NOTHING), np.full(length, NOTHING)
-    cut_a, cut_b = np.empty(length, np.float32), np.empty(length, np.float32)
+    length = (rows + 2) * stride + 1
+    a, b, alike = np.zeros(length, np.float32), np.zeros(length, np.float32), np.empty(length, np.float32)
     columns, across = np.zeros(cols, np.uint64), np.zeros(cols, np.float32)
     lines, down = np.zeros(rows, np.uint64), np.zeros(rows, np.float32)
     line = np.zeros(max(now.shape[1], before.shape[1]), np.float32)
@@ -301,19 +268,19 @@ def patch_distances(
         here = _read_patch(now, now_view, factor, x[p], size, columns, across, lines, down, line, a)
         r0, r1 = max(here[0], there[0]), min(here[1], there[1])
         c0, c1 = max(here[2], there[2]), min(here[3], there[3])
-        inside, u, v, total = max(r1 - r0, 0) * max(c1 - c0, 0), a, b, np.float32(0.0)
+        inside, v, total = max(r1 - r0, 0) * max(c1 - c0, 0), b, np.float32(0.0)
         if inside < cols * rows:
             # the same on both sides, so that what cannot be compared adds nothing
-            _cut(a, r0, r1, c0, c1, stride, cut_a)
-            _cut(b, r0, r1, c0, c1, stride, cut_b)
-            u, v = cut_a, cut_b
-        if nearest:
-            total = max(_nearest(u, v, stride, n), _nearest(v, u, stride, n))
-        elif most > 0.0:
+            alike[:] = a
+            for first in range((r0 + 1) * stride + 1, (r1 + 1) * stride + 1, stride):
+                for k in range(first + c0, first + c1):
+                    alike[k] = b[k]
+            v = alike
+        if most > 0.0:
             for j in range(length):
-                total += min(abs(u[j] - v[j]), most)
+                total += min(abs(a[j] - v[j]), most)
         else:
             for j in range(length):
-                d = u[j] - v[j]
+                d = a[j] - v[j]
                 total += d * d
         out[p] = total + (cols * rows - inside) * outside

@@ -5,93 +5,62 @@ Filters", IDIAP-RR 03-15, 2003. No numerics are imported here.
 """
 
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import (
-    Component,
-    Factor,
-    Length,
-    LengthOrNone,
-    LikelihoodSettings,
-    MotionSettings,
-    Refusal,
-    ScaledSettings,
-    Section,
-)
+from facetrack_cli.recipe import sections
 
-MAX_SEARCH_SIZES, MAX_SEARCH_PX = 10.0, 10_000.0  # beyond most frames; every step of it takes time
 Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]
 Entry: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]  # or powers of A overflow, stable or not
 Pair: TypeAlias = Annotated[tuple[Entry, Entry], Field(strict=False)]
-Noise: TypeAlias = Annotated[tuple[LengthOrNone, ...], Field(strict=False, min_length=1, max_length=2)]
-Deviation: TypeAlias = Annotated[float, Field(ge=0, le=1e6)]
-Share: TypeAlias = Annotated[tuple[Deviation, ...], Field(strict=False, min_length=1, max_length=2)]
+Noise: TypeAlias = Annotated[tuple[sections.LengthOrNone, ...], Field(strict=False, min_length=1, max_length=2)]
 
 
-class RegionSettings(ScaledSettings):
+class RegionSettings(sections.ScaledSettings):
     """A region of the frame: an upright box that moves and changes its size (section 3.2)."""
 
     engine = "facetrack_cli.engine.spaces:BoxSpace.place"
     type: Literal["region"]
-    scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.25, 4.0)
+    scale: Annotated[tuple[sections.Factor, sections.Factor], Field(strict=False)] = (0.25, 4.0)
     """The least and the largest size of the box, as factors of its size at the start."""
 
 
-class _DynamicsSettings(Section):
+class DynamicsSettings(sections.Section):
+    """c = A c + B w for a value and its speed: of x, likewise of y, or of the scale, which is 1 at the start."""
+
     A: Annotated[tuple[Pair, Pair], Field(strict=False)]
     """What value and speed become: [[value from value, from speed], [speed from value, from speed]]."""
-    B: Any
-
-    def mistakes(self) -> Iterable[Refusal]:
-        if len(self.B[0]) != len(self.B[1]):
-            yield Refusal(("B",), "both rows of B need the same number of sources of noise")
-        (p, q), (r, s) = self.A
-        # the larger eigenvalue of a 2x2 matrix, by trace and determinant; complex ones come in pairs of the same size
-        half, determinant = (p + s) / 2, p * s - q * r
-        root = half * half - determinant
-        largest = abs(half) + root**0.5 if root >= 0 else determinant**0.5
-        if largest > 1 + 1e-9:
-            grows = f"A makes the state grow {largest:.3g}-fold each frame"
-            yield Refusal(("A",), f"{grows}; its eigenvalues must not exceed 1")
-
-
-class PositionDynamicsSettings(_DynamicsSettings):
-    """c = A c + B w for x and its speed, and likewise for y."""
-
     B: Annotated[tuple[Noise, Noise], Field(strict=False)]
-    """How the noise enters place and speed: a row each, with a standard deviation for each of one or two sources."""
+    """How the noise enters value and speed: a row each, with a standard deviation for each of one or two sources; of
+    the scale, which has no unit, they are numbers."""
+
+    def mistakes(self) -> Iterable[sections.Refusal]:
+        if len(self.B[0]) != len(self.B[1]):
+            yield sections.Refusal(("B",), "both rows of B need the same number of sources of noise")
 
 
-class ScaleDynamicsSettings(_DynamicsSettings):
-    """c = A c + B w for the scale, 1 at the start, and its speed."""
-
-    B: Annotated[tuple[Share, Share], Field(strict=False)]
-    """How the noise enters scale and speed, as in position.B; numbers, since a scale has no unit."""
-
-
-class FirstOrderSettings(MotionSettings):
+class FirstOrderSettings(sections.MotionSettings):
     """First-order dynamics of place, scale and their speeds: c_k = A c_{k-1} + B w_k (section 3.2)."""
 
-    engine = "facetrack_cli.engine.motion:first_order"
+    engine = "facetrack_cli.engine.spaces:first_order"
     goes_with = ("region", "cloud")
     type: Literal["first_order"]
-    position: PositionDynamicsSettings
+    position: DynamicsSettings
     """Of x and of y."""
-    scale: ScaleDynamicsSettings
+    scale: DynamicsSettings
     """Of the size of the box."""
 
 
-class ContourSettings(Component):
+class ContourSettings(sections.Component):
     """Edges along the normals of the ellipse in the box (eq. 11)."""
 
     engine = "facetrack_cli.trackers.regions.likelihoods:Contour.build"
     normals: Annotated[int, Field(ge=4, le=360)] = 32
     """L, the number of normals along which edges are looked for."""
-    sigma: Length
+    sigma: sections.Length
     """Standard deviation of the distance of an edge from the ellipse."""
-    search: Length
+    search: sections.Length
     """How far along a normal, inwards and outwards, edges are looked for."""
     threshold: Annotated[float, Field(gt=0, le=255)]
     """Contrast from which on there is an edge, in grey levels."""
@@ -102,17 +71,11 @@ class ContourSettings(Component):
     independent: Literal["all", "estimated"] = "all"
     """Beyond the paper: how many normals count as independent is estimated from their autocorrelation, or all do."""
 
-    def mistakes(self) -> Iterable[Refusal]:
-        most = MAX_SEARCH_PX if self.search.px else MAX_SEARCH_SIZES
-        if self.search.value > most:
-            reach = f"{MAX_SEARCH_SIZES:g}, in units of the target's size, or {MAX_SEARCH_PX:g}px"
-            yield Refusal(("search",), f"likelihood.contour.search must be at most {reach}")
 
-
-class HistogramSettings(Component):
+class HistogramSettings(sections.Component):
     """Histograms of hue and saturation in sub-regions of the box (section 3.3)."""
 
-    engine = "facetrack_cli.trackers.regions.likelihoods:Histogram.build"
+    engine = "facetrack_cli.trackers.regions.likelihoods:Histogram"
     hue_bins: Annotated[int, Field(ge=1, le=64)]
     """N_h."""
     saturation_bins: Annotated[int, Field(ge=1, le=64)]
@@ -131,7 +94,7 @@ class HistogramSettings(Component):
     """As in contour.max_size."""
 
 
-class CorrelationSettings(Component):
+class CorrelationSettings(sections.Component):
     """Grey values of the box against those of its parent in the previous frame (eq. 12 and 13)."""
 
     engine = "facetrack_cli.trackers.regions.likelihoods:Correlation.build"
@@ -139,25 +102,15 @@ class CorrelationSettings(Component):
     """[columns, rows] of the reference grid on which both are sampled."""
     region: Annotated[float, Field(gt=0, le=1)] = 1.0
     """R of eq. 6 as a share of the box's sides: less leaves out what is not the target at the borders of its box."""
-    distance: Literal["l2", "saturated_l1", "hausdorff"] = "l2"
-    """d_c of eq. 12; the paper takes l2, and compares it with the others in figure 5."""
     sigma: Annotated[float, Field(ge=1e-3, le=1e6)]
-    """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2) for l2, 1 / sigma_c for the others."""
+    """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2), or 1 / sigma_c with a saturation."""
     saturation: Annotated[float, Field(gt=0, le=255)] | None = None
-    """Where saturated_l1 stops to grow, in grey levels."""
+    """d_c of eq. 12 is L1 that stops to grow there, in grey levels; null: L2, which the paper takes."""
     independent: Literal["all", "estimated"] = "all"
     """Beyond the paper: how many points count as independent is estimated from their autocorrelation, or all do."""
 
-    def mistakes(self) -> Iterable[Refusal]:
-        if self.distance == "hausdorff" and self.independent != "all":
-            yield Refusal(("independent",), "hausdorff is no sum over points alone; leave independent out")
-        if self.distance == "saturated_l1" and self.saturation is None:
-            yield Refusal(("distance",), "distance: saturated_l1 needs saturation; add one, as in saturation: 20")
-        if self.distance != "saturated_l1" and self.saturation is not None:
-            yield Refusal(("saturation",), f"saturation has no meaning for distance: {self.distance}; remove it")
 
-
-class ProductSettings(LikelihoodSettings):
+class ProductSettings(sections.LikelihoodSettings):
     """The product of the likelihoods that are given, each of them usable alone (eq. 10)."""
 
     engine = "facetrack_cli.trackers.regions.likelihoods:Product.build"
@@ -171,7 +124,7 @@ class ProductSettings(LikelihoodSettings):
     """Grey values against those of the parent in the previous frame (eq. 12 and 13)."""
 
     @property
-    def factors(self) -> tuple[Component, ...]:
+    def factors(self) -> tuple[sections.Component, ...]:
         """Those that are given, in the order of the fields."""
         return tuple(factor for factor in (self.contour, self.histogram, self.correlation) if factor is not None)
 
@@ -179,6 +132,6 @@ class ProductSettings(LikelihoodSettings):
     def judges(self) -> bool:
         return self.contour is not None or self.histogram is not None  # correlation cannot tell what it follows
 
-    def mistakes(self) -> Iterable[Refusal]:
+    def mistakes(self) -> Iterable[sections.Refusal]:
         if not self.factors:
-            yield Refusal((), "likelihood has no factor; add contour, histogram or correlation")
+            yield sections.Refusal((), "likelihood has no factor; add contour, histogram or correlation")

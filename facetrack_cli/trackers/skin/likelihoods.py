@@ -45,8 +45,6 @@ together, sum T I comes from one dense correlation (cv2.matchTemplate), read bil
 by itself. For `remove`, sum I and sum I^2 are those of the values that are read, so that places between pixels are
 judged as whole ones are. For `keep` they are area sums by integral images: between pixels that is a little more than
 the energy of the values, and the NCC up to 0.001 too small.
-
-Beyond the paper (its future work): with `adapt` = a the template follows, T <- (1 - a) T + a I at the estimate.
 """
 
 from __future__ import annotations
@@ -54,7 +52,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import cv2
@@ -63,19 +60,14 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre, remap
-from facetrack_cli.core.types import Array, Box, Frame, Image, Mask, Particles, Start, factor_for
+from facetrack_cli.core.types import Array, Box, Frame, Image, Mask, Particles, factor_for
 from facetrack_cli.engine.kernels.compiled import boxes_extent, cropped
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood
-from facetrack_cli.engine.spaces import Context, Estimate, Placed, Space, box_of, check_size, estimate, size_of_box
+from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate, box_of, estimate
 from facetrack_cli.trackers.points.point_kernels import extent
 from facetrack_cli.trackers.skin import skin_kernels as kernel
-from facetrack_cli.trackers.skin.settings import (
-    CloudSettings,
-    ExclusionSettings,
-    SkinCloudSettings,
-    SkinNccSettings,
-)
+from facetrack_cli.trackers.skin.settings import ExclusionSettings, SkinCloudSettings, SkinNccSettings
 
 # the rules pass 0.50 to 0.96 of faces that they know, 0.02 to 0.08 of very dark ones, 0.39 of one of a greyish pale
 LEAST_SHARE = 0.4
@@ -152,11 +144,11 @@ def learn_skin(frame: Frame, box: Box) -> SkinModel:
 def _inside(frame: Frame, box: Box) -> tuple[int, int, int, int]:
     """The half-open ranges of pixels whose centres the box covers, at least one: left, top, right, bottom."""
     width, height = frame.size
-    ranges = []
-    for start, length, count in zip(box[:2], box[2:], (width, height), strict=True):
-        first, last = (math.ceil(min(max(-1.0, edge - 0.5), count)) for edge in (start, start + length))
-        ranges.append((max(first, 0), min(max(last, first + 1), count)))
-    (left, right), (top, bottom) = ranges
+    (x, y, w, h), far = box, float(width + height)
+    edges = (math.ceil(min(max(-1.0, edge - 0.5), far)) for edge in (x, y, x + w, y + h))
+    left, top, right, bottom = edges
+    left, right = max(left, 0), min(max(right, left + 1), width)
+    top, bottom = max(top, 0), min(max(bottom, top + 1), height)
     if right <= left or bottom <= top:
         where = f"the box {','.join(f'{v:g}' for v in box)} is not in the image of {width}x{height} pixels"
         raise InputError(f"frame {frame.index}: {where}; give left, top, width and height in pixels of the frame")
@@ -178,17 +170,10 @@ GRID = 9  # points along each side of it
 
 
 @dataclass(frozen=True)
-class CloudSpace(Space):
-    """Each particle is a pixel (Gianni et al. 2007): state (1, 2) = (x, y); its box has four deviations a side."""
+class CloudSpace(BoxSpace):
+    """Each particle is a pixel (Gianni et al. 2007), (x, y) of its state; its box has four deviations a side."""
 
     smooths = False
-
-    @classmethod
-    def place(cls, settings: CloudSettings, start: Start, name: str) -> Placed:
-        """All over the target's box, whose mean side is the unit of length."""
-        box = check_size(start.origin, name, box_of(start, name))
-        windows = np.array([box[2:]])
-        return Placed(cls(), cls().at(box), windows, size_of_box(start, name), (0.25, 4.0), windows)
 
     def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
         """The covariance of the pixels themselves: they are the target, not hypotheses of its place."""
@@ -196,9 +181,6 @@ class CloudSpace(Space):
 
     def windows(self, estimated: Estimate) -> Array:
         return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
-
-    def at(self, box: Box) -> Array:
-        return np.array([[*centre(box), 1.0, 0.0, 0.0, 0.0]])
 
 
 def log_weights(settings: ExclusionSettings, x: Array, footprints: Sequence[Footprint]) -> Array:
@@ -222,22 +204,14 @@ def log_weights(settings: ExclusionSettings, x: Array, footprints: Sequence[Foot
 
 @dataclass(frozen=True)
 class SkinCloud(Likelihood):
-    """`size`: width and height in pixels at the start; `teacher`: the box that teaches the colour, in pixels."""
+    """A cloud of pixels, whose colour is learned from a box at the start."""
 
     settings: SkinCloudSettings
-    size: tuple[float, float]
-    teacher: Box
-
-    @classmethod
-    def build(cls, settings: SkinCloudSettings, context: Context) -> SkinCloud:
-        start, teacher = context.start, settings.learn_from or context.name
-        if teacher not in start.targets:
-            raise InputError(f"{start.origin}: has no {teacher}, whose colours {context.name} learns from; add its box")
-        return cls(settings, context.placed.size, box_of(start, teacher))
+    context: Context
 
     def init(self, frame: Frame, x0: Array) -> SkinModel:
         """The colour of skin in the teacher's box. Raises InputError if nothing of it is in the frame."""
-        return learn_skin(frame, self.teacher)
+        return learn_skin(frame, box_of(self.context.start, self.settings.learn_from or self.context.name))
 
     def score(self, learned: SkinModel, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, 1): log p(y | x) of x (N, 1, D), x and y first."""
@@ -246,13 +220,14 @@ class SkinCloud(Likelihood):
     def distances(self, learned: SkinModel, frame: Frame, x: Array) -> Array:
         """(N, 1): 1 less the mean probability of skin about each place."""
         steps = np.linspace(-0.5, 0.5, GRID) * MIDDLE
-        grid = np.stack(np.meshgrid(steps * self.size[0], steps * self.size[1]), axis=-1).reshape(-1, 2)
+        w, h = self.context.placed.size
+        grid = np.stack(np.meshgrid(steps * w, steps * h), axis=-1).reshape(-1, 2)
         skin = self._skin(learned, frame, (x[:, 0, None, :2] + grid).reshape(-1, 2))
         return np.asarray(1.0 - skin.reshape(len(x), -1).mean(axis=1)[:, None])
 
     def _skin(self, learned: SkinModel, frame: Frame, xy: Array) -> Array:
         """(N,): p of the pixel at each place xy (N, 2); 0 beyond the frame."""
-        factor = factor_for(max(self.size), self.settings.max_size)
+        factor = factor_for(max(self.context.placed.size), self.settings.max_size)
         image, left, top = frame.reduced(factor, extent(np.ascontiguousarray(xy)[:, None], 0.0))
         there = np.floor((xy - (left, top) - (factor - 1) / 2) / factor + 0.5)
         p, within = np.zeros(len(xy)), ((there >= 0) & (there < image.shape[1::-1])).all(axis=1)
@@ -283,14 +258,10 @@ class SkinPattern:
 
 @dataclass(frozen=True)
 class SkinNcc(Likelihood):
-    """`size`: width and height of the box at scale 1, in pixels."""
+    """A face by the skin in its box, by its pattern, or by both."""
 
     settings: SkinNccSettings
-    size: tuple[float, float]
-
-    @classmethod
-    def build(cls, settings: SkinNccSettings, context: Context) -> SkinNcc:
-        return cls(settings, context.placed.size)
+    context: Context
 
     def init(self, frame: Frame, x0: Array) -> SkinPattern:
         """The skin's colour and the template of the box at x0 (1, 6). InputError if nothing of it is in the frame."""
@@ -299,12 +270,12 @@ class SkinNcc(Likelihood):
         skin, ncc = self.settings.skin, self.settings.ncc
         if skin is not None:
             cx, cy, s = x0[0, :3].tolist()
-            w, h = (side * s for side in self.size)
+            w, h = (side * s for side in self.context.placed.size)
             model = learn_skin(frame, (cx - 0.5 * (w - 1), cy - 0.5 * (h - 1), w, h))
             table, notes = model.table, model.notes
         if ncc is not None:
-            template = learn_template(frame, self.size, x0, ncc.max_size)
-            if template.first.var() < MIN_PATTERN:
+            template = learn_template(frame, self.context.placed.size, x0, ncc.max_size)
+            if template.variance < MIN_PATTERN:
                 notes = (*notes, "the face's box is of one grey level throughout, so that no pattern can be matched")
         learned = SkinPattern(table, template, 0.0, 0.0, notes)
         rho = 0.0 if skin is None else float(self.rho(learned, frame, x0[None])[0])
@@ -327,23 +298,12 @@ class SkinNcc(Likelihood):
             cues.append(1.0 - np.maximum(correlate(learned.template, frame, x)[1], 0.0))
         return np.asarray(np.mean(cues, axis=0)[:, None])
 
-    def learn(self, learned: SkinPattern, frame: Frame, state: Array, particles: Particles) -> SkinPattern:
-        """The template follows the estimate `state` (1, 6), while it matches the first one."""
-        ncc, template = self.settings.ncc, learned.template
-        if ncc is None or template is None or ncc.adapt == 0.0:
-            return learned
-        first, rate = replace(template, now=template.first), np.float32(ncc.adapt)
-        if correlate(first, frame, state[None])[1][0] < ncc.adapt_above:
-            return learned
-        now = (1 - rate) * template.now + rate * _patch(template, frame, state)
-        return replace(learned, template=replace(template, now=now))
-
     def rho(self, learned: SkinPattern, frame: Frame, x: Array) -> Array:
         """(R_ext - R_int) / area of R_int, eq. 9, of boxes x (N, 1, 6) -> (N,), -1..1; 0 of what is no box."""
         skin = self.settings.skin
         assert skin is not None and learned.table is not None
-        factor = factor_for(max(self.size), skin.max_size)
-        w, h = (skin.inner * side for side in self.size)
+        factor = factor_for(max(self.context.placed.size), skin.max_size)
+        w, h = (skin.inner * side for side in self.context.placed.size)
         reach = math.sqrt(2.0) * w, math.sqrt(2.0) * h
         within = boxes_extent(np.ascontiguousarray(x[:, 0, :3]), *reach, *frame.size)
         width, height = (max(side // factor, 1) for side in frame.size)
@@ -378,22 +338,17 @@ class SkinNcc(Likelihood):
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """`first` and `now` (th, tw) float32, grey levels at the start and as adapted, read at 1 / factor of the size.
+    """`centred` (th, tw) float32: grey levels at the start, read at 1 / factor of the size, without their `mean`.
 
-    `offset` (dx, dy): of its centre from the box's, in reduced pixels at scale 1; at most half a pixel.
+    `variance` is theirs; `offset` (dx, dy): of its centre from the box's, in reduced pixels at scale 1; at most half a
+    pixel.
     """
 
     factor: int
-    first: NDArray[np.float32]
-    now: NDArray[np.float32]
+    centred: NDArray[np.float32]
     offset: tuple[float, float]
-
-    @cached_property
-    def moments(self) -> tuple[NDArray[np.float32], float, float]:
-        """`now` without its mean, that mean, and the variance."""
-        mean = float(self.now.mean())
-        centred = self.now - np.float32(mean)
-        return centred, mean, float(np.mean(np.square(centred, dtype=np.float64)))
+    mean: float = 0.0
+    variance: float = 0.0
 
 
 def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size: float | None) -> Template:
@@ -406,16 +361,22 @@ def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size:
     tw, th = (max(round(side / factor), 2) for side in size)
     # at scale 1 on whole pixels, so that the frame is learned as it is, and read again where it was learned
     u, v = ((c - 0.5 * (factor - 1)) / factor - 0.5 * s * (n - 1) for c, n in ((cx, tw), (cy, th)))
-    blank = np.zeros((th, tw), np.float32)
-    template = Template(factor, blank, blank, ((round(u) - u) / s, (round(v) - v) / s))
-    patch = _patch(template, frame, x0)
-    return replace(template, first=patch, now=patch)
+    template = Template(factor, np.zeros((th, tw), np.float32), ((round(u) - u) / s, (round(v) - v) / s))
+    image, boxes, seen = _view(template, frame, x0[None])
+    if not seen[0]:
+        return template
+    u, v, s = boxes[:, 0]
+    x, y = (np.float32(at) for at in np.meshgrid(u + s * np.arange(tw), v + s * np.arange(th)))
+    patch = remap(np.float32(image), x, y, cv2.BORDER_CONSTANT)
+    centred = patch - np.float32(mean := float(patch.mean()))
+    variance = float(np.mean(np.square(centred, dtype=np.float64)))
+    return replace(template, centred=centred, mean=mean, variance=variance)
 
 
 def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]:
-    """NCC of boxes x (N, 1, 6) with the template as it is now, with means kept and removed: (N,) each, -1..1."""
+    """NCC of boxes x (N, 1, 6) with the template, with means kept and removed: (N,) each, -1..1."""
     image, boxes, seen = _view(template, frame, x)
-    centred, mean, variance = template.moments
+    centred, mean, variance = template.centred, template.mean, template.variance
     cross, spread = _moments(image, boxes, seen, centred)
     remove = _ratio(cross, variance * spread, seen)
     # area means of the image and of its square: a point stands for s x s pixels around it
@@ -432,7 +393,7 @@ def _view(template: Template, frame: Frame, x: Array) -> tuple[Image, Array, Mas
 
     (0, 0, 1) stands for those beyond the image, thinner than a pixel or no numbers.
     """
-    factor, (th, tw) = template.factor, template.now.shape
+    factor, (th, tw) = template.factor, template.centred.shape
     size = np.array([max(side // factor, 1) for side in frame.size])
     s, points = x[:, 0, 2], np.array([[tw], [th]])
     at = (x[:, 0, :2].T - 0.5 * (factor - 1)) / factor + s * (np.array(template.offset)[:, None] - 0.5 * (points - 1))
@@ -493,13 +454,3 @@ def _variances(region: NDArray[np.float32], places: Array, th: int, tw: int) -> 
     square -= fx * total(across**2, i, y) + fy * total(down**2, x, j)
     level = total(region, x, y) / (th * tw)
     return np.asarray(square / (th * tw) - level * level)
-
-
-def _patch(template: Template, frame: Frame, x0: Array) -> NDArray[np.float32]:
-    """The grey levels of the box at x0 (1, 6), at the template's points."""
-    image, boxes, seen = _view(template, frame, x0[None])
-    if not seen[0]:
-        return np.zeros_like(template.now)
-    (u, v, s), (th, tw) = boxes[:, 0], template.now.shape
-    x, y = (np.float32(at) for at in np.meshgrid(u + s * np.arange(tw), v + s * np.arange(th)))
-    return np.asarray(remap(np.float32(image), x, y, cv2.BORDER_CONSTANT))

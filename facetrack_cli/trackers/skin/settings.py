@@ -5,7 +5,7 @@ Particle Filter". No numerics are imported here.
 """
 
 from collections.abc import Iterable
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -30,10 +30,6 @@ class PatternSettings(Section):
     """As printed the means are kept; removed, NCC is 0 where nothing is alike."""
     exponent: Annotated[float, Field(gt=0, le=100)] = 1.0
     """NCC to this power; the paper takes 1."""
-    adapt: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    """Share of each new frame in the template, while the match is good; the paper keeps the template, 0."""
-    adapt_above: Annotated[float, Field(ge=0, lt=1)] = 0.7
-    """... that is, while NCC (means removed) with the first template is at least this."""
     max_size: MaxSize | None = 64
     """As in skin.max_size."""
 
@@ -41,7 +37,7 @@ class PatternSettings(Section):
 class SkinNccSettings(LikelihoodSettings):
     """A face by skin colour, by a template, or by both together (eq. 11)."""
 
-    engine = "facetrack_cli.trackers.skin.likelihoods:SkinNcc.build"
+    engine = "facetrack_cli.trackers.skin.likelihoods:SkinNcc"
     goes_with = ("region",)
     type: Literal["skin_ncc"]
     skin: SkinSettings | None = None
@@ -56,14 +52,12 @@ class SkinNccSettings(LikelihoodSettings):
     def mistakes(self) -> Iterable[Refusal]:
         if self.skin is None and self.ncc is None:
             yield Refusal((), "likelihood has neither skin nor ncc; add one, as in skin: {}")
-        elif self.ncc is None and self.cost == "product":
-            yield Refusal(("cost",), "cost: product is that of skin and ncc; add ncc, or leave cost out")
 
 
 class SkinCloudSettings(LikelihoodSettings):
     """The probability that the colour of one pixel is skin; each particle is a pixel (Gianni et al. 2007)."""
 
-    engine = "facetrack_cli.trackers.skin.likelihoods:SkinCloud.build"
+    engine = "facetrack_cli.trackers.skin.likelihoods:SkinCloud"
     goes_with = ("cloud",)
     type: Literal["skin"]
     learn_from: str | None = None
@@ -79,6 +73,7 @@ class CloudSettings(TargetSettings):
 
     engine = "facetrack_cli.trackers.skin.likelihoods:CloudSpace.place"
     relearns = False  # colours are learned in the first frame alone
+    scale: ClassVar = (0.25, 4.0)  # of what a motion does to the size, which no pixel has
     type: Literal["cloud"]
 
 

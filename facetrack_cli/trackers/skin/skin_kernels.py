@@ -13,7 +13,7 @@ import numpy as np
 from facetrack_cli.engine.kernels.compiled import exact, fast, inline, read_at
 
 
-@exact
+@exact("f8:2 f8:2")
 def box_sums(sums, boxes):
     """Sums over boxes (4, N) = x0, y0, x1, y1 by an integral image (H + 1, W + 1) float64 -> (N,).
 
@@ -46,7 +46,7 @@ def _axis(start, step, length, near, far, share_near, share_far):
     return first, last
 
 
-@fast
+@fast("u1:2 f4:2 f8:2")
 def moments_direct(image, template, boxes):
     """Mean of template (th, tw) times image (H, W), and the image's variance, at the template's points.
 
@@ -90,7 +90,7 @@ def moments_direct(image, template, boxes):
     return out
 
 
-@exact
+@exact("f4:2 f8:2 i8 i8")
 def bilinear(values, places, left, top):
     """values (H, W), which begin at (left, top), read bilinearly at places (2+, N) = (u, v, ...) -> (N,) float64.
 
