@@ -71,7 +71,7 @@ def seen(box, turn=0.0):
     return Detection(box, eyes=((x - along[0], y - along[1]), (x + along[0], y + along[1])))
 
 
-OWN = (look(BOX, 1),)
+OWN = ((look(BOX, 1), None),)
 
 
 def test_a_look_has_no_mean_and_unit_norm_and_does_not_know_the_light():
@@ -90,9 +90,9 @@ def test_a_person_is_alike_at_another_place_and_size_and_roll_and_another_is_not
 def test_the_last_looks_are_kept_and_that_of_the_start_stays():
     looks = OWN
     for seed in range(2, 12):
-        looks = kept(looks, look(BOX, seed))
+        looks = kept(looks, (look(BOX, seed), None))
     assert len(looks) == MAX_LOOKS and looks[0] is OWN[0]
-    assert looks[-1] @ look(BOX, 11) == pytest.approx(1)
+    assert looks[-1][0] @ look(BOX, 11) == pytest.approx(1)
 
 
 def place(box, turn=0.0):
@@ -100,19 +100,19 @@ def place(box, turn=0.0):
 
 
 def test_time_runs_from_the_first_sighting_of_a_face():
-    first = Sighting.of(seen(ELSEWHERE, 0.3), shown(time_s=2.0))
-    assert first.after(None) == first and first.since == 2.0 and first.roll == pytest.approx(0.3)
+    first = Sighting(seen(ELSEWHERE, 0.3), 2.0)
+    assert first.after(None) == first
     near = (ELSEWHERE[0] + 20, *ELSEWHERE[1:])
-    assert Sighting.of(seen(near), shown(time_s=2.4)).after(first).since == 2.0
-    assert Sighting.of(seen(BOX), shown(time_s=2.4)).after(first).since == 2.4, "another face: time begins anew"
+    assert Sighting(seen(near), 2.4).after(first).since == 2.0
+    assert Sighting(seen(BOX), 2.4).after(first).since == 2.4, "another face: time begins anew"
     looks = first._replace(by_looks=-2.0)
     for odds, mean in ((1.0, -0.5), (4.0, 1.0)):
-        looks = Sighting.of(seen(ELSEWHERE), shown())._replace(by_looks=odds).after(looks)
+        looks = Sighting(seen(ELSEWHERE), 2.4, by_looks=odds).after(looks)
         assert looks.by_looks == pytest.approx(mean), "the mean of all views"
 
 
 def test_a_face_is_followed_at_once_if_it_looks_so_else_if_it_stays_and_never_if_it_is_unlikely():
-    face = Sighting(BOX, 0.0, 1.0, p=0.7, latest=3.0)
+    face = Sighting(seen(BOX), 1.0, p=0.7, latest=3.0)
     assert face.is_target(shown(time_s=1.0)) and not face._replace(p=0.4).is_target(shown(time_s=9.0))
     waits = face._replace(latest=-3.0)
     assert not waits.is_target(shown(time_s=1.0 + 0.9 * STAYS)) and waits.is_target(shown(time_s=1.0 + STAYS))
@@ -140,8 +140,8 @@ def test_who_walks_by_is_not_the_target_and_who_stays_may_be():
 
 
 def test_a_face_that_looks_otherwise_from_one_sighting_to_the_next_is_another_one():
-    first = Sighting.of(seen(ELSEWHERE), shown(time_s=2.0))._replace(by_looks=-3.0, latest=-3.0)
-    same, other = (Sighting.of(seen(ELSEWHERE), shown(time_s=2.1))._replace(by_looks=x, latest=x) for x in (0.5, 1.5))
+    first = Sighting(seen(ELSEWHERE), 2.0, by_looks=-3.0, latest=-3.0)
+    same, other = (Sighting(seen(ELSEWHERE), 2.1, by_looks=x, latest=x) for x in (0.5, 1.5))
     assert same.after(first).since == 2.0 and other.after(first) == other
 
 
@@ -163,7 +163,7 @@ def test_looks_are_bounded(monkeypatch):
     def pictures(frame, *boxes):
         return [Picture.of(frame, place(box)._replace(scale=box[2])) for box in boxes]
 
-    known = pictures(shown((BOX, 1)), BOX)
+    known = [(OWN[0][0], picture) for picture in pictures(shown((BOX, 1)), BOX)]
 
     def like(looks, senses):
         return np.array([[100 * (one.face[0] @ looks[0].face[0] - 0.5) for one in looks]])
@@ -178,9 +178,9 @@ def test_views_of_who_walked_by_unnoticed_do_not_count(monkeypatch):
     own, other, small = (Picture(np.zeros(0), np.zeros(0), side) for side in (200.0, 201.0, 40.0))
     monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model"))
     monkeypatch.setattr(evidence, "by_looks", lambda views, faces, senses: [4.0 if faces[0] is own else -4.0])
-    looks, pictures = own_views([np.full(1, n) for n in range(4)], [own, other, own, small])
-    assert [int(look[0]) for look in looks] == [0, 2, 3] and [view.side for view in pictures] == [200, 200, 40]
-    assert own_views([], []) == ([], [])
+    views = own_views([(np.full(1, n), view) for n, view in enumerate([own, other, own, small])])
+    assert [(int(look[0]), view.side) for look, view in views] == [(0, 200), (2, 200), (3, 40)]
+    assert own_views([]) == []
 
 
 def test_a_face_of_the_stabilized_image_is_laid_out_in_the_frame():

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from facetrack_cli.core.geometry import centre, overlap, square
-from facetrack_cli.core.types import Array, Box, Frame, Point, factor_for
+from facetrack_cli.core.types import Box, Frame, Point, factor_for
 from facetrack_cli.trackers.face.detectors import MAX_SEARCHED_PX, MIN_SEARCHED_PX, Detection, Detector
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 
@@ -39,7 +39,7 @@ def seen(detector: Detector, frame: Frame, view: Similarity, side: int) -> Itera
         x, y, w, h = (round(value, 2) for value in box)  # to 0.01 px, as in an init file
         eyes = None if face.eyes is None else (at(face.eyes[0]), at(face.eyes[1]))
         points = {name: at(point) for name, point in face.points.items()}
-        yield Detection((x, y, w, h), eyes, points, face.sure, face.score, eighths(view.angle), closer=True)
+        yield face._replace(box=(x, y, w, h), eyes=eyes, points=points, turn=eighths(view.angle), closer=True)
 
 
 def near(detector: Detector, frame: Frame, box: Box, turn: int) -> Detection | None:
@@ -63,7 +63,13 @@ def righted(detector: Detector, frame: Frame, face: Detection) -> Detection:
 
 def everywhere(detector: Detector, frame: Frame) -> list[Detection]:
     """The faces that turned and enlarged views show, and one with room around the frame."""
-    return _certain(detector, frame, _views(frame.size))
+    longest, middle = max(frame.size), (np.array(frame.size) - 1) / 2
+    factor = factor_for(longest, MAX_SEARCHED_PX)
+    side = min(max(longest, MIN_SEARCHED_PX), MAX_SEARCHED_PX)
+    views = [Similarity(middle, ROOM * longest / side)]
+    views += [Similarity(middle, SKEW[turn % 2] * longest / side, turn * math.pi / 4) for turn in TURNS[1:]]
+    tiles = [tile for finer in (2, 4) if factor >= finer for tile in _tiles(frame.size, factor // finer)]
+    return _certain(detector, frame, [*((view, side) for view in views), *tiles])
 
 
 def again(detector: Detector, frame: Frame, face: Similarity) -> list[Detection]:
@@ -94,24 +100,11 @@ def _certain(
     return faces
 
 
-def _views(size: tuple[int, int]) -> Iterator[tuple[Similarity, int]]:
-    side, middle = min(max(*size, MIN_SEARCHED_PX), MAX_SEARCHED_PX), (np.array(size) - 1) / 2
-    yield Similarity(middle, ROOM * max(size) / side), side
-    yield from ((Similarity(middle, SKEW[turn % 2] * max(size) / side, turn * math.pi / 4), side) for turn in TURNS[1:])
-    factor = factor_for(max(size), MAX_SEARCHED_PX)
-    for finer in (2, 4):
-        if factor >= finer:
-            yield from _tiles(size, factor // finer)
-
-
 def _tiles(size: tuple[int, int], factor: int, turn: int = 0) -> Iterator[tuple[Similarity, int]]:
     """Squares that cover a frame reduced by `factor`, seen after eighths of a turn."""
-    for x, y in product(*(_starts(length, factor) for length in size)):
+    tile, shared = factor * MAX_SEARCHED_PX, factor * SHARED_PX
+    counts = (max(math.ceil((length - shared) / (tile - shared)), 1) for length in size)
+    starts = (np.linspace(0, max(length - tile, 0), count) for length, count in zip(size, counts, strict=True))
+    for x, y in product(*starts):
         middle = np.array([x, y]) + factor * (MAX_SEARCHED_PX - 1) / 2
         yield Similarity(middle, SKEW[turn % 2] * factor, turn * math.pi / 4), MAX_SEARCHED_PX
-
-
-def _starts(length: int, factor: int) -> Array:
-    """Where tiles begin along a side of the frame."""
-    tile, shared = factor * MAX_SEARCHED_PX, factor * SHARED_PX
-    return np.linspace(0, max(length - tile, 0), max(math.ceil((length - shared) / (tile - shared)), 1))

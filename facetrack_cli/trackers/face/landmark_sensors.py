@@ -122,24 +122,22 @@ class LandmarkSensors:
         """
         regression, channels = load_regression(), face_channels(image.bgr)
         crops = None if self.mesh is None else self.mesh.measure(frame, similarity)
-        at, odds = regression.fit(image.bgr, around, channels)
-        index, trained = self._trained
         mesh = None if crops is None else crops.mean(axis=0)
+        at, odds = regression.fit(image.bgr, around, channels)
         eyes = self._eyes(frame, similarity, channels, at, mesh)
-        at = np.where(trained[:, None], at[index], np.nan)
-        if mesh is None:
-            parts = PlacedPoints(at, np.where(trained, odds[index], 0.0))
-            return LandmarkReadings(channels, parts, np.full_like(at, np.nan), None, eyes)
-        core = mesh[[NAMES[point] for point in regression.points]]
-        core_odds = regression.visible(channels, core)
-        # a part is visible if it is at either place
-        odds = np.logaddexp(odds, core_odds[: len(odds)]) - math.log(2)
-        parts = PlacedPoints(at, np.where(trained, odds[index], 0.0))
-        # a further point is as visible as the nearest point that the regression knows
-        others = mesh[[NAMES[part] for part in self.others]]
-        nearest = np.hypot(*(others[:, None] - core).transpose(2, 0, 1)).argmin(axis=1)
-        network = np.where(trained[:, None], core[index], np.nan)
-        return LandmarkReadings(channels, parts, network, PlacedPoints(others, core_odds[nearest]), eyes)
+        (index, trained), others = self._trained, None
+        network = np.full((len(index), 2), np.nan)
+        if mesh is not None:
+            core = mesh[[NAMES[point] for point in regression.points]]
+            core_odds = regression.visible(channels, core)
+            network[trained] = core[index[trained]]
+            # a part is visible if it is at either place, a further point as much as the nearest one that is known
+            odds = np.logaddexp(odds, core_odds[: len(odds)]) - math.log(2)
+            more = mesh[[NAMES[part] for part in self.others]]
+            nearest = np.hypot(*(more[:, None] - core).transpose(2, 0, 1)).argmin(axis=1)
+            others = PlacedPoints(more, core_odds[nearest])
+        parts = PlacedPoints(np.where(trained[:, None], at[index], np.nan), np.where(trained, odds[index], 0.0))
+        return LandmarkReadings(channels, parts, network, others, eyes)
 
     @cached_property
     def _trained(self) -> tuple[Whole, Mask]:
@@ -151,11 +149,10 @@ class LandmarkSensors:
     def log_odds_at(self, channels: NDArray[np.float32], places: Array) -> Array:
         """(M, K): log odds that the parts are visible at `places` (M, K, 2); 0 of parts that were not trained."""
         regression, odds = load_regression(), np.zeros(places.shape[:2])
-        index, trained = self._trained[0][self._trained[1]], self._trained[1]
-        at = np.zeros((len(regression.parts), 2))
+        (index, trained), at = self._trained, np.zeros((len(regression.parts), 2))
         for row, place in zip(odds, places, strict=True):
-            at[index] = place[trained]
-            row[trained] = regression.visible(channels, at)[index]
+            at[index[trained]] = place[trained]
+            row[trained] = regression.visible(channels, at)[index[trained]]
         return odds
 
     def _eyes(

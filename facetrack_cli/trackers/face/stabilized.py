@@ -122,6 +122,12 @@ def change_between(x: Array, rest: Array) -> tuple[float, float]:
     return math.atan2(across, along), math.log(max(size, 1e-9))
 
 
+def growth(x: Array, rest: Array) -> float:
+    """By how much places x (K, 2) are wider spread than others."""
+    wide, before = (np.sum((places - places.mean(axis=0)) ** 2) for places in (x, rest))
+    return math.sqrt(wide / max(before, 1e-9))
+
+
 def slope(pair: Array) -> float:
     """The angle of the line from one place to another, (2, 2), in radians."""
     across, down = (pair[1] - pair[0]).tolist()

@@ -19,20 +19,18 @@ from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face import landmark_kernels as kernels
 from facetrack_cli.trackers.face.detectors import Detection
-from facetrack_cli.trackers.face.evidence import Sighting
+from facetrack_cli.trackers.face.evidence import Sighting, View
 from facetrack_cli.trackers.face.landmark_filters import BiasFilter, Facing, LandmarkFilter
 from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.landmark_sensors import LandmarkReadings, LandmarkSensors
 from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, Similarity
-from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import SPREAD, TargetResult, of_frame
 from facetrack_cli.video.shots import Passing
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
-_MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over
 _VALUES: Final = ("x", "y", *SPREAD[:3], "confidence", "w", "h", "ess", "angle", *SPREAD[3:], "particles")
 _HOW: Final = np.array(["tracked", "hidden", "lost"])  # as `landmark_kernels.show` counts them
 _LOST: Final = 2
@@ -52,7 +50,7 @@ class FaceState(NamedTuple):
     pose_var : (4,), the variances of `pose`
     others : the network's further points; None before it has seen the face
     eyes : the points of the eyes; None where they have no rows
-    looks, pictures : views of the face so far, by which it is recognised
+    views : of the face so far, by which it is recognised
     last_seen : where a detector last saw the face for sure
     shots : the tests for cuts
     frames : frames since the start
@@ -73,8 +71,7 @@ class FaceState(NamedTuple):
     pose_var: Array
     others: LandmarkFilter | None
     eyes: LandmarkFilter | None
-    looks: tuple[Array, ...]
-    pictures: tuple[Picture, ...]
+    views: tuple[View, ...]
     last_seen: Similarity
     shots: Passing
     frames: int = 0
@@ -112,12 +109,6 @@ class FaceView(NamedTuple):
     fused: Array
     shift: Array
     log_odds: float
-
-
-def updated(pose: Array, var: Array, offset: Array, std: Array) -> tuple[Array, Array]:
-    """A pose (4,) and its variances after a measurement that is `offset` from it, with standard deviations `std`."""
-    gain = var / (var + std**2)
-    return np.minimum(np.maximum(pose + gain * offset, -_MAX_POSE), _MAX_POSE), (1 - gain) * var
 
 
 def moved(features: ParticleState, to: Callable[[Array], Array], **others: Any) -> ParticleState:
@@ -213,40 +204,37 @@ class FaceParts:
         """
         features, head, k, count = state.features, state.head, len(self.features.parts), len(self._names)
         points, box, judged = features.estimated, head.estimated, features.judgement
-        at, cov, seen, how = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan), np.ones(count), [0] * count
-        at[:k], cov[:k], end = points.state, points.cov, k + 1
-        if judged is not None:
-            seen[:k], how[:k] = judged.confidence, [_LOST * (status == "lost") for status in judged.status]
+        assert judged is not None and head.judgement is not None
+        at, cov, seen = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan), np.ones(count)
+        hows, end = np.zeros(count, np.int64), k + 1
+        at[:k], cov[:k], seen[:k] = points.state, points.cov, judged.confidence
+        hows[:k] = [_LOST * (status == "lost") for status in judged.status]
         for names, landmarks in self._without_windows(state):
             those, end = slice(end, end + len(names)), end + len(names)
             if landmarks is not None:
                 at[those], cov[those], seen[those] = landmarks.at, landmarks.cov, landmarks.visible
-        values, hows = np.full((len(_VALUES), count), np.nan), np.array(how)
+        values = np.full((len(_VALUES), count), np.nan)
         shown, near = state.facing.shown * head_confidence(head), OFF * EYES * face.scale
         place = face.matrix, face.centre, MIDDLE, near, self.settings.lost_below, values[:6], hows
         kernels.show(at, cov, seen, k, shown, box.cov[0], *place)
         values[6:8, :k], values[8, :k] = self.features.space.windows(points).T * face.scale, state.info.ess
         status = _HOW[hows]
         if not state.frames:
-            began = [judged is None or one == "init" for one in ([""] * k if judged is None else judged.status)]
-            status[:k][(hows[:k] < _LOST) & began] = "init"
-            values[5, :k] = np.nan if judged is None else judged.confidence
+            status[:k][(hows[:k] < _LOST) & (np.array(judged.status) == "init")] = "init"
+            values[5, :k] = judged.confidence
         if features.absent is not None:
             values[:, :k][:, features.absent], status[:k][features.absent] = np.nan, "absent"
-        assert head.judgement is not None
         status[k], roll = head.judgement.status[0], math.remainder(face.angle, math.tau)
-        wide, high = self.head.space.windows(box)[0].tolist()
-        grown = face.scale * FACE / math.sqrt(wide * high)
-        wide, high = wide * grown, high * grown
-        spread = (math.nan, math.nan) if box.side_std is None else box.side_std * grown
-        (xx, xy), (_, yy) = box.cov[0].tolist()
-        std = math.sqrt(max(xx, 0.0)), math.sqrt(max(yy, 0.0))
-        sure = head_confidence(head), wide, high, head_ess[0], math.degrees(roll)
-        values[:-1, k] = *face.centre, *std, xy, *sure, *spread
+        sides = self.head.space.windows(box)[0]
+        grown = face.scale * FACE / math.sqrt(sides[0] * sides[1])
+        sides, spread = sides * grown, (math.nan, math.nan) if box.side_std is None else box.side_std * grown
+        std = np.sqrt(np.maximum(np.diagonal(box.cov[0]), 0.0))
+        sure = head_confidence(head), *sides, head_ess[0], math.degrees(roll)
+        values[:-1, k] = *face.centre, *std, box.cov[0, 0, 1], *sure, *spread
         values[-1] = len(features.particles.x) + len(head.particles.x)  # of a target one number: both filters' together
         outlines = np.full((count, 4, 2), np.nan)
         # the border runs through the middle of the outermost pixels
-        outlines[k] = Similarity(face.centre, 1.0, roll).to_frame(MIDDLE + _CORNERS * (wide - 1, high - 1))
+        outlines[k] = Similarity(face.centre, 1.0, roll).to_frame(MIDDLE + _CORNERS * (sides - 1))
         return {**dict(zip(_VALUES, values, strict=True)), "status": status, "corners": outlines}
 
     def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
