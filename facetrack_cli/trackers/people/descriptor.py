@@ -31,7 +31,7 @@ import numpy as np
 from facetrack_cli.core.geometry import share_inside, shown_angle
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Box, Frame, Image, Mask, Whole, checked_name
-from facetrack_cli.trackers.face.detectors import Detector
+from facetrack_cli.trackers.face.detectors import Detector, packaged
 from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -117,9 +117,7 @@ def load_people(path: Path) -> dict[str, FaceDescriptor]:
 
 def _people(stored: Stored) -> dict[str, FaceDescriptor]:
     names, which = stored.texts("names"), np.array(stored.whole("which"))
-    *first, last = FaceDescriptor._fields  # a file of an earlier version has no worth
-    ones = stored.reals(last, 2) if last in stored else np.ones((len(which), 1))
-    every = FaceDescriptor._make([*(stored.reals(name, 2) for name in first), ones])
+    every = FaceDescriptor._make(stored.reals(name, 2) for name in FaceDescriptor._fields)
     sizes = {len(values) for values in every} | {len(which)}
     if len(sizes) > 1 or set(which.tolist()) != set(range(len(names))) or len(set(names)) < len(names):
         raise ValueError("its arrays do not belong together")
@@ -162,7 +160,7 @@ class Describer:
         self._detector = detector
         self.scores: list[float] = []  # of the detector, in each view; 0 where it sees no face
         self._seen: list[FaceDescriptor] = []  # without embeddings
-        self._pictures: dict[int, tuple[int, Picture]] = {}  # of the views that are embedded, and their numbers
+        self._pictures: list[Picture] = []
         self._places: list[Image] = []
         self._first: Similarity | None = None
         self.best: tuple[float, Image] | None = None  # the best still
@@ -174,10 +172,7 @@ class Describer:
         found, looks = self._detector.measure(upright.bgr, BOX), picture.plain
         self.scores.append(0.0 if found is None else found.score)
         self._seen.append(looks._replace(worth=looks.worth * np.interp(self.scores[-1], _SCORE, (0.0, 1.0))))
-        now = len(self._seen) - 1
-        kept = self._pictures.get(now // SHARED)
-        if kept is None or self._seen[kept[0]].worth < self._seen[now].worth:
-            self._pictures[now // SHARED] = now, picture
+        self._pictures.append(picture)
         self._first = self._first or view.face
         place = cv2.cvtColor(_upright(frame, self._first, 1.0, FACE_PX), cv2.COLOR_BGR2GRAY)
         self._places.append(np.asarray(place, np.uint8))
@@ -194,10 +189,12 @@ class Describer:
         Views without an embedding have that of the nearest view.
         """
         seen = together(self._seen)
-        good = {k: one for k, one in self._pictures.values() if seen.worth[k] >= AS_GOOD * seen.worth.max()}
-        best = sorted(sorted(good, key=lambda k: -seen.worth[k, 0])[:most])
-        nearest = np.abs(np.subtract.outer(np.arange(len(seen.worth)), best)).argmin(axis=1)
-        return seen._replace(embedding=np.concatenate([good[k].looks.embedding for k in best])[nearest])
+        worth = seen.worth[:, 0]
+        better = (k + int(worth[k : k + SHARED].argmax()) for k in range(0, len(worth), SHARED))
+        good = [k for k in better if worth[k] >= AS_GOOD * worth.max()]
+        best = sorted(sorted(good, key=lambda k: -worth[k])[:most])
+        nearest = np.abs(np.subtract.outer(np.arange(len(worth)), best)).argmin(axis=1)
+        return seen._replace(embedding=np.concatenate([self._pictures[k].looks.embedding for k in best])[nearest])
 
     @property
     def is_face(self) -> bool:
@@ -259,11 +256,7 @@ def _colours(wide: Image) -> list[Array]:
 @cache
 def embedding_model() -> Path | None:
     """The file of dlib's network; None without the extra `people`."""
-    spec = util.find_spec("face_recognition_models")
-    for folder in (spec.submodule_search_locations or ()) if spec is not None and util.find_spec("dlib") else ():
-        if (file := Path(folder) / "models" / MODEL).is_file():
-            return file
-    return None
+    return packaged("face_recognition_models", "models", MODEL) if util.find_spec("dlib") else None
 
 
 _one_at_a_time: Final = Lock()
@@ -397,16 +390,15 @@ def distances(looks: Sequence[FaceDescriptor]) -> dict[str, Array]:
     A face that is blurred, small, covered or turned away says less, whatever it looks like; its colours say as much.
     Colours that are far apart say little: the light may be another one, and so may the clothes.
     """
-    best, found = [_best(one) for one in looks], dict[str, Array]()
-    worth = np.array([worth_of(one) for one in looks])
+    best, found = [FaceDescriptor(*(values[_best(one)] for values in one)) for one in looks], dict[str, Array]()
+    worth = np.array([one.worth.mean() for one in best])
     worth = np.minimum(worth[:, None], worth)
     for key in ("face", "embedding"):  # known people may have been saved without
         if all(getattr(one, key).shape[1] for one in looks):
-            x = np.concatenate([getattr(one, key)[rows] for one, rows in zip(looks, best, strict=True)])
+            x = np.concatenate([getattr(one, key) for one in best])
             found[key] = worth * np.array([np.ones_like(worth), worth, _nearest(x)])
     skin, hair, worn = (
-        np.array([np.median(getattr(one, key)[rows], axis=0) for one, rows in zip(looks, best, strict=True)])
-        for key in ("skin", "hair", "worn")
+        np.array([np.median(getattr(one, key), axis=0) for one in best]) for key in ("skin", "hair", "worn")
     )
     clothes = [0.5 * np.sum((worn - one) ** 2 / (worn + one + 1e-9), axis=1) for one in worn]
     far = np.array([_far(skin), _far(skin), _far(hair), clothes]) / np.reshape(_NEAR, (4, 1, 1))
