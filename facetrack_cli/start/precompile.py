@@ -74,8 +74,6 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.hands.hand_kernels.weigh": ("f8:3 b1:2 b1:1 f4:2 f4:2 f4:2 f8:1 f8 f8 f8 f8 f8 f8:1", "hands"),
     "trackers.hands.hand_kernels.gather": ("f8:3 b1:2 f8:1 f4:2 f8 f4:2 f8 f8:1 f8:2 f8:3 f8:1 f8:1 f8:2", "hands"),
     "trackers.hands.hand_kernels.fit_skin": ("f4:2 f8 f8 f8:1 f8 f8 f8 f4:2 f8:2 f8:1", "hands"),
-    "trackers.hands.hand_kernels.resample": ("f8:3 b1:2 b1:1 f8:1 f8 f8:2 f8:3 b1:2 b1:1", "hands"),
-    "trackers.hands.hand_kernels.is_lit_alike": ("u1:3 u1:3 i8", "hands"),
     "trackers.hands.hand_kernels.learn_head": ("f4:3 f4:3 f4:1 f8 f8:2 f8 f4:2 f4:2 f4:1", "hands"),
     "trackers.box.box_kernels.multiply": ("f4:3 f4:3 f4:3", _CELLS),
     "trackers.appearance.appearance_kernels.errors": ("f4:2r f4:2 f4:2 f4:2", "velocity"),

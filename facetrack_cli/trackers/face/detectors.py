@@ -60,26 +60,15 @@ def check_parts(parts: Sequence[str]) -> None:
 
 
 class Detection(NamedTuple):
-    """A face that a detector has seen, in pixels of the image.
+    """A face that a detector has seen, in pixels of the image."""
 
-    Attributes
-    ----------
-    box : as the frontal Haar cascades draw it
-    eyes : the left one of the upright face first; None where the detector does not say
-    points : the nose and the corners of the mouth, by their names, where the detector says
-    sure : whether the detector has seen the face's features
-    score : 0..1, its own confidence; 1 of a detector that does not say
-    turn : eighths of a turn, clockwise, by which the face is turned
-    closer : whether it was seen in a view of a part of the frame, or of a turned frame
-    """
-
-    box: Box
-    eyes: tuple[Point, Point] | None = None
-    points: Mapping[str, Point] = {}
-    sure: bool = False
-    score: float = 1.0
-    turn: int = 0
-    closer: bool = False
+    box: Box  # as the frontal Haar cascades draw it
+    eyes: tuple[Point, Point] | None = None  # left and right of the upright face; None where it does not say
+    points: Mapping[str, Point] = {}  # nose and corners of the mouth by their names, where it says
+    sure: bool = False  # whether the detector has seen the face's features
+    score: float = 1.0  # 0..1, its own confidence; 1 of a detector that does not say
+    turn: int = 0  # eighths of a turn, clockwise, by which the face is turned
+    closer: bool = False  # whether a view of a part of the frame, or of a turned frame, has shown it
 
     @property
     def roll(self) -> float:

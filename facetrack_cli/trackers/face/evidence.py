@@ -65,21 +65,13 @@ SIDE: Final = 16  # pixels of a look
 
 
 class Sighting(NamedTuple):
-    """A face that is seen while the target is lost.
+    """A face that is seen while the target is lost."""
 
-    Attributes
-    ----------
-    face : in the frame
-    since : time in s since which it is seen
-    p : probability that it is the target
-    by_looks, latest : log odds of that by its looks alone, the mean of `views` looks and the latest look
-    """
-
-    face: Detection
-    since: float
-    p: float = 0.0
-    by_looks: float = 0.0
-    latest: float = 0.0
+    face: Detection  # in the frame
+    since: float  # time in s since which it is seen
+    p: float = 0.0  # probability that it is the target
+    by_looks: float = 0.0  # log odds of that by its looks alone, the mean of `views` looks
+    latest: float = 0.0  # the same of the latest look
     views: int = 1
 
     def after(self, before: Sighting | None) -> Sighting:

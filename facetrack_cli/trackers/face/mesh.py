@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from threading import get_ident
@@ -23,10 +24,7 @@ from facetrack_cli.trackers.face.eyes import SIDES
 from facetrack_cli.trackers.face.stabilized import EYE_LINE, EYES, MIDDLE, Similarity, slope
 
 COUNT: Final = 468
-NAMES: Final = {
-    **{f"mesh_{i}": i for i in range(COUNT) if i not in MESH.values()},
-    **{part: MESH[part] for part in POINTS},
-}
+NAMES: Final = {f"mesh_{i}": i for i in range(COUNT) if i not in MESH.values()} | {part: MESH[part] for part in POINTS}
 """Every point of the mesh by its name."""
 CROP: Final = 192  # pixels of a side of what the network sees
 # crops: side, and distance of the middle below the eyes, in distances between the eyes
@@ -40,11 +38,11 @@ PRESENT: Final = 0.5  # probability of a face below which nothing is said
 _ENGINE: Final[Mapping[str, Any]] = {"engine": getattr(cv2.dnn, "ENGINE_CLASSIC", 0)} if cv2.__version__ >= "5" else {}
 
 
+@dataclass
 class Mesh:
     """The network in a file."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    path: Path
 
     def measure(self, frame: Frame, head: Similarity, crops: tuple[tuple[float, float], ...] = CROPS) -> Array | None:
         """The points (C, 468, 2) of a face by each crop, in pixels of the stabilized image; None without a face."""
@@ -60,11 +58,11 @@ class Mesh:
         return np.asarray(by_crop, np.float64)
 
 
+@dataclass
 class Iris:
     """MediaPipe's iris network in a file (Ablavatski et al. 2020): lids, corners and iris of an eye."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    path: Path
 
     def measure(self, frame: Frame, head: Similarity, corners: Array) -> tuple[Array, Array]:
         """The points (8, 2) of both eyes, as in GROUPS, and the middles (2, 2) of the irises, by `corners` (4, 2).

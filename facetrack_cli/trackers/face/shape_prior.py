@@ -14,9 +14,8 @@ from facetrack_cli.trackers.points.shape_prior import MIN_SIGMA, BoundPrior, bui
 
 def build_student(settings: StudentTSettings, context: Context) -> StudentPrior:
     """The Student t prior of a recipe, from the same files as `build`."""
-    return StudentPrior(
-        build(ParzenSettings(type="parzen", file=settings.file, sigma=MIN_SIGMA), context), settings.freedom
-    )
+    shapes = ParzenSettings(type="parzen", file=settings.file, sigma=MIN_SIGMA)
+    return StudentPrior(build(shapes, context), settings.freedom)
 
 
 class StudentPrior(Prior):

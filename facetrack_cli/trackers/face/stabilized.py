@@ -21,18 +21,11 @@ EYE_LINE: Final = MIDDLE - 0.112 * FACE  # the row of the eyes
 
 
 class Similarity(NamedTuple):
-    """The map from a stabilized image to the frame.
+    """The map from a stabilized image to the frame."""
 
-    Attributes
-    ----------
-    centre : (2,), where the middle of the stabilized image lies in the frame, in pixels
-    scale : pixels of the frame to a pixel of the stabilized image
-    angle : by which the image is turned in the frame, clockwise, in radians
-    """
-
-    centre: Array
-    scale: float
-    angle: float = 0.0
+    centre: Array  # (2,), where the middle of the stabilized image lies in the frame, in pixels
+    scale: float  # pixels of the frame to a pixel of the stabilized image
+    angle: float = 0.0  # by which the image is turned in the frame, clockwise, in radians
 
     @property
     def matrix(self) -> Array:

@@ -38,77 +38,43 @@ _CORNERS: Final = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
 
 
 class FaceState(NamedTuple):
-    """A face after a frame.
+    """A face after a frame."""
 
-    Attributes
-    ----------
-    head, features : states of the head's filter and of the points' filter, which lives in the stabilized image
-    info : of the last step of the points' filter
-    bias_filters : of the regression, the detector and the network, in this order
-    facing : whether the face is turned to the camera
-    pose : (4,), how the face lies in the head's box: roll in radians, log of its size, offset in sizes of the box
-    pose_var : (4,), the variances of `pose`
-    others : the network's further points; None before it has seen the face
-    eyes : the points of the eyes; None where they have no rows
-    views : of the face so far, by which it is recognised
-    last_seen : where a detector last saw the face for sure
-    shots : the tests for cuts
-    frames : frames since the start
-    log_odds : log odds that the sensors see the face where it is tracked
-    sighting : the likeliest face of a frame while the target is lost
-    cut_time : time in s of a (possible) cut after which the face was not seen yet
-    crowded : in how many searches several faces were seen
-    again : log odds by its looks since the face is seen again; None while it was seen in all frames, or is recognised
-    stranger_time : time in s since which somebody else is seen in its place
-    """
-
-    head: ParticleState
-    features: ParticleState
-    info: Info
-    bias_filters: BiasFilter
-    facing: Facing
-    pose: Array
-    pose_var: Array
-    others: LandmarkFilter | None
-    eyes: LandmarkFilter | None
-    views: tuple[View, ...]
-    last_seen: Similarity
-    shots: Passing
-    frames: int = 0
-    log_odds: float = 0.0
-    sighting: Sighting | None = None
-    cut_time: float | None = None
-    crowded: int = 0
+    head: ParticleState  # of the head's filter
+    features: ParticleState  # of the points' filter, which lives in the stabilized image
+    info: Info  # of the last step of the points' filter
+    bias_filters: BiasFilter  # of the regression, the detector and the network, in this order
+    facing: Facing  # whether the face is turned to the camera
+    pose: Array  # (4,), how the face lies in the head's box: roll in radians, log of its size, offset in sizes of it
+    pose_var: Array  # (4,), the variances of `pose`
+    others: LandmarkFilter | None  # the network's further points; None before it has seen the face
+    eyes: LandmarkFilter | None  # the points of the eyes; None where they have no rows
+    views: tuple[View, ...]  # of the face so far, by which it is recognised
+    last_seen: Similarity  # where a detector last saw the face for sure
+    shots: Passing  # the tests for cuts
+    frames: int = 0  # since the start
+    log_odds: float = 0.0  # that the sensors see the face where it is tracked
+    sighting: Sighting | None = None  # the likeliest face of a frame while the target is lost
+    cut_time: float | None = None  # in s, of a (possible) cut after which the face was not seen yet
+    crowded: int = 0  # in how many searches several faces were seen
+    # log odds by its looks since the face is seen again; None while it was seen in all frames, or is recognised
     again: tuple[float, ...] | None = None
-    stranger_time: float | None = None
+    stranger_time: float | None = None  # in s, since which somebody else is seen in its place
 
 
 class FaceView(NamedTuple):
-    """A frame as seen from the head, and what the sensors say of the points there.
+    """A frame as seen from the head, and what the sensors say of the points there."""
 
-    Attributes
-    ----------
-    similarity, image : the stabilized image, and where it lies in the frame
-    checked : whether the detector has looked
-    detection : the face that it saw, in the stabilized image
-    landmarks : what regression and network say
-    places : (S, K, 2) by the sensors, in pixels of the stabilized image, nan where they say nothing
-    readings : the same without the sensors' biases
-    fused : (K, 2), regression and network together, without biases
-    shift : (2,) pixels, how far the face is from where the head was expected
-    log_odds : log odds that the face is there
-    """
-
-    similarity: Similarity
+    similarity: Similarity  # where the stabilized image lies in the frame
     image: Frame
-    checked: bool
-    detection: Detection | None
-    landmarks: LandmarkReadings
-    places: Array
-    readings: SensorReading
-    fused: Array
-    shift: Array
-    log_odds: float
+    checked: bool  # whether the detector has looked
+    detection: Detection | None  # the face that it saw, in the stabilized image
+    landmarks: LandmarkReadings  # what regression and network say
+    places: Array  # (S, K, 2) by the sensors, in pixels of the stabilized image, nan where they say nothing
+    readings: SensorReading  # the same without the sensors' biases
+    fused: Array  # (K, 2), regression and network together, without biases
+    shift: Array  # (2,) pixels, how far the face is from where the head was expected
+    log_odds: float  # that the face is there
 
 
 def moved(features: ParticleState, to: Callable[[Array], Array], **others: Any) -> ParticleState:
@@ -133,25 +99,15 @@ class FaceParts:
     """The parts of a face, and the rows that they have in a state.
 
     Rows are those of the points, of the head's box, of the eyes, and of the network's further points.
-
-    Attributes
-    ----------
-    name : name of the target
-    head : the filter of the head's box, in pixels of the frame
-    features : the filter of the points with windows, in pixels of the stabilized image
-    settings : the recipe's section `head`
-    sensors : what measures the points in a frame
-    side : side in pixels of the head's box at the start, the square root of its area
-    calibration : what turns confidences into probabilities
     """
 
     name: str
-    head: BoxTarget
-    features: ParticleTarget
-    settings: HeadSettings
+    head: BoxTarget  # the filter of the head's box, in pixels of the frame
+    features: ParticleTarget  # the filter of the points with windows, in pixels of the stabilized image
+    settings: HeadSettings  # the recipe's section `head`
     sensors: LandmarkSensors
-    side: float
-    calibration: Calibration | None
+    side: float  # in pixels, of the head's box at the start, the square root of its area
+    calibration: Calibration | None  # what turns confidences into probabilities
 
     @property
     def parts(self) -> tuple[str, ...]:

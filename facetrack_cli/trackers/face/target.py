@@ -66,16 +66,10 @@ _MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a 
 
 @dataclass(frozen=True)
 class FaceTarget(FaceParts):
-    """A face that is followed from frame to frame.
+    """A face that is followed from frame to frame."""
 
-    Attributes
-    ----------
-    pose : (4,), how the face lies in the head's box at the start; see `FaceState`
-    alone : whether any face that is seen while the target is lost may be the target
-    """
-
-    pose: Array
-    alone: bool = True
+    pose: Array  # (4,), how the face lies in the head's box at the start; see `FaceState`
+    alone: bool = True  # whether any face that is seen while the target is lost may be the target
 
     # --- the start -----------------------------------------------------------------------------------------------
 
@@ -199,8 +193,7 @@ class FaceTarget(FaceParts):
 
     def _unseen(self, state: FaceState, info: Info, frame: Frame) -> tuple[FaceState, TargetResult]:
         """After a frame in which the head's filter, which says `info`, does not see it: the points stay."""
-        info_of_points = state.info._replace(evidence=0.0)
-        state = state._replace(log_odds=_FORGETS * state.log_odds, info=info_of_points, again=())
+        state = state._replace(log_odds=_FORGETS * state.log_odds, info=state.info._replace(evidence=0.0), again=())
         return state, self.result(state, info, frame)
 
     def _is_due(self, state: FaceState) -> bool:
@@ -219,8 +212,8 @@ class FaceTarget(FaceParts):
         return bool(looks[0] + self._prior(state, frame) > 0)
 
     def _prior(self, state: FaceState, frame: Frame) -> float:
-        stranger_s = None if state.stranger_time is None else frame.time_s - state.stranger_time
-        company = state.crowded >= COMPANY
+        since, company = state.stranger_time, state.crowded >= COMPANY
+        stranger_s = None if since is None else frame.time_s - since
         return evidence.prior(cut=state.cut_time is not None, company=company, stranger_s=stranger_s)
 
     def _looked_again(self, state: FaceState, view: FaceView, frame: Frame) -> tuple[float, ...] | None:
@@ -228,11 +221,8 @@ class FaceTarget(FaceParts):
         face = self._laid_out(view.similarity, view.detection)
         if not state.views or not evidence.weight_of(face.scale * FACE):
             return None
-        own, in_place = (
-            evidence.own_views(state.views),
-            evidence.by_place(state.last_seen, [face], covered=False)[0] > 0,
-        )
-        if not in_place or evidence.likeness(own, evidence.look_of(view.image)) >= evidence.ALIKE:
+        own, [place] = evidence.own_views(state.views), evidence.by_place(state.last_seen, [face], covered=False)
+        if place <= 0 or evidence.likeness(own, evidence.look_of(view.image)) >= evidence.ALIKE:
             return None
         odds = evidence.by_who(own, _picture(frame, face))
         again = (*(state.again or ()), odds)

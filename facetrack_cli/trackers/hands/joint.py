@@ -36,9 +36,9 @@ import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.engine.resampling import normalise
+from facetrack_cli.engine.resampling import normalise, systematic
 from facetrack_cli.trackers.hands.evidence import Map, Seen
-from facetrack_cli.trackers.hands.hand_kernels import REST, fit_skin, gather, move, resample, weigh
+from facetrack_cli.trackers.hands.hand_kernels import REST, fit_skin, gather, move, weigh
 from facetrack_cli.trackers.hands.settings import HandsSettings
 
 START: Final = 0.075  # sizes, standard deviation of a hand that is given
@@ -82,8 +82,7 @@ class Belief(NamedTuple):
     form: Array
 
     def exchanged(self) -> Belief:
-        seen, at, cov, near, ess, skin, form = self
-        return Belief(seen[::-1], at[::-1], cov[::-1], near[::-1], ess, skin[::-1], form[::-1])
+        return Belief._make(value if isinstance(value, float) else value[::-1] for value in self)
 
 
 class Face(NamedTuple):
@@ -125,12 +124,16 @@ def step(
     move(x, seen, parted, luck, noise, peaks, often, *motion, *seen_in, weight)
     of = settings.radius, settings.evidence, settings.skin
     weigh(x, seen, parted, fit, share, evidence, face.at, face.size, scale, *of, weight)
-    w = np.exp(normalise(weight))
+    w = np.exp(log_w := normalise(weight))
     (p, near, skin), at, cov, form = np.empty((3, 2)), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty((2, 3))
     gather(x, seen, w, share, scale, evidence, radius, p, at, cov, near, skin, form)
-    kept = Cloud(np.empty_like(x), np.empty_like(seen), np.empty_like(parted))
-    resample(x, seen, parted, w, rng.random(), at, *kept)
-    return kept, Belief(p, at, cov, near, 1 / float(np.add.reduce(w * w)), skin, form)
+    kept, (dx, dy) = systematic(rng, log_w, n), (at[0] - at[1]).tolist()
+    x, seen = x.take(kept, axis=0), seen.take(kept, axis=0)
+    # all have the order of the belief's places: which hand is which is not theirs to say
+    off = x[:, 0] - x[:, 1]
+    other = seen[:, 0] & seen[:, 1] & (off[:, 0] * dx + off[:, 1] * dy < 0)
+    x = np.where(other[:, None, None], x[:, ::-1], x)
+    return Cloud(x, seen, parted.take(kept)), Belief(p, at, cov, near, 1 / float(np.add.reduce(w * w)), skin, form)
 
 
 def disc_means(evidence: Map, radius: float) -> Map:
@@ -173,26 +176,19 @@ def fitted(settings: HandsSettings, share: Map, scale: float, face: Face) -> tup
     return fit, at[:count], weight / max(weight.sum(), _TINY)
 
 
-def exchanged(belief: Belief, face: Face) -> float:
-    """The probability that the filter has exchanged the hands since the frame before."""
-    apart = math.dist(*belief.at) / face.size
-    return ANY + MEET * min(max(2 * (1 - apart / MEETS), 0.0), 1.0)
+def named(settings: HandsSettings, belief: Belief, face: Face, before: float) -> tuple[float, float]:
+    """The probability that hands are named as they are, and that the filter has exchanged them since the frame before.
 
-
-def name_log_odds(settings: HandsSettings, belief: Belief, face: Face) -> float:
-    """log p(frame | named as they are) - log p(frame | exchanged)."""
-    seen, (x, y) = belief.seen.tolist(), face.at.tolist()
-    apart, both = math.dist(*belief.at.tolist()) / face.size / settings.radius, min(seen) >= 0.5
-    clear = min(max((apart - APART[0]) / (APART[1] - APART[0]), 0.0), 1.0) if both else 1.0
+    `before` is the first of these after the frame before.
+    """
+    seen, places, (x, y) = belief.seen.tolist(), belief.at.tolist(), face.at.tolist()
+    apart = math.dist(*places) / face.size
+    exchanged = ANY + MEET * min(max(2 * (1 - apart / MEETS), 0.0), 1.0)
+    clear = (apart / settings.radius - APART[0]) / (APART[1] - APART[0]) if min(seen) >= 0.5 else 1.0
     total = 0.0
-    for p, place, (_, _, lean), sign in zip(seen, belief.at.tolist(), belief.form.tolist(), SIGNS, strict=True):
+    for p, place, (_, _, lean), sign in zip(seen, places, belief.form.tolist(), SIGNS, strict=True):
         u, v = (place[0] - x) / face.size, (place[1] - y) / face.size
         if p >= 0.5:
             total += sign * (WEIGHTS[0] * u + WEIGHTS[1] * u * v + WEIGHTS[2] * lean)
-    return TEMPER * clear * total
-
-
-def update_names(p: float, exchanged: float, log_odds: float) -> float:
-    """The probability that hands are named as they are after a frame, from that after the frame before."""
-    p = p * (1 - exchanged) + (1 - p) * exchanged
-    return p / (p + (1 - p) * math.exp(-log_odds))
+    p = before * (1 - exchanged) + (1 - before) * exchanged
+    return p / (p + (1 - p) * math.exp(-TEMPER * min(max(clear, 0.0), 1.0) * total)), exchanged

@@ -91,13 +91,7 @@ class HandTarget:
         return state, self._result(state, frame, placed=self.start_boxes[self.hand] is not None)
 
     def restart(
-        self,
-        rng: Generator,
-        frame: Frame,
-        first: HandState,
-        start: TargetStart,
-        absent: Names = (),
-        relearned: Names = (),
+        self, rng: Generator, frame: Frame, first: HandState, start: TargetStart, absent: Names = (), fresh: Names = ()
     ) -> tuple[HandState, TargetResult]:
         """As `ParticleTarget.restart`; where the other hand is, is not known."""
         boxes = (start.box, None) if self.hand == 0 else (None, start.box)
@@ -131,10 +125,8 @@ class HandTarget:
         if not state.face.lost:
             state = state._replace(shown=frame.time_s)
         if frame.time_s - state.shown > HOLDS:
-            belief = state.belief._replace(seen=FORGETS * state.belief.seen)
-            state = state._replace(
-                belief=belief, present=FORGETS * state.present, now=frame.index, named=(state.named[0], 0.0)
-            )
+            belief, present = state.belief._replace(seen=FORGETS * state.belief.seen), FORGETS * state.present
+            state = state._replace(belief=belief, present=present, now=frame.index, named=(state.named[0], 0.0))
             return state, self._result(state, frame)
         there, unit = state.belief.at[state.belief.seen >= 0.5], state.scene.side
         scene, seen = evidence.look(state.scene, frame, state.face, there * unit, 2 * self.settings.radius * unit)
@@ -146,9 +138,8 @@ class HandTarget:
     ) -> HandState:
         scene, face, before = state.scene, _face(state.scene, state.face), state.belief
         cloud, belief = joint.step(rng, self.settings, state.cloud, seen, scene.side, face, first=first)
-        says = joint.name_log_odds(self.settings, belief, face)
-        changed, last, inside = joint.exchanged(belief, face), state.last, state.inside
-        named = joint.update_names(state.named[0], changed, says)
+        named, changed = joint.named(self.settings, belief, face, state.named[0])
+        last, inside = state.last, state.inside
         if named < 0.5:
             named, changed, last, inside = 1 - named, 1 - changed, last[::-1], inside[::-1]
             cloud, belief, before = cloud.exchanged(), belief.exchanged(), before.exchanged()
@@ -171,33 +162,30 @@ class HandTarget:
         return Footprint(at, np.where(np.isnan(size := state.size[self.hand]), 1.0, size) / 2, state)
 
     def _result(self, state: HandState, frame: Frame, *, placed: bool = False) -> TargetResult:
-        i, belief, unit = self.hand, state.belief, state.scene.side * state.scene.factor
+        i, belief, unit, named = self.hand, state.belief, state.scene.side * state.scene.factor, state.named
         present = 1.0 if placed else float(state.present[i])
-        p = float(present * belief.near[i])
-        constant, by_speed = CONFIDENCE
+        p, (constant, by_speed) = present * float(belief.near[i]), CONFIDENCE
         sure = 1.0 if placed else p / (1 + math.exp(-constant - by_speed * min(float(state.speed[i]), 1.0)))
         status = "init" if placed else "tracked" if sure >= self.settings.lost_below else "lost"
         if present < 0.5 and not (state.inside[i] and frame.time_s - state.last[i] < GONE):
             status = "absent"
         columns: dict[str, Any] = {"status": [status], "particles": [float(len(state.cloud.x))]}
-        cov = belief.cov[i] * unit**2
+        at, cov = _in_pixels(state.scene, belief.at[i : i + 1]), belief.cov[i : i + 1] * unit**2
         if status != "absent":
-            (x, y), (w, h), (std_x, std_y) = _in_pixels(state.scene, belief.at[i]), state.size[i], np.sqrt(np.diag(cov))
-            columns |= {
-                "x": [x], "y": [y], "w": [w], "h": [h], "std_x": [std_x], "std_y": [std_y], "cov_xy": [cov[0, 1]],
-                "ess": [belief.ess], "confidence": [sure],
-            }  # fmt: skip
-        told = {PRESENT.name: np.array([present]), NAMED.name: np.array([state.named[0]])}
+            [(x, y)], [((xx, xy), (_, yy))], (w, h) = at.tolist(), cov.tolist(), state.size[i].tolist()
+            columns |= {"x": [x], "y": [y], "w": [w], "h": [h], "std_x": [math.sqrt(xx)], "std_y": [math.sqrt(yy)]}
+            columns |= {"cov_xy": [xy], "ess": [belief.ess], "confidence": [sure]}
+        told = {PRESENT.name: np.array([present]), NAMED.name: np.array([named[0]])}
         reported = {self.name: Diagnostics((PRESENT, NAMED), np.array([frame.index]), told)}
         rows = of_frame(((self.name, BOX),), frame, reported, **columns)
         cloud = _in_pixels(state.scene, state.cloud.x[state.cloud.seen[:, i], i : i + 1, :2])
         if status == "absent":
             return TargetResult(rows, cloud)
-        at, doubt, named = np.stack([rows.x, rows.y], axis=1), np.array([status == "lost"]), np.array(state.named)
 
         def beliefs() -> tuple[Belief]:
             steps = unit**2 * np.dot(self.settings.shares, np.square(self.settings.steps)) * np.eye(2)[None]
-            return (Belief(at, cov[None], Linear(np.eye(2)[None], np.zeros((1, 2)), steps), doubt, named),)
+            motion = Linear(np.eye(2)[None], np.zeros((1, 2)), steps)
+            return (Belief(at, cov, motion, np.array([status == "lost"]), np.array(named)),)
 
         return TargetResult(rows, cloud, beliefs=beliefs)
 
@@ -207,11 +195,9 @@ def cues(belief: joint.Belief, face: joint.Face, height: float) -> Array:
 
     A bare arm that reaches the lower border above where hands hang leads to a hand below, and is thinner than a hand.
     """
-    found, top = [], float(face.at[1])
-    for (_, y), seen, skin in zip(belief.at.tolist(), belief.seen.tolist(), belief.skin.tolist(), strict=True):
-        low = min(max(1 - (height - y) / face.size / LOW, 0.0), 1.2) * ((y - top) / face.size - HANGS)
-        found.append((1.0, seen, seen * low, seen * skin))
-    return np.array(found)
+    y, seen = belief.at[:, 1], belief.seen
+    low = np.clip(1 - (height - y) / face.size / LOW, 0.0, 1.2) * ((y - face.at[1]) / face.size - HANGS)
+    return np.column_stack([np.ones(2), seen, seen * low, seen * belief.skin])
 
 
 def in_picture(cues: Array) -> Array:

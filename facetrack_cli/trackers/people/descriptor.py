@@ -45,6 +45,7 @@ WIDE_PX, WIDE_SIDES = 96, 3.0  # sides of the image of head and shoulders, and o
 STILL_SIDES: Final = 2.2  # of the face's box in the picture of a person
 STILL_PX: Final = 240
 MODEL: Final = "dlib_face_recognition_resnet_model_v1.dat"
+_SKIN, _HAIR, _WORN = np.s_[48:54, 40:56], np.s_[24:30, 38:58], np.s_[75:94, 19:77]  # where they are in that image
 _BINS: Final = 6  # of each colour of what is worn
 _SHARP: Final = (0.09, 0.17)  # shares of fine details of a face that cannot be told from others, and of one that can
 _SCORE: Final = (0.75, 0.9)  # the same of the detector's score
@@ -237,19 +238,8 @@ def _face(chip: Image) -> Array:
 def _colours(wide: Image) -> list[Array]:
     """Skin between eyes and mouth, hair above the brows, and what is worn below the chin, of a head upright."""
     lab = cv2.cvtColor(wide, cv2.COLOR_BGR2LAB).astype(np.float64)
-    unit, middle = WIDE_PX / WIDE_SIDES, WIDE_PX / 2
-
-    def part(x: float, y: float, w: float, h: float) -> Array:
-        """Pixels (P, 3) of a box given in sides of the face's, from its middle."""
-        left, top = middle + x * unit, middle + y * unit
-        rows = slice(max(round(top), 0), round(top + h * unit))
-        found = lab[rows, max(round(left), 0) : round(left + w * unit)]
-        return np.asarray(found.reshape(-1, 3))
-
-    skin = np.median(part(-0.25, 0.0, 0.5, 0.2), axis=0)
-    hair = np.median(part(-0.3, -0.75, 0.6, 0.2), axis=0)
-    worn = part(-0.9, 0.85, 1.8, 0.6)
-    chroma, _ = np.histogramdd(worn[:, 1:], bins=_BINS, range=((100, 160), (100, 160)))
+    skin, hair = (np.median(lab[part].reshape(-1, 3), axis=0) for part in (_SKIN, _HAIR))
+    chroma, _ = np.histogramdd(lab[_WORN].reshape(-1, 3)[:, 1:], bins=_BINS, range=((100, 160), (100, 160)))
     return [skin, hair, (chroma / max(chroma.sum(), 1)).ravel()]
 
 
