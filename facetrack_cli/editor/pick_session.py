@@ -28,8 +28,7 @@ from facetrack_cli.start.init_file import (
     write_init,
 )
 from facetrack_cli.start.search import box_start
-from facetrack_cli.trackers.face.closer import righted
-from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named
+from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named, righted
 from facetrack_cli.trackers.skin.settings import SkinCloudSettings
 from facetrack_cli.video.overlay import write_preview
 from facetrack_cli.video.seek import Frames

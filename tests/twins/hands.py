@@ -1,4 +1,4 @@
-"""Slow, plain twins of trackers/hands/hand_kernels.py: all particles at once, from the formulas of `joint.py`."""
+"""Slow, plain twins of trackers/hands/hand_kernels.py: all particles at once, from the formulas of `target.py`."""
 
 import math
 

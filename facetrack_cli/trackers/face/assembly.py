@@ -1,4 +1,6 @@
-"""From the settings of a target and its start to the target."""
+"""From the settings of a target and its start to the target, and to the shape prior of its points (ours)."""
+
+from __future__ import annotations
 
 import math
 from dataclasses import replace
@@ -10,6 +12,8 @@ from facetrack_cli.core.face_points import GROUPS, IRISES, POINTS
 from facetrack_cli.core.geometry import centre, size_of_points
 from facetrack_cli.core.models import model_path
 from facetrack_cli.core.types import Array, Box, Start, TargetStart
+from facetrack_cli.engine.protocols import Prior
+from facetrack_cli.engine.spaces import Context
 from facetrack_cli.engine.target import ParticleTarget, calibration_of, particle_target
 from facetrack_cli.recipe.model import ConfidenceSettings, ParticleFilterSettings, Recipe, above
 from facetrack_cli.trackers.box.hidden_box import BoxTarget
@@ -17,9 +21,11 @@ from facetrack_cli.trackers.face.cascaded_regression import CORNER, load_regress
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.face.landmark_sensors import LandmarkSensors
 from facetrack_cli.trackers.face.mesh import NAMES, Iris, Mesh
-from facetrack_cli.trackers.face.settings import HeadSettings
+from facetrack_cli.trackers.face.settings import HeadSettings, StudentTSettings
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity, change_between, growth, slope
 from facetrack_cli.trackers.face.target import FaceTarget
+from facetrack_cli.trackers.points.settings import ParzenSettings
+from facetrack_cli.trackers.points.shape_prior import MIN_SIGMA, BoundPrior, build
 
 
 def face_target(
@@ -99,3 +105,38 @@ def box_around(start: TargetStart) -> Box:
     side = 3.0 * size_of_points(x)  # of nose and mouth
     left, top = (x.mean(axis=0) - (0.5 * side, 0.72 * side)).tolist()
     return left, top, side, side
+
+
+# --- the shape prior of its points ------------------------------------------------------------------------------------
+
+
+def build_student(settings: StudentTSettings, context: Context) -> StudentPrior:
+    """The Student t prior of a recipe, from the same files as `build`."""
+    shapes = ParzenSettings(type="parzen", file=settings.file, sigma=MIN_SIGMA)
+    return StudentPrior(build(shapes, context), settings.freedom)
+
+
+class StudentPrior(Prior):
+    """Student t density over the parts as seen from the stable one, with the shapes' second moments about rest (ours).
+
+    With q (2 (K - 1),) the displacements of the other parts since the first frame, relative to the stable part, in
+    units of L0, C = E[h h^T] + MIN_SIGMA^2 I over training shapes h, and n = `freedom`,
+
+        log_density(s) = -(n + 2 (K - 1)) / 2 log(1 + q^T C^-1 q / n)
+
+    without its constant. x is (N, K, 2) in pixels.
+    """
+
+    def __init__(self, bound: BoundPrior, freedom: float) -> None:
+        self.first, self.length, self.freedom = bound.first, bound.length, freedom
+        h = bound.shapes[:, bound.moving].reshape(len(bound.shapes), -1)
+        self.cov = h.T @ h / len(h) + MIN_SIGMA**2 * np.eye(h.shape[1])
+        # q^T C^-1 q is the square of q L, where C^-1 = L L^T and q = (x - first) D
+        relative = np.eye(len(self.first))[:, bound.moving] - np.eye(len(self.first))[:, [bound.stable]]
+        self._to_unit = np.kron(relative, np.eye(2)) @ np.linalg.cholesky(np.linalg.inv(self.cov)) / self.length
+
+    def log_density(self, x: Array) -> Array:
+        """(N,): the log density, at most 0."""
+        unit = x.reshape(-1, len(self._to_unit)) @ self._to_unit - self.first.ravel() @ self._to_unit
+        squared = np.einsum("ni,ni->n", unit, unit)
+        return np.asarray(-0.5 * (self.freedom + unit.shape[1]) * np.log1p(squared / self.freedom))

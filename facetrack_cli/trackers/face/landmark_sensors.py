@@ -15,8 +15,7 @@ from facetrack_cli.core.face_points import GROUPS, IRISES, MESH
 from facetrack_cli.core.types import Array, Frame, Mask, Point, Whole
 from facetrack_cli.trackers.face import landmark_filters as filters
 from facetrack_cli.trackers.face.cascaded_regression import MAX_LOG_ODDS, PlacedPoints, face_channels, load_regression
-from facetrack_cli.trackers.face.closer import again
-from facetrack_cli.trackers.face.detectors import Detection, Detector
+from facetrack_cli.trackers.face.detectors import Detection, Detector, again
 from facetrack_cli.trackers.face.eyes import CORNERS, SIDES, load_eyes, openings
 from facetrack_cli.trackers.face.landmark_filters import BiasFilter, LandmarkFilter
 from facetrack_cli.trackers.face.mesh import NAMES, Iris, Mesh

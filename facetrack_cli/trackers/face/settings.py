@@ -126,7 +126,7 @@ class WindowNccSettings(LikelihoodSettings):
 class StudentTSettings(PriorSettings):
     """Shape prior: one Student t density with the second moments of registered training shapes (ours)."""
 
-    engine = "facetrack_cli.trackers.face.shape_prior:build_student"
+    engine = "facetrack_cli.trackers.face.assembly:build_student"
     goes_with = ("points",)
     type: Literal["student_t"]
     file: Annotated[str, Field(min_length=1)]

@@ -21,7 +21,6 @@ from facetrack_cli.trackers.face import landmark_kernels as kernels
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import Sighting, View
 from facetrack_cli.trackers.face.landmark_filters import BiasFilter, Facing, LandmarkFilter
-from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.landmark_sensors import LandmarkReadings, LandmarkSensors
 from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.settings import HeadSettings
@@ -142,7 +141,7 @@ class FaceParts:
             EVIDENCE.name: np.array([info.evidence + state.info.evidence]),
         }
         if self.sensors.mesh is not None:
-            values[NETWORK.name] = state.bias_filters.reliability[BY_NETWORK].mean(keepdims=True)
+            values[NETWORK.name] = state.bias_filters.reliability[kernels.BY_NETWORK].mean(keepdims=True)
         diagnostics = {self.name: Diagnostics(self.diagnostics, np.array([frame.index]), values)}
         rows = filtered = of_frame(self._names, frame, diagnostics, **self._columns(state, info.ess, face))
         if self.calibration is not None:

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from statistics import mean
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.random import Generator
@@ -42,7 +42,7 @@ from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.motion import MeasuredWalk, modes
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, mapped, moved
-from facetrack_cli.trackers.face.window_ncc import doubted
+from facetrack_cli.trackers.face.window_ncc import WindowNcc, doubted
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
@@ -246,13 +246,7 @@ class FaceTarget(FaceParts):
         return FaceView(similarity, image, due, detection, landmarks, places, readings, at, shift, log_odds)
 
     def _followed(
-        self,
-        rng: Generator,
-        state: FaceState,
-        view: FaceView,
-        frame: Frame,
-        head_info: Info | None,
-        notes: tuple[str, ...] = (),
+        self, rng: Generator, state: FaceState, view: FaceView, frame: Frame, head_info: Info | None, notes: Names = ()
     ) -> tuple[FaceState, TargetResult]:
         """The points followed in a view of the frame, then what sensors, pose and landmarks learn from it.
 
@@ -294,14 +288,14 @@ class FaceTarget(FaceParts):
                 seen = look, _picture(frame, state.last_seen)
                 state = state._replace(views=evidence.kept(state.views, seen))
         state = self._restabilized(self._posed(state, view), view.similarity)
-        return state, self.result(state, head_info, frame, notes)
+        return state, self.result(state, head_info, frame, tuple(notes))
 
     def _tracked(self, rng: Generator, features: ParticleState, view: FaceView) -> tuple[ParticleState, Info]:
         """The points' filter a frame later, in the stabilized image of the view.
 
         All points first move by the view's shift, then follow the sensors' readings.
         """
-        walk, likelihood = self.features.motion, self._windows
+        walk, windows = self.features.motion, cast(WindowNcc, self.features.likelihood)
         before, sure = features.estimated.state + view.shift, (view.readings.sure > 0.5)[..., None]
         far = np.abs(view.readings.z - walk.expect(before[None])[0]).max(initial=0.0, where=sure)
         within = float(far + 3 * math.sqrt(np.diagonal(features.estimated.cov, 0, 1, 2).max()))
@@ -309,7 +303,7 @@ class FaceTarget(FaceParts):
         features = moved(features, partial(mapped, turned=1, shift=complex(*view.shift)), learned=learned)
 
         def measured(learned: Any) -> Motion:
-            return MeasuredWalk(**vars(walk), measured=view.readings, windows=likelihood.scored(learned))
+            return MeasuredWalk(**vars(walk), measured=view.readings, windows=windows.scored(learned))
 
         return self.features.advanced(rng, features, view.image, (), measured)
 
@@ -323,16 +317,11 @@ class FaceTarget(FaceParts):
         if differ.any():
             index = all_.sure.any(axis=1)
             judged = all_._replace(z=all_.z[index], var=all_.var[index], sure=all_.sure[index])
-            learned, places = self._windows.look(features.learned, view.image, at), modes(judged)[0]
-            by_windows = self._windows.score(learned, view.image, places, at)
+            windows, places = self.features.likelihood, modes(judged)[0]
+            by_windows = windows.score(windows.look(features.learned, view.image, at), view.image, places, at)
             by_regression = self.sensors.log_odds_at(view.landmarks.channels, places)
             odds[index] = np.where(differ, filters.who_is_right(judged, by_windows, by_regression), np.nan)
         return odds, cross
-
-    @property
-    def _windows(self) -> Any:
-        """The likelihood of the points, `WindowNcc`: no other goes with a head."""
-        return self.features.likelihood
 
     def _posed(self, state: FaceState, view: FaceView) -> FaceState:
         """With the pose by the detected box, and by the line of parts left and right, or else of the eyes."""
@@ -424,16 +413,14 @@ class FaceTarget(FaceParts):
         side = sighting.face.box[2] * math.exp(-state.pose[1])
         middle = np.array(centre(sighting.face.box)) - side * state.pose[2:]
         head, _ = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
-        notes: tuple[str, ...] = ()
-        if sighting.p < evidence.SURE:
-            doubt = f"(probability {1 - sighting.p:.2f})"
-            notes = (f"from frame {frame.index} on the face may be another one than before {doubt}",)
+        doubt = f"(probability {1 - sighting.p:.2f})"
+        note = f"from frame {frame.index} on the face may be another one than before {doubt}"
         pose, rest = np.array([sighting.face.roll, *state.pose[1:]]), self.features.x0
         features = moved(state.features, lambda x: x + (rest - state.features.estimated.state))
         state = state._replace(head=head, features=features, pose=pose, facing=Facing())
         state = state._replace(sighting=None, cut_time=None, again=None, stranger_time=None)
         view = self._view(state, head.estimated.state, frame, due=True)
-        return self._followed(rng, state, view, frame, self.head.begun, notes)
+        return self._followed(rng, state, view, frame, self.head.begun, [note] if sighting.p < evidence.SURE else ())
 
 
 def _picture(frame: Frame, face: Similarity) -> Picture:

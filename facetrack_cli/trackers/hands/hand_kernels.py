@@ -1,5 +1,5 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
-"""Steps and weights of two hands, particle by particle; what they mean stands in `joint.py`.
+"""Steps and weights of two hands, particle by particle; what they mean stands in `target.py`.
 
 Places x (N, 2, 4) and the `face` (2,) are in sizes of the face's first box, of which the face now has `size` and which
 are `scale` pixels of the maps (H, W) float32. `strength` is what the share of skin in a hand adds to log p.
@@ -230,7 +230,7 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
 
 @exact
 def gather(x, seen, w, skin_at, scale, evidence, radius, p, at, cov, near, skin, form):
-    """Each hand where most of the particles that see it are; all of them where none does. See `joint.Belief`.
+    """Each hand where most of the particles that see it are; all of them where none does. See `Belief`.
 
     `skin_at` is the share of skin in a hand at each pixel, `radius` that of a hand in pixels.
     """
