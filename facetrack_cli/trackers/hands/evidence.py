@@ -60,21 +60,16 @@ _SMOOTHED: Final = np.asarray(cv2.getGaussianKernel(9, 1.0, cv2.CV_32F)[:, 0], n
 
 
 class Scene(NamedTuple):
-    """What is known of the clip: `chances` (256, 256), p(skin | c) by [Cb, Cr]; `still` (H, W), the p
-    of the background; `grey` (H, W), the last frame; `face` (h, w, 3), the template of the head; `first`
-    (H, W, 3), the frame in whose light all are seen; `factor` of reduced frames, `side` of the face's box in their
-    pixels in the first frame; `unrest`, the grey levels by which the head differs from its template where no hand is
-    near.
-    """
+    """What is known of the clip."""
 
-    chances: Map
-    still: Map
-    grey: Map
-    face: Map
-    first: Image
-    factor: int
-    side: float
-    unrest: float = UNREST_AT_FIRST
+    chances: Map  # (256, 256), p(skin | c) by [Cb, Cr]
+    still: Map  # (H, W), the p of the background
+    grey: Map  # (H, W), the last frame
+    face: Map  # (h, w, 3), the template of the head
+    first: Image  # (H, W, 3), the frame in whose light all are seen
+    factor: int  # of reduced frames
+    side: float  # of the face's box in their pixels in the first frame
+    unrest: float = UNREST_AT_FIRST  # grey levels by which the head differs from its template where no hand is near
 
 
 def reduced(frame: Frame, factor: int) -> Image:

@@ -80,31 +80,26 @@ BORDER: Final = 0.6  # sizes of the face, nearer than which to the border a hand
 
 
 class Cloud(NamedTuple):
-    """Equally weighted particles: `x` (N, 2, 4) places and velocities in sizes of the face's box, from the corner of
-    the frame, `seen` (N, 2), and `parted` (N,), whether two hands that are seen have been apart since.
-    """
+    """Equally weighted particles."""
 
-    x: Array
-    seen: Mask
-    parted: Mask
+    x: Array  # (N, 2, 4), places and velocities in sizes of the face's box, from the corner of the frame
+    seen: Mask  # (N, 2)
+    parted: Mask  # (N,), whether two hands that are seen have been apart since
 
     def exchanged(self) -> Cloud:
         return Cloud(self.x[:, ::-1], self.seen[:, ::-1], self.parted)
 
 
 class Belief(NamedTuple):
-    """Of each hand: p that it is `seen`, the place `at` (2, 2) and `cov` (2, 2, 2) of the particles about it, in sizes;
-    `near` (2,), the share of those that see it which are there; `ess` of the filter's step; `skin` (2,), the share of
-    skin in a hand there; `form` (2, 3), of that skin width, height, twice the radius each of a disc, and l sin 2a.
-    """
+    """What the particles say of each hand."""
 
-    seen: Array
-    at: Array
-    cov: Array
-    near: Array
-    ess: float
-    skin: Array
-    form: Array
+    seen: Array  # (2,), p that it is seen
+    at: Array  # (2, 2), its place, in sizes
+    cov: Array  # (2, 2, 2), of the particles about it
+    near: Array  # (2,), the share of those that see it which are there
+    ess: float  # of the filter's step
+    skin: Array  # (2,), the share of skin in a hand there
+    form: Array  # (2, 3), of that skin width, height, twice the radius each of a disc, and l sin 2a
 
     def exchanged(self) -> Belief:
         return Belief._make(value if isinstance(value, float) else value[::-1] for value in self)
@@ -215,26 +210,21 @@ def names_after(settings: HandsSettings, belief: Belief, face: Face, before: flo
 
 
 class HandState(NamedTuple):
-    """The posterior of both hands after a frame. `began` is the frame in which it began, `now` this frame.
-
-    `last` (2,) are the times when each hand was seen last, -inf if never; `inside` (2,), whether that was within the
-    picture; `shown`, when the head was. `speed` (2,) is in sizes of the face a frame, `size` (2, 2) width and height of
-    each hand in pixels, `present` (2,) the probability that it is in the picture. `named` (2,) are the probability that
-    the hands have their own names, at least 0.5, and that these are others than in the frame before.
-    """
+    """The posterior of both hands after a frame."""
 
     scene: Scene
     cloud: Cloud
     belief: Belief
     face: Footprint
-    began: int
-    now: int
-    speed: Array
-    size: Array
-    present: Array
-    last: Array
-    inside: Array
-    shown: float
+    began: int  # the frame in which it began
+    now: int  # this frame
+    speed: Array  # (2,), in sizes of the face a frame
+    size: Array  # (2, 2), width and height of each hand in pixels
+    present: Array  # (2,), the probability that it is in the picture
+    last: Array  # (2,), when each hand was seen last, -inf if never
+    inside: Array  # (2,), whether that was within the picture
+    shown: float  # when the head was seen last
+    # probabilities that the hands have their own names, at least 0.5, and that these are others than a frame before
     named: tuple[float, float]
 
 

@@ -53,30 +53,23 @@ FACE_SCORE: Final = 0.65  # mean of the detector's score over the better half of
 
 
 class FaceDescriptor(NamedTuple):
-    """What M views of a face show: `face` (M, 576), grey without mean and of unit norm; `skin`, `hair` (M, 3) in Lab.
+    """What M views of a face show."""
 
-    `worn` (M, 36), a histogram of colours; `embedding` (M, 128), or (M, 0) without dlib. `worth` (M, 1): how much of a
-    face can be told from it, 0..1.
-    """
-
-    face: Array
-    skin: Array
-    hair: Array
-    worn: Array
-    embedding: Array
-    worth: Array
+    face: Array  # (M, 576), grey without mean and of unit norm
+    skin: Array  # (M, 3), in Lab
+    hair: Array  # (M, 3)
+    worn: Array  # (M, 36), a histogram of colours
+    embedding: Array  # (M, 128), or (M, 0) without dlib
+    worth: Array  # (M, 1), how much of a face can be told from it, 0..1
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A face in one frame: upright (CHIP_PX, CHIP_PX, 3), and with what is around it (WIDE_PX, WIDE_PX, 3).
+    """A face in one frame."""
 
-    `side` are the pixels of its box in the frame.
-    """
-
-    chip: Image
-    wide: Image
-    side: float
+    chip: Image  # (CHIP_PX, CHIP_PX, 3), upright
+    wide: Image  # (WIDE_PX, WIDE_PX, 3), with what is around it
+    side: float  # of its box in the frame, in pixels
 
     @classmethod
     def of(cls, frame: Frame, face: Similarity) -> Picture:
