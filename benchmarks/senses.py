@@ -40,7 +40,7 @@ from face import REFERENCE, against_reference
 from facetrack_cli.core.models import model_path
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.api import track_video
-from facetrack_cli.trackers.face import target
+from facetrack_cli.trackers.face import evidence
 from facetrack_cli.trackers.people import descriptor as looks
 from facetrack_cli.video.shots import Passing
 
@@ -61,7 +61,9 @@ def share(clip: Path, reference: Path, sense: str, seed: int) -> float:
         if sense == "-cuts":
             without.enter_context(patch.object(Passing, "after", lambda self, frame: (self, "")))
         if sense == "-looks":
-            without.enter_context(patch.object(target, "by_looks", lambda views, faces, *others: np.zeros(len(faces))))
+            without.enter_context(
+                patch.object(evidence, "by_looks", lambda views, faces, *others: np.zeros(len(faces)))
+            )
         if sense == "-embedding":
             without.enter_context(patch.object(looks, "embedding_model", lambda: None))
         ours = track_video(clip, load_recipe("face", OVERRIDES.get(sense, [])), seed=seed)

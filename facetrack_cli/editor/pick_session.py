@@ -18,8 +18,7 @@ from facetrack_cli.recipe.load import wants_gallery
 from facetrack_cli.recipe.model import ParticlesRecipe, Recipe
 from facetrack_cli.start.assembly import name_targets, tracker_for
 from facetrack_cli.start.init_file import TARGET, WHAT_PARTS_ARE, check_start, write_init
-from facetrack_cli.trackers.face.closer import righted
-from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named
+from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named, righted
 from facetrack_cli.video.overlay import write_preview
 from facetrack_cli.video.source import Frames
 

@@ -140,16 +140,13 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
 
 
 def files_of(recipe: Recipe) -> list[Path]:
-    """The files that a recipe names: priors, galleries, networks, calibrations. YamlProblems for a missing one."""
+    """The files that a recipe names: priors, galleries, calibrations. YamlProblems for a missing one."""
     files: dict[str, str] = {}
     for name, settings in recipe.filters.items():
         for section, part in settings.components.items():
             files |= {f"{above(name)}{section}.{key}": file for key, file in part.files.items()}
         if settings.confidence.calibration is not None:
             files[f"{above(name)}confidence.calibration"] = settings.confidence.calibration
-    for name, head in recipe.heads.items():
-        if head.landmarks.network not in (None, "mesh"):
-            files[f"{above(name)}head.landmarks.network"] = head.landmarks.network
     return [resolve_file(recipe, file, key) for key, file in files.items()]
 
 

@@ -99,8 +99,8 @@ class ParticleFilterSettings(Section):
         if self.confidence.calibration is not None and not self.likelihood.judges:
             message = f'likelihood type "{self.likelihood.type}" gives no confidence; remove the calibration'
             yield Refusal(("confidence", "calibration"), message)
-        if self.head is not None and not self.points:
-            yield Refusal(("head",), "head carries points of a face; remove it, or follow points")
+        if self.head is not None and (self.motion.type, self.likelihood.type) != ("jumping_walk", "window_ncc"):
+            yield Refusal(("head",), "head carries points that move by jumping_walk and look by window_ncc; remove it")
 
     def _mismatch(self, key: str, section: Component) -> Refusal:
         """The error for a section that does not go with the type of the target."""
@@ -185,7 +185,7 @@ class Recipe(Section):
 
     @property
     def networks(self) -> tuple[str, ...]:
-        """The networks that place points: `mesh` or the paths of files, and `iris`."""
+        """The networks that place points: `mesh` and `iris`."""
         landmarks = [head.landmarks for head in self.heads.values() if head.landmarks.network]
         return tuple(name for marks in landmarks for name in (marks.network, marks.iris) if name is not None)
 

@@ -86,7 +86,7 @@ class Clip(File):
 class Manifest(RunSummary):
     """The contents of run.json. `asked`: a digest of all that was asked for.
 
-    `networks` are those that placed points: `mesh`, or the file that the recipe names.
+    `networks` are those that placed points.
     `doubts` is what speaks against the track, `look` the first and last frames to look at, the longest span first.
     `began` and `ended` are UTC; `seconds` is the time between them, in which all but `resumed` frames were tracked. In
     a batch a clip that failed has its `error`.

@@ -22,7 +22,7 @@ from facetrack_cli.start.init_file import SUFFIXES as INIT_SUFFIXES
 from facetrack_cli.start.init_file import check_start, default_path, find_init, read_init
 from facetrack_cli.trackers.appearance.appearance import AffineSpace, Patches
 from facetrack_cli.trackers.appearance.gallery import Rows, name_problem
-from facetrack_cli.trackers.face.detectors import find_faces
+from facetrack_cli.trackers.face.detectors import Haar
 from facetrack_cli.video import images
 from facetrack_cli.video.source import open_source
 
@@ -119,7 +119,7 @@ def faces_of(item: Path, reading: Reading, warn: Warn) -> Iterator[tuple[str, Fr
                     continue
                 at = str(item) if alone else f"{item}: frame {frame.index}"
                 if start is None:
-                    boxes: Sequence[Box | None] = find_faces(frame.bgr) or [None]
+                    boxes: Sequence[Box | None] = [face.box for face in Haar().find(frame)] or [None]
                 else:
                     check_start(start, frame.size, ())
                     boxes = [target.box for target in start.targets.values()]

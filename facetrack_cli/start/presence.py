@@ -25,8 +25,8 @@ from facetrack_cli.engine.corrected import CorrectedTarget
 from facetrack_cli.engine.loop import Target, TrackState
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.start.assembly import tracker_for
-from facetrack_cli.trackers.face.closer import everywhere, near, righted
-from facetrack_cli.trackers.face.detectors import EYES_IN_BOX, MIN_FACE_SHARE, MOUTH_Y, Detection, Detector, named
+from facetrack_cli.trackers.face import detectors
+from facetrack_cli.trackers.face.detectors import Detection, Detector, everywhere, named, near, righted
 from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trajectory.trajectory import UNSEEN, FrameResult, TargetResult
 from facetrack_cli.video.shots import Shot
@@ -184,7 +184,7 @@ class MultiFaceTracker:
         Where `nobody` else is seen it may be small.
         """
         taken = any(track.box is not None and overlap(track.box, face.box) >= SAME_FACE for track in kept)
-        least = max(MIN_FACE_PX, 0 if nobody else MIN_FACE_SHARE * min(self.size))
+        least = max(MIN_FACE_PX, 0 if nobody else detectors.MIN_FACE_SHARE * min(self.size))
         if taken or not in_view(face.box, self.size) or face.box[2] < least:
             return False
         if len(frames) <= TWICE_FRAMES:
@@ -222,8 +222,8 @@ def among_others(target: Target) -> Target:
 
 def in_view(face: Box, size: tuple[int, int]) -> bool:
     """Whether eyes, nose and mouth of the face in a box are in a picture of that size, whatever the border cuts off."""
-    (x, y, w, h), ((left, top), (right, _)) = face, EYES_IN_BOX
-    down = MOUTH_Y * (right - left)
+    (x, y, w, h), ((left, top), (right, _)) = face, detectors.EYES_IN_BOX
+    down = detectors.MOUTH_Y * (right - left)
     return share_inside((x + left * w, y + top * h, (right - left) * w, down * h), size) >= INSIDE
 
 

@@ -5,7 +5,7 @@ face if it is found often enough, and shows eyes or a mouth. Of several faces th
 area, summed over the frames. It takes a face that does not change, as in a photograph, only if no other face moves
 within some time, and a dark face only if no better lit face follows. What changes is what is left when the face, which
 a hand may shake, is laid on its first picture. Where nobody is certain the frame is looked at more closely
-(`trackers/face/closer.py`). The points of a face are means over its frames, in its box, of the places that are near
+(`trackers/face/detectors.py`). The points of a face are means over its frames, in its box, of the places that are near
 those of the first frame: noise averages out, and a mouth that moves keeps its first shape. Nothing here is random.
 """
 
@@ -26,7 +26,6 @@ from facetrack_cli.core.geometry import centre, inside, overlap, warp_affine
 from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStart
 from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.start.init_file import check_start
-from facetrack_cli.trackers.face.closer import everywhere, near, righted
 from facetrack_cli.trackers.face.detectors import (
     MIN_CONTRAST,
     PARTS,
@@ -36,7 +35,10 @@ from facetrack_cli.trackers.face.detectors import (
     NotHereError,
     check_parts,
     detector,
+    everywhere,
     named,
+    near,
+    righted,
     shows_eye,
 )
 from facetrack_cli.trackers.face.stabilized import Similarity

@@ -15,7 +15,7 @@ from facetrack_cli.start.gallery_images import SHIFT, STRETCH, TURN, Reading, co
 from facetrack_cli.start.gallery_images import read_faces as read_all
 from facetrack_cli.trackers.appearance.appearance import Patches
 from facetrack_cli.trackers.appearance.gallery import load_gallery
-from facetrack_cli.trackers.face.detectors import find_faces
+from facetrack_cli.trackers.face.detectors import Haar
 from tests.support.media import write_video
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
@@ -252,7 +252,7 @@ def read(tmp_path_factory):
     (folder / "hopper" / "flat.init.yaml").write_text("frame: 0\nbox: [40, 40, 60, 60]\n")
     for name in ("collins/9.png", "hopper/9.png"):
         (folder / name).write_bytes((folder / "collins" / "1.png").read_bytes())
-    box = find_faces(face_of("hopper", 0))[0]
+    box = Haar().find(Frame(0, 0.0, face_of("hopper", 0)))[0].box
     (folder / "hopper" / "1.init.yaml").write_text(f"frame: 0\nanna: {{box: {[box[0] + 9, *box[1:]]}}}\n")
     return *faces_of(folder), folder
 
@@ -274,7 +274,7 @@ def test_a_face_is_read_as_the_tracker_reads_one_that_begins_in_its_box(read):
     assert faces.persons == ("collins", "collins", "hopper", "hopper")
     for index, name, right in ((0, "collins", 0), (2, "hopper", 9)):  # an init file moved the second
         picture = cv2.imread(str(folder / name / "1.png"))
-        x, y, w, h = find_faces(picture)[0]
+        x, y, w, h = Haar().find(Frame(0, 0.0, picture))[0].box
         patches = Patches(size=(w, h))
         state = np.array([[[x + right + (w - 1) / 2, y + (h - 1) / 2, 1.0, 0.0, 0.0, 1.0]]])
         expected = patches.read(Frame(0, 0.0, picture), state, patches.factor(state[0]))[0]
@@ -302,7 +302,7 @@ def test_frames_of_a_clip_are_spread_between_start_and_stop_or_the_one_of_its_in
     faces, said = faces_of(clip, start=3, stop=5)
     assert faces.used["hopper"] == 2 and faces.skipped["hopper"] == 1
     assert len(said) == 1 and "stills" in said[0] and "past the end" in said[0]
-    x, y, w, h = find_faces(face_of("hopper", 0))[0]
+    x, y, w, h = Haar().find(Frame(0, 0.0, face_of("hopper", 0)))[0].box
     init = clip / "hopper" / "clip.init.yaml"
     init.write_text(f"frame: 5\nbox: [{x + 10}, {y}, {w}, {h}]\n")
     assert faces_of(clip, frames=2)[0].used["hopper"] == 1 + 2, "an init file gives the one face of a clip"

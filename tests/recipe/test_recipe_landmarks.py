@@ -8,9 +8,8 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.models import MODELS
-from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.manifest import recipe_digest
 from facetrack_cli.start.assembly import build_tracker
 from tests.support.samples import FOLDER, TrackClip
 
@@ -63,25 +62,7 @@ def test_a_network_that_is_not_there_ends_in_one_line_that_says_what_to_do(tmp_p
     code, lines = run(capfd, f"{KEY}=mesh")
     assert code == 2 and lines[0].startswith("facetrack: error: ") and sum("error" in line for line in lines) == 1
     assert lines[0].endswith("the network mesh is not here; bring it by facetrack models get mesh, or write null")
-    code, lines = run(capfd, f"{KEY}=nowhere.tflite")
-    assert code == 2 and sum("error" in line for line in lines) == 1
-    assert 'there is no file "nowhere.tflite" in . and ' in lines[0]
-    assert lines[0].endswith("correct the name, or put it there")
     assert not [*tmp_path.iterdir()], "nothing is written"
-
-
-def test_the_file_of_a_network_is_one_that_the_recipe_names(tmp_path, monkeypatch):
-    """Checking a recipe says that it is missing, and another file in its place is another recipe to continue a run."""
-    monkeypatch.chdir(tmp_path)
-    own = ["head.landmarks.network=a.tflite"]
-    [problem] = check_recipe("face", own)
-    assert 'there is no file "a.tflite"' in str(problem.message)
-    digests = set()
-    for content in (b"one", b"other"):
-        (tmp_path / "a.tflite").write_bytes(content)
-        assert check_recipe("face", own) == [] == check_recipe("face", [f"{KEY}=mesh"])
-        digests.add(recipe_digest(load_recipe("face", own)))
-    assert len(digests) == 2
 
 
 def test_a_run_is_built_and_recorded_with_the_network(mesh_model, tmp_path, monkeypatch, capfd):

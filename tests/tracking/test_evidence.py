@@ -102,19 +102,19 @@ def place(box, turn=0.0):
 
 
 def test_time_runs_from_the_first_sighting_of_a_face():
-    first = Sighting.of(seen(ELSEWHERE, 0.3), shown(time_s=2.0))
-    assert first.after(None) == first and first.since == 2.0 and first.roll == pytest.approx(0.3)
+    first = Sighting(seen(ELSEWHERE, 0.3), 2.0)
+    assert first.after(None) == first
     near = (ELSEWHERE[0] + 20, *ELSEWHERE[1:])
-    assert Sighting.of(seen(near), shown(time_s=2.4)).after(first).since == 2.0
-    assert Sighting.of(seen(BOX), shown(time_s=2.4)).after(first).since == 2.4, "another face: time begins anew"
+    assert Sighting(seen(near), 2.4).after(first).since == 2.0
+    assert Sighting(seen(BOX), 2.4).after(first).since == 2.4, "another face: time begins anew"
     looks = first._replace(by_looks=-2.0)
     for odds, mean in ((1.0, -0.5), (4.0, 1.0)):
-        looks = Sighting.of(seen(ELSEWHERE), shown())._replace(by_looks=odds).after(looks)
+        looks = Sighting(seen(ELSEWHERE), 2.4, by_looks=odds).after(looks)
         assert looks.by_looks == pytest.approx(mean), "the mean of all views"
 
 
 def test_a_face_is_followed_at_once_if_it_looks_so_else_if_it_stays_and_never_if_it_is_unlikely():
-    face = Sighting(BOX, 0.0, 1.0, p=0.7, latest=3.0)
+    face = Sighting(seen(BOX), 1.0, p=0.7, latest=3.0)
     assert face.is_target(shown(time_s=1.0)) and not face._replace(p=0.4).is_target(shown(time_s=9.0))
     waits = face._replace(latest=-3.0)
     assert not waits.is_target(shown(time_s=1.0 + 0.9 * STAYS)) and waits.is_target(shown(time_s=1.0 + STAYS))
@@ -142,8 +142,8 @@ def test_who_walks_by_is_not_the_target_and_who_stays_may_be():
 
 
 def test_a_face_that_looks_otherwise_from_one_sighting_to_the_next_is_another_one():
-    first = Sighting.of(seen(ELSEWHERE), shown(time_s=2.0))._replace(by_looks=-3.0, latest=-3.0)
-    same, other = (Sighting.of(seen(ELSEWHERE), shown(time_s=2.1))._replace(by_looks=x, latest=x) for x in (0.5, 1.5))
+    first = Sighting(seen(ELSEWHERE), 2.0, by_looks=-3.0, latest=-3.0)
+    same, other = (Sighting(seen(ELSEWHERE), 2.1, by_looks=x, latest=x) for x in (0.5, 1.5))
     assert same.after(first).since == 2.0 and other.after(first) == other
 
 
@@ -165,7 +165,7 @@ def test_looks_are_bounded(monkeypatch):
     def pictures(frame, *boxes):
         return [Picture.of(frame, place(box)._replace(scale=box[2])) for box in boxes]
 
-    known = pictures(shown((BOX, 1)), BOX)
+    known = [View(OWN[0].look, picture) for picture in pictures(shown((BOX, 1)), BOX)]
 
     def like(looks, senses):
         return np.array([[100 * (one.face[0] @ looks[0].face[0] - 0.5) for one in looks]])
@@ -183,7 +183,7 @@ def test_views_of_who_walked_by_unnoticed_do_not_count(monkeypatch):
     monkeypatch.setattr(
         evidence,
         "by_looks",
-        lambda views, faces, senses: [max(4.0 if (view.side, faces[0].side) in alike else -4.0 for view in views)],
+        lambda views, faces, _: [max(4.0 if (v.picture.side, faces[0].side) in alike else -4.0 for v in views)],
     )
 
     def owned(*views):

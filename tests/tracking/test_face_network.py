@@ -33,21 +33,14 @@ ALL = tuple(name for name in NAMES if name not in (*PARTS, *OF_EYES))
 POSES = [Pose(120 + 1.2 * t, 112 + 6 * np.sin(t / 6), 100 * 1.003**t) for t in range(40)]
 
 
-@pytest.fixture(scope="module")
-def file(tmp_path_factory):
-    """A file in place of the network's."""
-    path = tmp_path_factory.mktemp("network") / "a.tflite"
-    path.touch()
-    return path
-
-
-def results_of(file, mesh, poses, points="features", corrections=(), particles=100):
-    """What a tracker gives that was built with `mesh` as the network in the file."""
-    more = [f"head.landmarks.{key}={value}" for key, value in (("network", file), ("points", points))]
+def results_of(mesh, poses, points="features", corrections=(), particles=100):
+    """What a tracker gives that was built with `mesh` as the network."""
+    more = [f"head.landmarks.{key}={value}" for key, value in (("network", "mesh"), ("points", points))]
     recipe = load_recipe("face", [*more, f"filter.particles={particles}", "head.detections=null"])
     start = replace(moving.start(poses[0]), corrections=tuple(corrections))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(targets, "Mesh", lambda path: mesh if path == file else None)
+        patch.setattr(targets, "model_path", lambda name: name)
+        patch.setattr(targets, "Mesh", {"mesh": mesh}.get)
         return list(track(build_tracker(recipe, start), iter(clip(poses)), 0))
 
 
@@ -70,10 +63,10 @@ def errors(at, mesh, poses, parts):
 
 
 @pytest.fixture(scope="module")
-def moved(file):
+def moved():
     """A face that moves and grows, seen by a network that trembles by a pixel."""
     mesh = FakeMesh(POSES, noise=1.0)
-    return mesh, results_of(file, mesh, POSES)
+    return mesh, results_of(mesh, POSES)
 
 
 def test_rows_are_those_of_the_parts_of_the_box_and_of_the_points_of_the_network(moved):
@@ -91,25 +84,25 @@ def test_rows_are_those_of_the_parts_of_the_box_and_of_the_points_of_the_network
     assert (column(results, "status", FEATURES) == "lost").mean() < 0.1
 
 
-def test_of_all_points_there_is_a_row_each(file):
+def test_of_all_points_there_is_a_row_each():
     mesh = FakeMesh(POSES[:3])
-    results = results_of(file, mesh, POSES[:3], "all")
+    results = results_of(mesh, POSES[:3], "all")
     names = [part for _, part in results[2].rows.names]
     assert len({*names} - {BOX}) == 468 and len(names) == 469 and names[:6] == [*PARTS, BOX]
     found = errors(places(results, ALL), mesh, POSES, ALL)
     assert found[0] == pytest.approx(0, abs=1e-6) and found.max() < 0.2
 
 
-def test_before_the_network_has_seen_the_face_its_points_are_lost_and_have_no_place(file):
+def test_before_the_network_has_seen_the_face_its_points_are_lost_and_have_no_place():
     mesh = FakeMesh([None if t < 4 else pose for t, pose in enumerate(POSES[:14])])
-    results = results_of(file, mesh, POSES[:14])
+    results = results_of(mesh, POSES[:14])
     assert (column(results[:4], "status", OTHERS) == "lost").all() and np.isnan(places(results[:4], OTHERS)).all()
     assert (column(results, "status", (*PARTS, BOX, *OF_EYES)) != "lost").all(), "windows and regression show them"
     assert errors(places(results, PARTS), FakeMesh(POSES), POSES, PARTS).max() < 0.35
     assert (column(results[4:], "status", FEATURES) == "tracked").mean() > 0.9
     assert np.isfinite(places(results[4:], FEATURES)).all()
     # a run of which the network never sees the face has rows that can be smoothed
-    never = results_of(file, FakeMesh([None] * 6), POSES[:6])
+    never = results_of(FakeMesh([None] * 6), POSES[:6])
     rows = successive([one.rows for one in never])
     after = smoothed_rows(rows, [one.targets[0].beliefs() for one in never])
     for one in (rows, after):
@@ -118,11 +111,11 @@ def test_before_the_network_has_seen_the_face_its_points_are_lost_and_have_no_pl
         assert np.isfinite(one.x[~np.isin(part, OTHERS)]).all()
 
 
-def test_points_of_a_network_are_lost_while_it_sees_no_face_and_with_the_head(file):
+def test_points_of_a_network_are_lost_while_it_sees_no_face_and_with_the_head():
     still, head_gone = [POSES[0]] * 45, slice(34, 45)
     seen = [None if 10 <= t < 24 else pose for t, pose in enumerate(still)]
     shown = [pose if t < 28 else None for t, pose in enumerate(still)]
-    results = results_of(file, FakeMesh(seen), shown)
+    results = results_of(FakeMesh(seen), shown)
     gone = np.isin(column(results, "status", OTHERS), UNSEEN)
     assert gone[20:24].all() and gone[:11].mean() < 0.2 and gone[27].mean() < 0.2
     assert (column(results[:28], "status", (BOX,)) != "lost").all()
@@ -134,14 +127,14 @@ def test_points_of_a_network_are_lost_while_it_sees_no_face_and_with_the_head(fi
     assert gone[head_gone].all() and (column(results[head_gone], "status", (BOX,)) == "lost").all()
 
 
-def test_a_correction_puts_parts_and_points_of_the_network_right_and_all_may_be_absent(file):
+def test_a_correction_puts_parts_and_points_of_the_network_right_and_all_may_be_absent():
     poses = [POSES[0]] * 5 + [Pose(200, 120)] * 10
     mesh = FakeMesh(poses)
     given = dict(zip(PARTS, map(tuple, moving.truth(poses[5], 0).tolist()), strict=True))
     for learn in (None, True):
         one = Correction(5, "face", points=given, learn=learn)
         gone = Correction(11, "face", absent=PARTS)
-        results = results_of(file, mesh, poses, corrections=(one, gone))
+        results = results_of(mesh, poses, corrections=(one, gone))
         rows = results[5].rows
         assert rows.by_hand.tolist() == [True] * 5 + [False] * 24
         assert {*rows.status[:5]} == {"init"} and {*rows.status[6:]} <= {"tracked", "lost"}
@@ -188,9 +181,9 @@ class Astray(FakeMesh):
         return found
 
 
-def test_a_network_that_takes_something_else_for_a_lip_does_not_move_it_and_is_said_to(file):
+def test_a_network_that_takes_something_else_for_a_lip_does_not_move_it_and_is_said_to():
     mesh = Astray(POSES, noise=0.5)
-    results = results_of(file, mesh, POSES, particles=300)
+    results = results_of(mesh, POSES, particles=300)
     with_it, known = places(results, ["lip_lower"]), FakeMesh(POSES)
     assert errors(with_it, known, POSES, ["lip_lower"]).max() < 0.14
     share = np.array([one.rows.diagnostics["face"].get(NETWORK.name)[-1] for one in results[1:]])
@@ -198,20 +191,21 @@ def test_a_network_that_takes_something_else_for_a_lip_does_not_move_it_and_is_s
     assert (column(results, "status", PARTS)[1:] == "tracked").all()
 
 
-def test_a_smoothed_run_of_a_clip_and_its_report_name_the_network(file, tmp_path, monkeypatch):
+def test_a_smoothed_run_of_a_clip_and_its_report_name_the_network(tmp_path, monkeypatch):
+    monkeypatch.setattr(targets, "model_path", lambda name: name)
     monkeypatch.setattr(targets, "Mesh", lambda path: FakeMesh([IN_CLIP] * 9, noise=0.6))
-    sets = ("--set", f"head.landmarks.network={file}", "--set", "filter.particles=100", "--stop", "9", "--no-video")
+    sets = ("--set", "head.landmarks.network=mesh", "--set", "filter.particles=100", "--stop", "9", "--no-video")
     out = tmp_path / "run"
     output = called("run", FOLDER / "expressions.mp4", "--config", "face", *sets, "--smooth", "-o", out)
     record = json.loads((out / "run.json").read_text())
-    assert record["networks"] == [str(file)]
-    assert "with the network a.tflite" in output
+    assert record["networks"] == ["mesh"]
+    assert "with the network mesh" in output
     table = read_trajectory(out / "trajectory.csv")
     assert [part for _, part in table.names] == [*PARTS, BOX, *FEATURES] and len(table.frames) == 9
     if find_spec("matplotlib"):
         called("report", out)
         [page] = out.glob("*.html")
-        assert "Its points were placed with the network a.tflite." in page.read_text()
+        assert "Its points were placed with the network mesh." in page.read_text()
 
 
 def called(*words):

@@ -1,12 +1,10 @@
 """The landmark network, where its file is there, and the sensors of points with and without it."""
 
 from concurrent.futures import ThreadPoolExecutor
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import MESH, POINTS
 from facetrack_cli.trackers.face.cascaded_regression import face_channels, load_regression
 from facetrack_cli.trackers.face.detectors import Detection
@@ -65,27 +63,6 @@ def test_the_network_sees_no_face_where_there_is_none_and_one_in_each_thread(mes
     with ThreadPoolExecutor(2) as pool:
         for one, other in zip(alone, pool.map(lambda frame: mesh.measure(frame, head), frames), strict=True):
             np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.parametrize("content", [b"", b"no network\n", b"\x1c\0\0\0TFL3" + bytes(2000)])
-def test_a_file_that_is_no_network_is_refused_in_a_line(tmp_path, content, capfd):
-    path = tmp_path / "a.tflite"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"a\.tflite: is no network that OpenCV reads; get it by facetrack") as error:
-        Mesh(path)
-    assert "\n" not in str(error.value)
-    assert capfd.readouterr() == ("", "")
-
-
-def test_another_network_is_refused_before_anything_is_tracked(tmp_path, monkeypatch):
-    iris = SimpleNamespace(
-        setInput=lambda blob: None,
-        getUnconnectedOutLayersNames=lambda: ("contours", "iris"),
-        forward=lambda names: [np.zeros((1, 213)), np.zeros((1, 15))],
-    )
-    monkeypatch.setattr("cv2.dnn.readNetFromTFLite", lambda path, **engine: iris)
-    with pytest.raises(InputError, match=r"iris\.tflite: is another network than MediaPipe's face mesh; get it by"):
-        Mesh(tmp_path / "iris.tflite")
 
 
 def sensed(sensors, pose=IN_CLIP):

@@ -8,7 +8,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, RecipeError, UsageError
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.trackers.face.shape_prior import StudentPrior
+from facetrack_cli.trackers.face.assembly import StudentPrior
 from facetrack_cli.trackers.points.point_kernels import LANES, PADDING, parzen
 from facetrack_cli.trackers.points.shape_prior import (
     BoundPrior,

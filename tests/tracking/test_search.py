@@ -25,8 +25,16 @@ from facetrack_cli.start.search import (
     search_start,
 )
 from facetrack_cli.trackers.face.cascaded_regression import PlacedPoints, load_regression
-from facetrack_cli.trackers.face.closer import again, everywhere, righted
-from facetrack_cli.trackers.face.detectors import Detection, Haar, YuNet, named, yunet_model
+from facetrack_cli.trackers.face.detectors import (
+    Detection,
+    Haar,
+    YuNet,
+    again,
+    everywhere,
+    named,
+    righted,
+    yunet_model,
+)
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from tests.support import moving_face as moving
 from tests.support.moving_face import EYES, PARTS, Pose

@@ -15,8 +15,8 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
-from facetrack_cli.trackers.hands import evidence, joint
-from facetrack_cli.trackers.hands import target as hand_target
+from facetrack_cli.trackers.hands import evidence
+from facetrack_cli.trackers.hands import target as joint
 from facetrack_cli.trackers.hands.evidence import shift_between
 from facetrack_cli.trackers.hands.hand_kernels import weigh
 from facetrack_cli.trackers.smoothed import renamed_hands
@@ -241,7 +241,7 @@ def test_an_arm_that_leaves_the_picture_is_no_hand_in_it():
     def present(y, skin, seen=1.0, face=BODY):
         at, spread, form = np.array([[3.0, y], [5.0, y]]), np.zeros((2, 2, 2)), np.zeros((2, 3))
         belief = joint.Belief(np.full(2, seen), at, spread, np.ones(2), 1.0, np.full(2, skin), form)
-        return hand_target.in_picture(hand_target.cues(belief, face, 4.6))[0]
+        return joint.in_picture(joint.cues(belief, face, 4.6))[0]
 
     assert present(2.5, 0.6) > 0.95 and present(2.5, 0.6, seen=0.0) < 0.1
     assert present(4.5, 0.3) < 0.4 < 0.8 < present(2.5, 0.3)

@@ -9,7 +9,7 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.start.init_file import check_start, find_init, read_init
 from facetrack_cli.start.search import box_start, search_start
-from facetrack_cli.trackers.face.detectors import PARTS, find_faces, mean_eyes, place
+from facetrack_cli.trackers.face.detectors import PARTS, Detection, Haar, mean_eyes
 from facetrack_cli.video.overlay import draw_start
 from tests.support.samples import TrackClip
 
@@ -50,15 +50,15 @@ def as_it_lies(image, turn, zoom):
 @pytest.mark.parametrize("clip", ["expressions", "occlusion"])
 def test_points_go_with_a_face_whose_eyes_are_seen_however_it_lies(clip, turn, zoom):
     frame, truth = sample(clip)
-    box = find_faces(frame.bgr)[0]
+    box = Haar().find(frame)[0].box
     eyes, apart = np.array(mean_eyes(box)), 0.363 * box[2]
-    straight = place(frame.bgr, box, tuple(map(tuple, eyes)))
+    straight = Detection(box, tuple(map(tuple, eyes))).places(frame.bgr)
     assert max(np.hypot(*np.subtract(straight[part], truth[part])) for part in PARTS) < 0.2 * apart
     image, to = as_it_lies(frame.bgr, turn, zoom)
     cx, cy = to[:, :2] @ np.add(box[:2], np.divide(box[2:], 2)) + to[:, 2]
     left, right = eyes @ to[:, :2].T + to[:, 2]
     side = zoom * box[2]
-    points = place(image, (cx - side / 2, cy - side / 2, side, side), (tuple(left), tuple(right)))
+    points = Detection((cx - side / 2, cy - side / 2, side, side), (tuple(left), tuple(right))).places(image)
     off = [np.hypot(*(to[:, :2] @ straight[part] + to[:, 2] - points[part])) / (zoom * apart) for part in PARTS]
     assert np.mean(off) < 0.06 and max(off) < 0.12
 
@@ -103,7 +103,7 @@ def test_only_five_parts_can_be_placed(face):
 @pytest.mark.parametrize("by", ["haar", None])
 def test_a_box_drawn_by_hand_need_not_be_exact_and_stands_in_for_a_face_that_nobody_sees(face, by):
     frame, truth = face
-    x, y, w, h = find_faces(frame.bgr)[0]
+    x, y, w, h = Haar().find(frame)[0].box
     drawn = (x + 0.08 * w, y - 0.1 * h, 0.9 * w, 1.2 * h)
     start = box_start(frame, drawn, by=by)
     assert start.targets["face"].box == drawn and start.origin == "--box"
@@ -168,7 +168,7 @@ def test_init_writes_what_run_will_find_and_replaces_nothing_unasked(clip, capsy
 
 
 def test_init_to_stdout_with_box_frame_and_preview(clip, tmp_path, capsys, face):
-    preview, box = tmp_path / "look.png", find_faces(face[0].bgr)[0]
+    preview, box = tmp_path / "look.png", Haar().find(face[0])[0].box
     given = ["--init-frame", "2", "--box", ",".join(map(str, box)), "--preview", str(preview)]
     assert main(["init", str(clip), "-o", "-", *given]) == 0
     assert cv2.imread(str(preview)) is not None and not list(clip.parent.glob("*.init.*"))

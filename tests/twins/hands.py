@@ -1,4 +1,4 @@
-"""Slow, plain twins of trackers/hands/hand_kernels.py: all particles at once, from the formulas of `joint.py`."""
+"""Slow, plain twins of trackers/hands/hand_kernels.py: all particles at once, from the formulas of `target.py`."""
 
 import math
 
@@ -118,14 +118,6 @@ def peaks(fit, least, most):
     return np.stack(np.divmod(best, fit.shape[1])[::-1], axis=1), fit.ravel()[best]
 
 
-def resample(x, seen, parted, w, u, at):
-    points = (np.arange(len(w)) + u) / len(w) * w.sum()
-    kept = np.minimum(np.cumsum(w).searchsorted(points, side="right"), np.flatnonzero(w)[-1])
-    x, seen = x[kept], seen[kept]
-    other = seen.all(axis=1) & ((x[:, 0, :2] - x[:, 1, :2]) @ (at[0] - at[1]) < 0)
-    return np.where(other[:, None, None], x[:, ::-1], x), seen, parted[kept]
-
-
 def gather(x, seen, w, share_at, scale, evidence, radius):
     """p (2,), at (2, 2), cov (2, 2, 2), near (2,), skin (2,), form (2, 3)."""
     found = []
@@ -174,12 +166,3 @@ def learn_head(seen, head, limit, hands, radius):
     )
     rate = np.where(free, of.HELD + (of.LEARNS - of.HELD) * (1 - new), of.HELD)
     return head + rate[..., None] * (seen - head), change, new, change[free]
-
-
-def is_lit_alike(first, now, step):
-    first, now = (one[::step, ::step].reshape(-1, 3).astype(float) for one in (first, now))
-    usable = (np.minimum(first, now).min(axis=1) >= of.DARK) & (np.maximum(first, now).max(axis=1) <= of.BRIGHT)
-    if usable.sum() < of.ENOUGH * len(usable):
-        return True
-    ratio = np.sort(now[usable] / first[usable], axis=0)[usable.sum() // 2]
-    return bool((np.abs(ratio - 1) < of.LEAST_GAIN).all())

@@ -1,4 +1,6 @@
-"""From the settings of a target and its start to the target."""
+"""From the settings of a target and its start to the target, and to the shape prior of its points (ours)."""
+
+from __future__ import annotations
 
 import math
 from dataclasses import replace
@@ -8,79 +10,67 @@ import numpy as np
 
 from facetrack_cli.core.face_points import GROUPS, IRISES, POINTS
 from facetrack_cli.core.geometry import centre, size_of_points
-from facetrack_cli.core.models import MODELS, model_path
+from facetrack_cli.core.models import model_path
 from facetrack_cli.core.types import Array, Box, Start, TargetStart
+from facetrack_cli.engine.protocols import Prior
+from facetrack_cli.engine.spaces import Context
 from facetrack_cli.engine.target import ParticleTarget, calibration_of, particle_target
-from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.recipe.model import ConfidenceSettings, ParticleFilterSettings, Recipe, above
 from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face.cascaded_regression import CORNER, load_regression
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.face.landmark_sensors import LandmarkSensors
 from facetrack_cli.trackers.face.mesh import NAMES, Iris, Mesh
-from facetrack_cli.trackers.face.settings import HeadSettings
-from facetrack_cli.trackers.face.stabilized import FACE, Similarity, change_between, slope
+from facetrack_cli.trackers.face.settings import HeadSettings, StudentTSettings
+from facetrack_cli.trackers.face.stabilized import FACE, Similarity, change_between, growth, slope
 from facetrack_cli.trackers.face.target import FaceTarget
-
-
-def _network(recipe: Recipe, key: str, name: str) -> Path:
-    """The file of a network that a key of the recipe names. RecipeError where it is not here."""
-    if name not in MODELS:
-        return resolve_file(recipe, name, key)
-    if (path := model_path(name)) is None:
-        message = f"the network {name} is not here; bring it by facetrack models get mesh, or write null"
-        raise recipe.error(key, message)
-    return path
+from facetrack_cli.trackers.points.settings import ParzenSettings
+from facetrack_cli.trackers.points.shape_prior import MIN_SIGMA, BoundPrior, build
 
 
 def face_target(
     recipe: Recipe, key: str, settings: ParticleFilterSettings, head: HeadSettings, start: Start, name: str
 ) -> FaceTarget:
     """The head by its own filter, and the points by the recipe's, in the stabilized image."""
+
+    def network(kind: str, name: str) -> Path:
+        if (path := model_path(name)) is None:
+            remedy = "bring it by facetrack models get mesh, or write null"
+            raise recipe.error(f"{above(key)}head.landmarks.{kind}", f"the network {name} is not here; {remedy}")
+        return path
+
     placed = start.targets[name]
     box = placed.box or box_around(placed)
-    side = math.sqrt(box[2] * box[3])
-    searched, pose = start.placed_by != "", np.zeros(4)
-    if searched:
-        pose = pose_of(placed, box)
+    side, searched = math.sqrt(box[2] * box[3]), start.placed_by != ""
+    pose = pose_of(placed, box) if searched else np.zeros(4)
     middle = np.array(centre(box)) + side * pose[2:]
     similarity = Similarity(middle, side * math.exp(pose[1]) / FACE, float(pose[0]))
-    at = {part: similarity.to_stabilized(np.array(place)).tolist() for part, place in placed.points.items()}
+    at = {part: tuple(similarity.to_stabilized(np.array(place)).tolist()) for part, place in placed.points.items()}
     windows = {part: (w / similarity.scale, h / similarity.scale) for part, (w, h) in placed.windows.items()}
-    inside = TargetStart(None, {part: (x, y) for part, (x, y) in at.items()}, windows)
+    still, boxed = (
+        replace(start, targets={name: part}, corrections=())
+        for part in (TargetStart(None, at, windows), TargetStart(box))
+    )
     judged = ConfidenceSettings(lost_below=head.lost_below, patience=1)
-    by = None if head.detections is None else head.detections.by
     box_filter = ParticleFilterSettings.model_construct(
         target=head.target, motion=head.motion, likelihood=head.likelihood, filter=head.filter, confidence=judged
     )
-    landmarks = head.landmarks
-    mesh: Mesh | None = None
-    iris: Iris | None = None
-    if landmarks.network is not None:
-        mesh = Mesh(_network(recipe, f"{above(key)}head.landmarks.network", landmarks.network))
-        if landmarks.iris is not None:
-            iris = Iris(_network(recipe, f"{above(key)}head.landmarks.iris", landmarks.iris))
+    landmarks, by = head.landmarks, None if head.detections is None else head.detections.by
+    mesh = None if landmarks.network is None else Mesh(network("network", landmarks.network))
+    iris = None if mesh is None or landmarks.iris is None else Iris(network("iris", landmarks.iris))
     eyes, more = GROUPS["eyes"], POINTS if landmarks.points == "features" else tuple(NAMES)
-    still, boxed = (replace(start, targets={name: part}, corrections=()) for part in (inside, TargetStart(box)))
     features = replace(particle_target(recipe, key, settings, still, name, ParticleTarget), calibration=None)
-    return FaceTarget(
-        name=name,
-        head=particle_target(recipe, f"{key}.head" if key else "head", box_filter, boxed, name, BoxTarget),
-        features=features,
-        settings=head,
-        sensors=LandmarkSensors(
-            features.parts,
-            None if by is None else detector(start.measured_by if by == "auto" else by),
-            searched=searched,
-            mesh=mesh,
-            others=() if mesh is None else tuple(point for point in more if point not in (*settings.points, *eyes)),
-            eyes=tuple(point for point in (*eyes, *(IRISES if iris else ())) if point not in settings.points),
-            iris=iris,
-        ),
-        side=side,
-        pose=pose,
-        calibration=calibration_of(recipe, key, settings),
+    sensors = LandmarkSensors(
+        features.parts,
+        None if by is None else detector(start.measured_by if by == "auto" else by),
+        searched=searched,
+        mesh=mesh,
+        others=() if mesh is None else tuple(point for point in more if point not in (*settings.points, *eyes)),
+        eyes=tuple(point for point in (*eyes, *(IRISES if iris else ())) if point not in settings.points),
+        iris=iris,
     )
+    box_target = particle_target(recipe, f"{key}.head" if key else "head", box_filter, boxed, name, BoxTarget)
+    return FaceTarget(name, box_target, features, head, sensors, side, calibration_of(recipe, key, settings), pose)
 
 
 def pose_of(start: TargetStart, box: Box) -> Array:
@@ -104,7 +94,7 @@ def box_with(later: TargetStart, start: TargetStart) -> Box | None:
     if start.box is None or len(common) < 2:
         return start.box
     x, rest = (np.array([placed.points[part] for part in common]) for placed in (later, start))
-    scale = float(np.sqrt(np.sum((x - x.mean(axis=0)) ** 2) / max(np.sum((rest - rest.mean(axis=0)) ** 2), 1e-9)))
+    scale = growth(x, rest)
     left, top = (x.mean(axis=0) + scale * (np.array(start.box[:2]) - rest.mean(axis=0))).tolist()
     return left, top, scale * start.box[2], scale * start.box[3]
 
@@ -115,3 +105,38 @@ def box_around(start: TargetStart) -> Box:
     side = 3.0 * size_of_points(x)  # of nose and mouth
     left, top = (x.mean(axis=0) - (0.5 * side, 0.72 * side)).tolist()
     return left, top, side, side
+
+
+# --- the shape prior of its points ------------------------------------------------------------------------------------
+
+
+def build_student(settings: StudentTSettings, context: Context) -> StudentPrior:
+    """The Student t prior of a recipe, from the same files as `build`."""
+    shapes = ParzenSettings(type="parzen", file=settings.file, sigma=MIN_SIGMA)
+    return StudentPrior(build(shapes, context), settings.freedom)
+
+
+class StudentPrior(Prior):
+    """Student t density over the parts as seen from the stable one, with the shapes' second moments about rest (ours).
+
+    With q (2 (K - 1),) the displacements of the other parts since the first frame, relative to the stable part, in
+    units of L0, C = E[h h^T] + MIN_SIGMA^2 I over training shapes h, and n = `freedom`,
+
+        log_density(s) = -(n + 2 (K - 1)) / 2 log(1 + q^T C^-1 q / n)
+
+    without its constant. x is (N, K, 2) in pixels.
+    """
+
+    def __init__(self, bound: BoundPrior, freedom: float) -> None:
+        self.first, self.length, self.freedom = bound.first, bound.length, freedom
+        h = bound.shapes[:, bound.moving].reshape(len(bound.shapes), -1)
+        self.cov = h.T @ h / len(h) + MIN_SIGMA**2 * np.eye(h.shape[1])
+        # q^T C^-1 q is the square of q L, where C^-1 = L L^T and q = (x - first) D
+        relative = np.eye(len(self.first))[:, bound.moving] - np.eye(len(self.first))[:, [bound.stable]]
+        self._to_unit = np.kron(relative, np.eye(2)) @ np.linalg.cholesky(np.linalg.inv(self.cov)) / self.length
+
+    def log_density(self, x: Array) -> Array:
+        """(N,): the log density, at most 0."""
+        unit = x.reshape(-1, len(self._to_unit)) @ self._to_unit - self.first.ravel() @ self._to_unit
+        squared = np.einsum("ni,ni->n", unit, unit)
+        return np.asarray(-0.5 * (self.freedom + unit.shape[1]) * np.log1p(squared / self.freedom))

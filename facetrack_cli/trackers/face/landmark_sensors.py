@@ -13,20 +13,11 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.face_points import GROUPS, IRISES, MESH
 from facetrack_cli.core.types import Array, Frame, Mask, Point, Whole
+from facetrack_cli.trackers.face import landmark_filters as filters
 from facetrack_cli.trackers.face.cascaded_regression import MAX_LOG_ODDS, PlacedPoints, face_channels, load_regression
-from facetrack_cli.trackers.face.closer import again
-from facetrack_cli.trackers.face.detectors import Detection, Detector
+from facetrack_cli.trackers.face.detectors import Detection, Detector, again
 from facetrack_cli.trackers.face.eyes import CORNERS, SIDES, load_eyes, openings
-from facetrack_cli.trackers.face.landmark_filters import (
-    DETECTOR,
-    FADES,
-    MIN_MOTION,
-    NETWORK,
-    NO_FACE,
-    REGRESSION,
-    BiasFilter,
-    LandmarkFilter,
-)
+from facetrack_cli.trackers.face.landmark_filters import BiasFilter, LandmarkFilter
 from facetrack_cli.trackers.face.mesh import NAMES, Iris, Mesh
 from facetrack_cli.trackers.face.stabilized import BOX, EYES, Similarity
 
@@ -38,42 +29,24 @@ SHUT: Final = 0.15  # opening of an eye, below which its iris is covered; by as 
 
 
 class LandmarkReadings(NamedTuple):
-    """What regressions and networks say of the points in a stabilized image; places are in its pixels.
+    """What regressions and networks say of the points in a stabilized image; places are in its pixels."""
 
-    Attributes
-    ----------
-    channels : (C, H, W + 8), what the regressions read
-    parts : the K points with windows, by the regression; nan, and log odds of 0, where it does not know a point
-    network : (K, 2), the same points by the network; nan where it sees no face
-    others : the network's further points; None where it sees no face
-    eyes : the points of the eyes by regression and network together; None where they have no rows
-    """
-
-    channels: NDArray[np.float32]
-    parts: PlacedPoints
-    network: Array
-    others: PlacedPoints | None
-    eyes: PlacedPoints | None
+    channels: NDArray[np.float32]  # (C, H, W + 8), what the regressions read
+    parts: PlacedPoints  # with windows, K, by the regression; nan, and log odds of 0, of those it does not know
+    network: Array  # (K, 2), the same points by the network; nan where it sees no face
+    others: PlacedPoints | None  # the network's further points; None where it sees no face
+    eyes: PlacedPoints | None  # by regression and network together; None where they have no rows
 
 
 @dataclass(frozen=True)
 class LandmarkSensors:
-    """The sensors of one face.
+    """The sensors of one face."""
 
-    Attributes
-    ----------
-    parts : names of the points with windows
-    detector : the detector of faces, or None
-    searched : whether the start was placed by a search, and not by hand
-    mesh, iris : the networks, or None
-    others, eyes : names of the points without windows
-    """
-
-    parts: tuple[str, ...]
+    parts: tuple[str, ...]  # names of the points with windows
     detector: Detector | None
-    searched: bool
+    searched: bool  # whether the start was placed by a search, and not by hand
     mesh: Mesh | None = None
-    others: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()  # names of points without windows, as `eyes`
     eyes: tuple[str, ...] = ()
     iris: Iris | None = None
 
@@ -100,15 +73,18 @@ class LandmarkSensors:
         sees no face; that of the eyes, None where they have no rows.
         """
         _, parts, network, others, eyes = self.read(frame, similarity, image)
-        keep, std = FADES if self.searched else 1.0, float(load_regression().std.mean())
+        keep, std = filters.FADES if self.searched else 1.0, float(load_regression().std.mean())
         detected = self.places({} if detection is None else detection.points)
-        z, least = np.stack([parts.at, detected, network]), np.array([REGRESSION, DETECTOR, NETWORK])
-        biases = BiasFilter.begin(z, x0, np.array([std, DETECTOR, std]), least, keep)
+        z, least = (
+            np.stack([parts.at, detected, network]),
+            np.array([filters.REGRESSION, filters.DETECTOR, filters.NETWORK]),
+        )
+        biases = BiasFilter.begin(z, x0, np.array([std, filters.DETECTOR, std]), least, keep)
         mesh_filter = None if others is None else LandmarkFilter.begin(others.at)
         if eyes is None:
             return biases, mesh_filter, None
         bias, motion = np.full(len(OF_EYES), IRIS_BIAS), np.full(len(OF_EYES), BLINKS)
-        bias[np.array(SIDES)], motion[CORNERS] = load_eyes().std, MIN_MOTION
+        bias[np.array(SIDES)], motion[CORNERS] = load_eyes().std, filters.MIN_MOTION
         index = [OF_EYES.index(part) for part in self.eyes]
         eye_filter = LandmarkFilter.begin(eyes.at, bias[index], motion[index])
         return biases, mesh_filter, eye_filter._replace(visible=0.5 * eye_filter.visible).after(*eyes)
@@ -122,24 +98,22 @@ class LandmarkSensors:
         """
         regression, channels = load_regression(), face_channels(image.bgr)
         crops = None if self.mesh is None else self.mesh.measure(frame, similarity)
-        at, odds = regression.fit(image.bgr, around, channels)
-        index, trained = self._trained
         mesh = None if crops is None else crops.mean(axis=0)
+        at, odds = regression.fit(image.bgr, around, channels)
         eyes = self._eyes(frame, similarity, channels, at, mesh)
-        at = np.where(trained[:, None], at[index], np.nan)
-        if mesh is None:
-            parts = PlacedPoints(at, np.where(trained, odds[index], 0.0))
-            return LandmarkReadings(channels, parts, np.full_like(at, np.nan), None, eyes)
-        core = mesh[[NAMES[point] for point in regression.points]]
-        core_odds = regression.visible(channels, core)
-        # a part is visible if it is at either place
-        odds = np.logaddexp(odds, core_odds[: len(odds)]) - math.log(2)
-        parts = PlacedPoints(at, np.where(trained, odds[index], 0.0))
-        # a further point is as visible as the nearest point that the regression knows
-        others = mesh[[NAMES[part] for part in self.others]]
-        nearest = np.hypot(*(others[:, None] - core).transpose(2, 0, 1)).argmin(axis=1)
-        network = np.where(trained[:, None], core[index], np.nan)
-        return LandmarkReadings(channels, parts, network, PlacedPoints(others, core_odds[nearest]), eyes)
+        (index, trained), others = self._trained, None
+        network = np.full((len(index), 2), np.nan)
+        if mesh is not None:
+            core = mesh[[NAMES[point] for point in regression.points]]
+            core_odds = regression.visible(channels, core)
+            network[trained] = core[index[trained]]
+            # a part is visible if it is at either place, a further point as much as the nearest one that is known
+            odds = np.logaddexp(odds, core_odds[: len(odds)]) - math.log(2)
+            more = mesh[[NAMES[part] for part in self.others]]
+            nearest = np.hypot(*(more[:, None] - core).transpose(2, 0, 1)).argmin(axis=1)
+            others = PlacedPoints(more, core_odds[nearest])
+        parts = PlacedPoints(np.where(trained[:, None], at[index], np.nan), np.where(trained, odds[index], 0.0))
+        return LandmarkReadings(channels, parts, network, others, eyes)
 
     @cached_property
     def _trained(self) -> tuple[Whole, Mask]:
@@ -151,11 +125,10 @@ class LandmarkSensors:
     def log_odds_at(self, channels: NDArray[np.float32], places: Array) -> Array:
         """(M, K): log odds that the parts are visible at `places` (M, K, 2); 0 of parts that were not trained."""
         regression, odds = load_regression(), np.zeros(places.shape[:2])
-        index, trained = self._trained[0][self._trained[1]], self._trained[1]
-        at = np.zeros((len(regression.parts), 2))
+        (index, trained), at = self._trained, np.zeros((len(regression.parts), 2))
         for row, place in zip(odds, places, strict=True):
-            at[index] = place[trained]
-            row[trained] = regression.visible(channels, at)[index]
+            at[index[trained]] = place[trained]
+            row[trained] = regression.visible(channels, at)[index[trained]]
         return odds
 
     def _eyes(
@@ -166,7 +139,7 @@ class LandmarkSensors:
             return None
         at, odds = load_eyes().fit(frame, face, channels, parts)
         if self.iris is not None:
-            irises, iris_odds = at[CORNERS].reshape(2, 2, 2).mean(axis=1), np.full(2, NO_FACE)
+            irises, iris_odds = at[CORNERS].reshape(2, 2, 2).mean(axis=1), np.full(2, filters.NO_FACE)
             if mesh is not None:
                 corners = mesh[[MESH[OF_EYES[i]] for i in CORNERS]]
                 lids, irises = self.iris.measure(frame, face, corners)

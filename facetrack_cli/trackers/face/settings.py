@@ -45,9 +45,9 @@ class DetectionsSettings(Section):
 class LandmarksSettings(Section):
     """What places the points of the face in every frame: a regression, and a network where its file is there."""
 
-    network: Annotated[str, Field(min_length=1)] | None = "auto"
-    """MediaPipe's face mesh, which adds points: `mesh`, brought by `facetrack models get mesh`, or the path of its
-    file; null: only the regression; auto: mesh where it is there."""
+    network: Literal["auto", "mesh"] | None = "auto"
+    """MediaPipe's face mesh, which adds points: `mesh`, brought by `facetrack models get mesh`; null: only the
+    regression; auto: mesh where it is there."""
     iris: Literal["auto", "iris"] | None = "auto"
     """MediaPipe's network for an eye, beside the other: `iris`, brought with `mesh`; null: none; auto: iris where both
     are there."""
@@ -126,7 +126,7 @@ class WindowNccSettings(LikelihoodSettings):
 class StudentTSettings(PriorSettings):
     """Shape prior: one Student t density with the second moments of registered training shapes (ours)."""
 
-    engine = "facetrack_cli.trackers.face.shape_prior:build_student"
+    engine = "facetrack_cli.trackers.face.assembly:build_student"
     goes_with = ("points",)
     type: Literal["student_t"]
     file: Annotated[str, Field(min_length=1)]

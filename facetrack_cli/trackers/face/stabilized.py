@@ -21,18 +21,11 @@ EYE_LINE: Final = MIDDLE - 0.112 * FACE  # the row of the eyes
 
 
 class Similarity(NamedTuple):
-    """The map from a stabilized image to the frame.
+    """The map from a stabilized image to the frame."""
 
-    Attributes
-    ----------
-    centre : (2,), where the middle of the stabilized image lies in the frame, in pixels
-    scale : pixels of the frame to a pixel of the stabilized image
-    angle : by which the image is turned in the frame, clockwise, in radians
-    """
-
-    centre: Array
-    scale: float
-    angle: float = 0.0
+    centre: Array  # (2,), where the middle of the stabilized image lies in the frame, in pixels
+    scale: float  # pixels of the frame to a pixel of the stabilized image
+    angle: float = 0.0  # by which the image is turned in the frame, clockwise, in radians
 
     @property
     def matrix(self) -> Array:
@@ -120,6 +113,12 @@ def change_between(x: Array, rest: Array) -> tuple[float, float]:
     along, across = float(np.sum(a * b)), float(np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]))
     size = math.hypot(along, across) / max(float(np.sum(b * b)), 1e-9)
     return math.atan2(across, along), math.log(max(size, 1e-9))
+
+
+def growth(x: Array, rest: Array) -> float:
+    """By how much places x (K, 2) are wider spread than others."""
+    wide, before = (np.sum((places - places.mean(axis=0)) ** 2) for places in (x, rest))
+    return math.sqrt(wide / max(before, 1e-9))
 
 
 def slope(pair: Array) -> float:

@@ -21,7 +21,6 @@ from facetrack_cli.trackers.face import landmark_kernels as kernels
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import Sighting, View
 from facetrack_cli.trackers.face.landmark_filters import BiasFilter, Facing, LandmarkFilter
-from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.landmark_sensors import LandmarkReadings, LandmarkSensors
 from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.settings import HeadSettings
@@ -31,7 +30,6 @@ from facetrack_cli.trajectory.trajectory import SPREAD, TargetResult, of_frame
 from facetrack_cli.video.shots import Passing
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
-_MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over
 _VALUES: Final = ("x", "y", *SPREAD[:3], "confidence", "w", "h", "ess", "angle", *SPREAD[3:], "particles")
 _HOW: Final = np.array(["tracked", "hidden", "lost"])  # as `landmark_kernels.show` counts them
 _LOST: Final = 2
@@ -39,85 +37,44 @@ _CORNERS: Final = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
 
 
 class FaceState(NamedTuple):
-    """A face after a frame.
+    """A face after a frame."""
 
-    Attributes
-    ----------
-    head, features : states of the head's filter and of the points' filter, which lives in the stabilized image
-    info : of the last step of the points' filter
-    bias_filters : of the regression, the detector and the network, in this order
-    facing : whether the face is turned to the camera
-    pose : (4,), how the face lies in the head's box: roll in radians, log of its size, offset in sizes of the box
-    pose_var : (4,), the variances of `pose`
-    others : the network's further points; None before it has seen the face
-    eyes : the points of the eyes; None where they have no rows
-    views : of the face so far, by which it is recognised
-    last_seen : where a detector last saw the face for sure
-    shots : the tests for cuts
-    frames : frames since the start
-    log_odds : log odds that the sensors see the face where it is tracked
-    sighting : the likeliest face of a frame while the target is lost
-    cut_time : time in s of a (possible) cut after which the face was not seen yet
-    crowded : in how many searches several faces were seen
-    again : log odds by its looks since the face is seen again; None while it was seen in all frames, or is recognised
-    again_time : time in s of the latest of these looks
-    stranger_time : time in s since which somebody else is seen in its place
-    """
-
-    head: ParticleState
-    features: ParticleState
-    info: Info
-    bias_filters: BiasFilter
-    facing: Facing
-    pose: Array
-    pose_var: Array
-    others: LandmarkFilter | None
-    eyes: LandmarkFilter | None
-    views: tuple[View, ...]
-    last_seen: Similarity
-    shots: Passing
-    frames: int = 0
-    log_odds: float = 0.0
-    sighting: Sighting | None = None
-    cut_time: float | None = None
-    crowded: int = 0
+    head: ParticleState  # of the head's filter
+    features: ParticleState  # of the points' filter, which lives in the stabilized image
+    info: Info  # of the last step of the points' filter
+    bias_filters: BiasFilter  # of the regression, the detector and the network, in this order
+    facing: Facing  # whether the face is turned to the camera
+    pose: Array  # (4,), how the face lies in the head's box: roll in radians, log of its size, offset in sizes of it
+    pose_var: Array  # (4,), the variances of `pose`
+    others: LandmarkFilter | None  # the network's further points; None before it has seen the face
+    eyes: LandmarkFilter | None  # the points of the eyes; None where they have no rows
+    views: tuple[View, ...]  # of the face so far, by which it is recognised
+    last_seen: Similarity  # where a detector last saw the face for sure
+    shots: Passing  # the tests for cuts
+    frames: int = 0  # since the start
+    log_odds: float = 0.0  # that the sensors see the face where it is tracked
+    sighting: Sighting | None = None  # the likeliest face of a frame while the target is lost
+    cut_time: float | None = None  # in s, of a (possible) cut after which the face was not seen yet
+    crowded: int = 0  # in how many searches several faces were seen
+    # log odds by its looks since the face is seen again; None while it was seen in all frames, or is recognised
     again: tuple[float, ...] | None = None
-    again_time: float = 0.0
-    stranger_time: float | None = None
+    again_time: float = 0.0  # in s, of the latest of these looks
+    stranger_time: float | None = None  # in s, since which somebody else is seen in its place
 
 
 class FaceView(NamedTuple):
-    """A frame as seen from the head, and what the sensors say of the points there.
+    """A frame as seen from the head, and what the sensors say of the points there."""
 
-    Attributes
-    ----------
-    similarity, image : the stabilized image, and where it lies in the frame
-    checked : whether the detector has looked
-    detection : the face that it saw, in the stabilized image
-    landmarks : what regression and network say
-    places : (S, K, 2) by the sensors, in pixels of the stabilized image, nan where they say nothing
-    readings : the same without the sensors' biases
-    fused : (K, 2), regression and network together, without biases
-    shift : (2,) pixels, how far the face is from where the head was expected
-    log_odds : log odds that the face is there
-    """
-
-    similarity: Similarity
+    similarity: Similarity  # where the stabilized image lies in the frame
     image: Frame
-    checked: bool
-    detection: Detection | None
-    landmarks: LandmarkReadings
-    places: Array
-    readings: SensorReading
-    fused: Array
-    shift: Array
-    log_odds: float
-
-
-def updated(pose: Array, var: Array, offset: Array, std: Array) -> tuple[Array, Array]:
-    """A pose (4,) and its variances after a measurement that is `offset` from it, with standard deviations `std`."""
-    gain = var / (var + std**2)
-    return np.minimum(np.maximum(pose + gain * offset, -_MAX_POSE), _MAX_POSE), (1 - gain) * var
+    checked: bool  # whether the detector has looked
+    detection: Detection | None  # the face that it saw, in the stabilized image
+    landmarks: LandmarkReadings  # what regression and network say
+    places: Array  # (S, K, 2) by the sensors, in pixels of the stabilized image, nan where they say nothing
+    readings: SensorReading  # the same without the sensors' biases
+    fused: Array  # (K, 2), regression and network together, without biases
+    shift: Array  # (2,) pixels, how far the face is from where the head was expected
+    log_odds: float  # that the face is there
 
 
 def moved(features: ParticleState, to: Callable[[Array], Array], **others: Any) -> ParticleState:
@@ -142,25 +99,15 @@ class FaceParts:
     """The parts of a face, and the rows that they have in a state.
 
     Rows are those of the points, of the head's box, of the eyes, and of the network's further points.
-
-    Attributes
-    ----------
-    name : name of the target
-    head : the filter of the head's box, in pixels of the frame
-    features : the filter of the points with windows, in pixels of the stabilized image
-    settings : the recipe's section `head`
-    sensors : what measures the points in a frame
-    side : side in pixels of the head's box at the start, the square root of its area
-    calibration : what turns confidences into probabilities
     """
 
     name: str
-    head: BoxTarget
-    features: ParticleTarget
-    settings: HeadSettings
+    head: BoxTarget  # the filter of the head's box, in pixels of the frame
+    features: ParticleTarget  # the filter of the points with windows, in pixels of the stabilized image
+    settings: HeadSettings  # the recipe's section `head`
     sensors: LandmarkSensors
-    side: float
-    calibration: Calibration | None
+    side: float  # in pixels, of the head's box at the start, the square root of its area
+    calibration: Calibration | None  # what turns confidences into probabilities
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -195,7 +142,7 @@ class FaceParts:
             EVIDENCE.name: np.array([info.evidence + state.info.evidence]),
         }
         if self.sensors.mesh is not None:
-            values[NETWORK.name] = state.bias_filters.reliability[BY_NETWORK].mean(keepdims=True)
+            values[NETWORK.name] = state.bias_filters.reliability[kernels.BY_NETWORK].mean(keepdims=True)
         diagnostics = {self.name: Diagnostics(self.diagnostics, np.array([frame.index]), values)}
         rows = filtered = of_frame(self._names, frame, diagnostics, **self._columns(state, info.ess, face))
         if self.calibration is not None:
@@ -213,40 +160,37 @@ class FaceParts:
         """
         features, head, k, count = state.features, state.head, len(self.features.parts), len(self._names)
         points, box, judged = features.estimated, head.estimated, features.judgement
-        at, cov, seen, how = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan), np.ones(count), [0] * count
-        at[:k], cov[:k], end = points.state, points.cov, k + 1
-        if judged is not None:
-            seen[:k], how[:k] = judged.confidence, [_LOST * (status == "lost") for status in judged.status]
+        assert judged is not None and head.judgement is not None
+        at, cov, seen = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan), np.ones(count)
+        hows, end = np.zeros(count, np.int64), k + 1
+        at[:k], cov[:k], seen[:k] = points.state, points.cov, judged.confidence
+        hows[:k] = [_LOST * (status == "lost") for status in judged.status]
         for names, landmarks in self._without_windows(state):
             those, end = slice(end, end + len(names)), end + len(names)
             if landmarks is not None:
                 at[those], cov[those], seen[those] = landmarks.at, landmarks.cov, landmarks.visible
-        values, hows = np.full((len(_VALUES), count), np.nan), np.array(how)
+        values = np.full((len(_VALUES), count), np.nan)
         shown, near = state.facing.shown * head_confidence(head), OFF * EYES * face.scale
         place = face.matrix, face.centre, MIDDLE, near, self.settings.lost_below, values[:6], hows
         kernels.show(at, cov, seen, k, shown, box.cov[0], *place)
         values[6:8, :k], values[8, :k] = self.features.space.windows(points).T * face.scale, state.info.ess
         status = _HOW[hows]
         if not state.frames:
-            began = [judged is None or one == "init" for one in ([""] * k if judged is None else judged.status)]
-            status[:k][(hows[:k] < _LOST) & began] = "init"
-            values[5, :k] = np.nan if judged is None else judged.confidence
+            status[:k][(hows[:k] < _LOST) & (np.array(judged.status) == "init")] = "init"
+            values[5, :k] = judged.confidence
         if features.absent is not None:
             values[:, :k][:, features.absent], status[:k][features.absent] = np.nan, "absent"
-        assert head.judgement is not None
         status[k], roll = head.judgement.status[0], math.remainder(face.angle, math.tau)
-        wide, high = self.head.space.windows(box)[0].tolist()
-        grown = face.scale * FACE / math.sqrt(wide * high)
-        wide, high = wide * grown, high * grown
-        spread = (math.nan, math.nan) if box.side_std is None else box.side_std * grown
-        (xx, xy), (_, yy) = box.cov[0].tolist()
-        std = math.sqrt(max(xx, 0.0)), math.sqrt(max(yy, 0.0))
-        sure = head_confidence(head), wide, high, head_ess[0], math.degrees(roll)
-        values[:-1, k] = *face.centre, *std, xy, *sure, *spread
+        sides = self.head.space.windows(box)[0]
+        grown = face.scale * FACE / math.sqrt(sides[0] * sides[1])
+        sides, spread = sides * grown, (math.nan, math.nan) if box.side_std is None else box.side_std * grown
+        std = np.sqrt(np.maximum(np.diagonal(box.cov[0]), 0.0))
+        sure = head_confidence(head), *sides, head_ess[0], math.degrees(roll)
+        values[:-1, k] = *face.centre, *std, box.cov[0, 0, 1], *sure, *spread
         values[-1] = len(features.particles.x) + len(head.particles.x)  # of a target one number: both filters' together
         outlines = np.full((count, 4, 2), np.nan)
         # the border runs through the middle of the outermost pixels
-        outlines[k] = Similarity(face.centre, 1.0, roll).to_frame(MIDDLE + _CORNERS * (wide - 1, high - 1))
+        outlines[k] = Similarity(face.centre, 1.0, roll).to_frame(MIDDLE + _CORNERS * (sides - 1))
         return {**dict(zip(_VALUES, values, strict=True)), "status": status, "corners": outlines}
 
     def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:

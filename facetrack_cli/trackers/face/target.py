@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from statistics import mean
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.random import Generator
@@ -32,54 +32,17 @@ from facetrack_cli.core.geometry import centre, square
 from facetrack_cli.core.types import Array, Frame, Info, TargetStart
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Motion, Names
-from facetrack_cli.engine.spaces import Estimate
 from facetrack_cli.engine.target import ParticleState
-from facetrack_cli.trackers.face import stabilized, window_ncc
+from facetrack_cli.trackers.face import evidence, stabilized
+from facetrack_cli.trackers.face import landmark_filters as filters
 from facetrack_cli.trackers.face.detectors import Detection
-from facetrack_cli.trackers.face.evidence import (
-    AGAIN,
-    ALIKE,
-    APART,
-    KNOWN,
-    LOOKS_AGAIN,
-    MAYBE,
-    NEW,
-    STAYS,
-    SURE,
-    Sighting,
-    View,
-    by_looks,
-    by_place,
-    by_who,
-    kept,
-    likeness,
-    look_of,
-    own_views,
-    prior,
-    probabilities,
-    weight_of,
-)
-from facetrack_cli.trackers.face.landmark_filters import (
-    NO_FACE,
-    Facing,
-    LandmarkFilter,
-    compared,
-    fused,
-    in_common,
-    who_is_right,
-)
+from facetrack_cli.trackers.face.evidence import AGAIN, KNOWN, STAYS, Sighting
+from facetrack_cli.trackers.face.landmark_filters import Facing, LandmarkFilter
 from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
-from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, SensorReading, modes
+from facetrack_cli.trackers.face.motion import MeasuredWalk, modes
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
-from facetrack_cli.trackers.face.state import (
-    FaceParts,
-    FaceState,
-    FaceView,
-    head_confidence,
-    mapped,
-    moved,
-    updated,
-)
+from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, mapped, moved
+from facetrack_cli.trackers.face.window_ncc import WindowNcc, doubted
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
@@ -98,58 +61,40 @@ _POSE: Final = np.array([math.radians(1.5), 0.012, 0.004, 0.004])
 _BY_BOX: Final = np.array([np.inf, 0.15, 0.1, 0.1])
 _BY_EYES: Final = 0.06  # of its size, where the detector sees the eyes
 _BY_PAIRS: Final = np.array([math.radians(3), np.inf, np.inf, np.inf])
+_MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over
 
 
 @dataclass(frozen=True)
 class FaceTarget(FaceParts):
-    """A face that is followed from frame to frame.
+    """A face that is followed from frame to frame."""
 
-    Attributes
-    ----------
-    pose : (4,), how the face lies in the head's box at the start; see `FaceState`
-    alone : whether any face that is seen while the target is lost may be the target
-    """
-
-    pose: Array
-    alone: bool = True
+    pose: Array  # (4,), how the face lies in the head's box at the start; see `FaceState`
+    alone: bool = True  # whether any face that is seen while the target is lost may be the target
 
     # --- the start -----------------------------------------------------------------------------------------------
 
     def begin(self, rng: Generator, frame: Frame) -> tuple[FaceState, TargetResult]:
         head, result = self.head.begin(rng, frame)
-        similarity = self.map_to_frame(head.estimated.state, self.pose)
-        image = similarity.read(frame)
+        image = self.map_to_frame(head.estimated.state, self.pose).read(frame)
         features, _ = self.features.begin(rng, image)
-        facing, detection = Facing(), self.sensors.detected(image)
-        biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, self.features.x0)
-        if self.sensors.detector is not None and not self.sensors.searched and detection is None:
-            facing = facing.undetected()
-        face, info, shots = self._laid_out(similarity, detection), self.features.begun, Passing((small(frame),))
-        views: tuple[View, ...] = ()
+        state, detection = self._begun(frame, image, head, features, self.pose)
         # where the detector does not see the face, its first view is laid out otherwise than later ones
         if self.sensors.searched or detection is not None or self.sensors.detector is None:
-            views = (View(look_of(image), self._picture(frame, face), sure=True),)
-        seen = views, face, shots
-        state = FaceState(head, features, info, biases, facing, self.pose, np.zeros(4), others, eyes, *seen)
+            first = evidence.View(evidence.look_of(image), _picture(frame, state.last_seen), sure=True)
+            state = state._replace(views=(first,))
+        else:
+            state = state._replace(facing=state.facing.undetected())
         return state, self.result(state, self.head.begun, frame, result.notes)
 
     def restart(
-        self,
-        rng: Generator,
-        frame: Frame,
-        first: FaceState,
-        start: TargetStart,
-        absent: Names = (),
-        relearned: Names = (),
+        self, rng: Generator, frame: Frame, first: FaceState, start: TargetStart, absent: Names = (), fresh: Names = ()
     ) -> tuple[FaceState, TargetResult]:
         """As `ParticleTarget.restart`; the head lies about the points as in the first frame."""
         placed = {part: np.array(at) for part, at in start.points.items() if part not in absent}
         at = np.array([placed[part] for part in self.features.parts if part in placed])
         rest, scale, roll = self.features.x0[np.isin(self.features.parts, list(placed))], self.side / FACE, 0.0
         if len(at) > 1:
-            spread = np.sum((rest - rest.mean(axis=0)) ** 2)
-            scale = math.sqrt(float(np.sum((at - at.mean(axis=0)) ** 2)) / max(float(spread), 1e-9))
-            roll = stabilized.change_between(at, rest)[0]
+            scale, roll = stabilized.growth(at, rest), stabilized.change_between(at, rest)[0]
         if start.box is not None and not start.points:
             scale = math.sqrt(start.box[2] * start.box[3]) / FACE
         shape = Similarity(np.zeros(2), scale, roll)
@@ -159,12 +104,18 @@ class FaceTarget(FaceParts):
         similarity = self.map_to_frame(head.estimated.state, pose)
         points = {part: tuple(similarity.to_stabilized(place).tolist()) for part, place in placed.items()}
         image = similarity.read(frame)
-        features, _ = self.features.restart(rng, image, first.features, TargetStart(points=points), absent, relearned)
-        detection, at = self.sensors.detected(image), features.estimated.state
-        biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, at)
-        info, seen = self.features.begun, (first.views, self._laid_out(similarity, detection), Passing((small(frame),)))
-        state = FaceState(head, features, info, biases, Facing(), pose, np.zeros(4), others, eyes, *seen)
+        features, _ = self.features.restart(rng, image, first.features, TargetStart(points=points), absent, fresh)
+        state = self._begun(frame, image, head, features, pose)[0]._replace(views=first.views)
         return state, self.result(state, self.head.begun, frame)
+
+    def _begun(
+        self, frame: Frame, image: Frame, head: ParticleState, features: ParticleState, pose: Array
+    ) -> tuple[FaceState, Detection | None]:
+        """A state without views, and the face that the detector sees."""
+        detection, similarity = self.sensors.detected(image), self.map_to_frame(head.estimated.state, pose)
+        biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, features.estimated.state)
+        known = head, features, self.features.begun, biases, Facing(), pose, np.zeros(4), others, eyes
+        return FaceState(*known, (), self._laid_out(similarity, detection), Passing((small(frame),))), detection
 
     # --- a frame -------------------------------------------------------------------------------------------------
 
@@ -243,14 +194,13 @@ class FaceTarget(FaceParts):
 
     def _unseen(self, state: FaceState, info: Info, frame: Frame) -> tuple[FaceState, TargetResult]:
         """After a frame in which the head's filter, which says `info`, does not see it: the points stay."""
-        info_of_points = state.info._replace(evidence=0.0)
-        state = state._replace(log_odds=_FORGETS * state.log_odds, info=info_of_points, again=())
+        state = state._replace(log_odds=_FORGETS * state.log_odds, info=state.info._replace(evidence=0.0), again=())
         return state, self.result(state, info, frame)
 
     def _is_due(self, state: FaceState) -> bool:
         """Whether it is the detector's turn to look."""
         detections = self.settings.detections
-        return self.sensors.detector is not None and detections is not None and state.frames % detections.every == 0
+        return detections is not None and state.frames % detections.every == 0
 
     def _stays(self, state: FaceState, frame: Frame) -> bool:
         """Whether what is followed after a possible cut looks like the face of before."""
@@ -258,27 +208,28 @@ class FaceTarget(FaceParts):
             return False
         similarity = self.map_to_frame(state.head.estimated.state, state.pose)
         detection = None if self.sensors.searched else self.sensors.detected(similarity.read(frame))
-        face = self._laid_out(similarity, detection)
-        looks = by_looks([view.picture for view in own_views(state.views)], [self._picture(frame, face)])
+        picture = _picture(frame, self._laid_out(similarity, detection))
+        looks = evidence.by_looks(evidence.own_views(state.views), [picture])
         return bool(looks[0] + self._prior(state, frame) > 0)
 
     def _prior(self, state: FaceState, frame: Frame) -> float:
-        stranger_s = None if state.stranger_time is None else frame.time_s - state.stranger_time
-        return prior(cut=state.cut_time is not None, company=state.crowded >= COMPANY, stranger_s=stranger_s)
+        since, company = state.stranger_time, state.crowded >= COMPANY
+        stranger_s = None if since is None else frame.time_s - since
+        return evidence.prior(cut=state.cut_time is not None, company=company, stranger_s=stranger_s)
 
     def _looked_again(self, state: FaceState, view: FaceView, frame: Frame) -> FaceState:
         """With a look at the face that is seen in the target's place, which is recognised, or looked at again."""
-        if state.again and frame.time_s - state.again_time < APART:
+        if state.again and frame.time_s - state.again_time < evidence.APART:
             return state
         face = self._laid_out(view.similarity, view.detection)
-        if not state.views or not weight_of(face.scale * FACE):
+        if not state.views or not evidence.weight_of(face.scale * FACE):
             return state._replace(again=None)
-        in_place, views = by_place(state.last_seen, [face], covered=False)[0] > 0, own_views(state.views)
-        if not in_place or likeness(views, look_of(view.image)) >= ALIKE:
+        own, [place] = evidence.own_views(state.views), evidence.by_place(state.last_seen, [face], covered=False)
+        if place <= 0 or evidence.likeness(own, evidence.look_of(view.image)) >= evidence.ALIKE:
             return state._replace(again=None)
-        odds = by_who([view.picture for view in views], self._picture(frame, face))
+        odds = evidence.by_who(own, _picture(frame, face))
         again = (*(state.again or ()), odds)
-        if odds > KNOWN or (len(again) == LOOKS_AGAIN and mean(again[-2:]) + AGAIN > 0):
+        if odds > KNOWN or (len(again) == evidence.LOOKS_AGAIN and mean(again[-2:]) + AGAIN > 0):
             return state._replace(again=None)
         return state._replace(again=again, again_time=frame.time_s)
 
@@ -293,21 +244,14 @@ class FaceTarget(FaceParts):
         if detection is not None and (measured := np.isfinite(detected).all(axis=1)).any():
             around.append(around[0] + (detected - before)[measured].mean(axis=0))
         landmarks = self.sensors.read(frame, similarity, image, around)
-        visible = self._visible(state.features)
         places = np.array([landmarks.parts.at, detected, landmarks.network])
-        readings = state.bias_filters.reading(places, visible)
-        at, shift, apart = fused(readings, before)
+        readings = state.bias_filters.reading(places, state.features.learned.visible)
+        at, shift, apart = filters.fused(readings, before)
         log_odds = 0.0 if apart else landmarks.parts.log_odds
         return FaceView(similarity, image, due, detection, landmarks, places, readings, at, shift, log_odds)
 
     def _followed(
-        self,
-        rng: Generator,
-        state: FaceState,
-        view: FaceView,
-        frame: Frame,
-        head_info: Info | None,
-        notes: tuple[str, ...] = (),
+        self, rng: Generator, state: FaceState, view: FaceView, frame: Frame, head_info: Info | None, notes: Names = ()
     ) -> tuple[FaceState, TargetResult]:
         """The points followed in a view of the frame, then what sensors, pose and landmarks learn from it.
 
@@ -320,17 +264,16 @@ class FaceTarget(FaceParts):
                 head, head_info = self.head.unseen(rng, state.head, frame, anywhere=False)
                 return self._unseen(state._replace(head=head, stranger_time=frame.time_s), head_info, frame)
         features, info = self._tracked(rng, state.features, view)
-        estimated, visible = features.estimated, self._visible(features)
-        odds, cross = self._judged(state.features, view, estimated)
-        biases = state.bias_filters.updated(view.places, estimated.state, estimated.cov, visible, odds[:-1], cross)
-        if isinstance(features.learned, window_ncc.WindowState):
-            features = features._replace(learned=window_ncc.doubted(features.learned, odds[-1]))
+        at, cov, visible = features.estimated.state, features.estimated.cov, features.learned.visible
+        odds, cross = self._judged(state.features, view, at, cov)
+        biases = state.bias_filters.updated(view.places, at, cov, visible, odds[:-1], cross)
+        features = features._replace(learned=doubted(features.learned, odds[-1]))
         facing = state.facing if self.sensors.detector is None else state.facing.predicted()
         others, mesh, eyes = state.others, view.landmarks.others, state.eyes
-        if others is None:
-            others = None if mesh is None else LandmarkFilter.begin(mesh.at)
-        elif mesh is None:
-            others = others.after(None, NO_FACE)
+        if mesh is None:
+            others = others and others.after(None, filters.NO_FACE)
+        elif others is None:
+            others = LandmarkFilter.begin(mesh.at)
         else:
             others = others.after(mesh.at, biases.landmark_odds(mesh, view.places[BY_NETWORK]))
         if eyes is not None and view.landmarks.eyes is not None:
@@ -338,7 +281,7 @@ class FaceTarget(FaceParts):
         head = state.head
         if head_info is None:
             # by all of what the points have moved, or it falls behind until the head's filter looks again
-            step = in_common(estimated.state - state.features.estimated.state, visible > 0.5)
+            step = filters.in_common(at - state.features.estimated.state, visible > 0.5)
             head, head_info = self.head.carried(rng, head, view.similarity.matrix @ step)
         state = state._replace(
             head=head, features=features, info=info, bias_filters=biases, facing=facing, others=others,
@@ -346,73 +289,56 @@ class FaceTarget(FaceParts):
         )  # fmt: skip
         if recognised and not (state.again and self.alone):
             state = state._replace(last_seen=self._laid_out(view.similarity, view.detection))
-            if likeness(state.views, look := look_of(view.image)) < NEW:
-                seen = View(look, self._picture(frame, state.last_seen), sure=not state.views)
-                state = state._replace(views=kept(state.views, seen))
+            if evidence.likeness(state.views, look := evidence.look_of(view.image)) < evidence.NEW:
+                seen = evidence.View(look, _picture(frame, state.last_seen), sure=not state.views)
+                state = state._replace(views=evidence.kept(state.views, seen))
         state = self._restabilized(self._posed(state, view), view.similarity)
-        return state, self.result(state, head_info, frame, notes)
+        return state, self.result(state, head_info, frame, tuple(notes))
 
     def _tracked(self, rng: Generator, features: ParticleState, view: FaceView) -> tuple[ParticleState, Info]:
         """The points' filter a frame later, in the stabilized image of the view.
 
-        All points first move by the view's shift. A jumping walk then follows the sensors' readings; any other motion
-        has the shift alone.
+        All points first move by the view's shift, then follow the sensors' readings.
         """
-        before, learned = features.estimated, features.learned
-        if isinstance(learned, window_ncc.WindowState):
-            odds, within = view.landmarks.parts.odds, self._within(before.state + view.shift, before.cov, view.readings)
-            learned = learned._replace(sensor_odds=odds, within=within)
+        walk, windows = self.features.motion, cast(WindowNcc, self.features.likelihood)
+        before, sure = features.estimated.state + view.shift, (view.readings.sure > 0.5)[..., None]
+        far = np.abs(view.readings.z - walk.expect(before[None])[0]).max(initial=0.0, where=sure)
+        within = float(far + 3 * math.sqrt(np.diagonal(features.estimated.cov, 0, 1, 2).max()))
+        learned = features.learned._replace(sensor_odds=view.landmarks.parts.odds, within=within)
         features = moved(features, partial(mapped, turned=1, shift=complex(*view.shift)), learned=learned)
-        walk, likelihood = self.features.motion, self.features.likelihood
 
         def measured(learned: Any) -> Motion:
-            if not isinstance(walk, JumpingWalk):
-                return walk
-            windows = likelihood.scored(learned) if isinstance(likelihood, window_ncc.WindowNcc) else None
-            return MeasuredWalk(**vars(walk), measured=view.readings, windows=windows)
+            return MeasuredWalk(**vars(walk), measured=view.readings, windows=windows.scored(learned))
 
         return self.features.advanced(rng, features, view.image, (), measured)
 
-    def _visible(self, features: ParticleState) -> Array:
-        """(K,): how visible the points are, 1 where their likelihood does not say."""
-        windows = isinstance(features.learned, window_ncc.WindowState)
-        return np.asarray(features.learned.visible if windows else np.ones(len(self.features.parts)))
-
-    def _within(self, before: Array, cov: Array, readings: SensorReading) -> float:
-        """Pixels from where they are expected, within which the points are by their spread and by the readings."""
-        off = np.abs(readings.z - self.features.motion.expect(before[None])[0])
-        far = off.max(initial=0.0, where=(readings.sure > 0.5)[..., None])
-        return float(far + 3 * math.sqrt(np.diagonal(cov, 0, 1, 2).max()))
-
-    def _judged(self, features: ParticleState, view: FaceView, estimated: Estimate) -> tuple[Array, Array]:
+    def _judged(self, features: ParticleState, view: FaceView, at: Array, cov: Array) -> tuple[Array, Array]:
         """Log odds (S + 1, K) by this frame that sensors and windows see the parts; `cross` of `BiasFilter.updated`.
 
         They are judged where some of them are too far apart to be right together; elsewhere, nan.
         """
-        likelihood, at = self.features.likelihood, estimated.state
-        all_, differ, cross = compared(view.readings, at, estimated.cov, self._visible(features))
+        all_, differ, cross = filters.compared(view.readings, at, cov, features.learned.visible)
         odds = np.full(all_.sure.shape, np.nan)
-        if isinstance(likelihood, window_ncc.WindowNcc) and differ.any():
+        if differ.any():
             index = all_.sure.any(axis=1)
             judged = all_._replace(z=all_.z[index], var=all_.var[index], sure=all_.sure[index])
-            learned, places = likelihood.look(features.learned, view.image, at), modes(judged)[0]
-            by_windows = likelihood.score(learned, view.image, places, at)
+            windows, places = self.features.likelihood, modes(judged)[0]
+            by_windows = windows.score(windows.look(features.learned, view.image, at), view.image, places, at)
             by_regression = self.sensors.log_odds_at(view.landmarks.channels, places)
-            odds[index] = np.where(differ, who_is_right(judged, by_windows, by_regression), np.nan)
+            odds[index] = np.where(differ, filters.who_is_right(judged, by_windows, by_regression), np.nan)
         return odds, cross
 
     def _posed(self, state: FaceState, view: FaceView) -> FaceState:
         """With the pose by the detected box, and by the line of parts left and right, or else of the eyes."""
-        z = view.fused
         pose, var = state.pose, state.pose_var + _POSE**2
-        turns = [turn for pair in self._pairs if math.isfinite(turn := stabilized.slope(z[pair]) - self._slope(pair))]
+        turns = [turn for pair, at in self._pairs if math.isfinite(turn := stabilized.slope(view.fused[pair]) - at)]
         # a box drawn by hand may differ from the detector's box
         detection = view.detection if self.sensors.searched else None
         if view.log_odds <= 0:  # the points are not seen
             eyes = None if detection is None else detection.eyes
             turns = [] if eyes is None else [stabilized.slope(np.array(eyes))]
         if turns:
-            pose, var = updated(pose, var, np.array([sum(turns) / len(turns), 0, 0, 0]), _BY_PAIRS)
+            pose, var = _updated(pose, var, np.array([sum(turns) / len(turns), 0, 0, 0]), _BY_PAIRS)
         if view.checked:
             state = state._replace(facing=state.facing.updated(detected=view.detection is not None))
         if detection is not None:
@@ -420,7 +346,7 @@ class FaceTarget(FaceParts):
             # how the detected face lies in the head's box, along the axes of the frame
             lies = Similarity(np.zeros(2), math.exp(pose[1]) / FACE, float(pose[0])).to_frame(np.array(centre(box)))
             std = _BY_BOX if detection.eyes is None else np.array([np.inf, _BY_EYES, *_BY_BOX[2:]])
-            pose, var = updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), std)
+            pose, var = _updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), std)
         return state._replace(pose=pose, pose_var=var)
 
     def _restabilized(self, state: FaceState, old: Similarity) -> FaceState:
@@ -441,50 +367,43 @@ class FaceTarget(FaceParts):
             return similarity
         return detection.similarity.within(similarity)
 
-    def _picture(self, frame: Frame, face: Similarity) -> Picture:
-        return Picture.of(frame, face._replace(scale=face.scale * FACE))
-
-    def _slope(self, pair: list[int]) -> float:
-        """Of the line between two parts when the face is upright."""
-        return 0.0 if self.sensors.searched else stabilized.slope(self.features.x0[pair])
-
     @cached_property
-    def _pairs(self) -> list[list[int]]:
-        """Parts left and right of each other, whose line turns with the face and not with an expression."""
-        parts = self.features.parts
-        pairs = [(part, part.replace("left", "right")) for part in parts if "left" in part]
-        return [[parts.index(left), parts.index(right)] for left, right in pairs if right in parts]
+    def _pairs(self) -> list[tuple[list[int], float]]:
+        """Parts left and right of each other, whose line turns with the face and not with an expression.
+
+        With the slope of each line when the face is upright.
+        """
+        parts, x0, level = self.features.parts, self.features.x0, self.sensors.searched
+        names = [(part, part.replace("left", "right")) for part in parts if "left" in part]
+        pairs = [[parts.index(left), parts.index(right)] for left, right in names if right in parts]
+        return [(pair, 0.0 if level else stabilized.slope(x0[pair])) for pair in pairs]
 
     # --- a face that is lost -------------------------------------------------------------------------------------
 
     def _searched(self, state: FaceState, frame: Frame) -> FaceState:
         """With the places where the detector sees faces in the frame, and the likeliest of them as the sighting."""
-        here, pose = self.map_to_frame(state.head.estimated.state, state.pose), state.pose
-        faces = self.sensors.faces(frame, here)[:_FACES]
+        faces = self.sensors.faces(frame, self.map_to_frame(state.head.estimated.state, state.pose))[:_FACES]
         places = tuple(
-            np.array([*(np.array(centre(face.box)) - face.box[2] * pose[2:]), math.log(face.box[2] / self.side)])
-            for face in faces
+            np.array([*(np.array(centre(box)) - box[2] * state.pose[2:]), math.log(box[2] / self.side)])
+            for box, *_ in faces
         )
-        crowded, sighting = state.crowded + (len(faces) > 1), None
+        state, sighting = state._replace(crowded=state.crowded + (len(faces) > 1)), None
         if faces:
-            sightings = [Sighting.of(face, frame) for face in faces]
-            maps = [face.similarity for face in sightings]
-            looks = by_looks(
-                [view.picture for view in own_views(state.views)], [self._picture(frame, face) for face in maps]
-            ).tolist()
+            maps = [face.similarity for face in faces]
+            looks = evidence.by_looks(evidence.own_views(state.views), [_picture(frame, face) for face in maps])
             sightings = [
-                face._replace(by_looks=odds, latest=odds).after(state.sighting)
-                for face, odds in zip(sightings, looks, strict=True)
+                Sighting(face, frame.time_s, by_looks=odds, latest=odds).after(state.sighting)
+                for face, odds in zip(faces, looks.tolist(), strict=True)
             ]
-            covered, in_place = self._is_covered(state.head), state.cut_time is None and state.stranger_time is None
-            place = by_place(state.last_seen, maps, covered=covered) * in_place
-            mean_looks = np.array([face.by_looks for face in sightings])
-            p = probabilities(mean_looks, place, self._prior(state._replace(crowded=crowded), frame))
+            in_place = state.cut_time is None and state.stranger_time is None
+            place = evidence.by_place(state.last_seen, maps, covered=self._is_covered(state.head)) * in_place
+            mean_looks = np.array([sighting.by_looks for sighting in sightings])
+            p = evidence.probabilities(mean_looks, place, self._prior(state, frame))
             best = int(p.argmax())
-            sighting = sightings[best]._replace(p=float(p[best])) if p[best] > MAYBE else None
+            sighting = sightings[best]._replace(p=float(p[best])) if p[best] > evidence.MAYBE else None
         facing = state.facing.updated(detected=False) if sighting is None else state.facing
         head = state.head._replace(learned=state.head.learned._replace(sighted=places))
-        return state._replace(head=head, sighting=sighting, facing=facing, crowded=crowded)
+        return state._replace(head=head, sighting=sighting, facing=facing)
 
     def _is_covered(self, head: ParticleState) -> bool:
         """Whether a head that is not seen is held to be where it was."""
@@ -496,16 +415,24 @@ class FaceTarget(FaceParts):
         self, rng: Generator, state: FaceState, sighting: Sighting, frame: Frame
     ) -> tuple[FaceState, TargetResult]:
         """The face, followed again from where it was sighted, with the points at rest."""
-        side = sighting.box[2] * math.exp(-state.pose[1])
-        middle = np.array(centre(sighting.box)) - side * state.pose[2:]
+        side = sighting.face.box[2] * math.exp(-state.pose[1])
+        middle = np.array(centre(sighting.face.box)) - side * state.pose[2:]
         head, _ = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
-        notes: tuple[str, ...] = ()
-        if sighting.p < SURE:
-            doubt = f"(probability {1 - sighting.p:.2f})"
-            notes = (f"from frame {frame.index} on the face may be another one than before {doubt}",)
-        pose, rest = np.array([sighting.roll, *state.pose[1:]]), self.features.x0
+        doubt = f"(probability {1 - sighting.p:.2f})"
+        note = f"from frame {frame.index} on the face may be another one than before {doubt}"
+        pose, rest = np.array([sighting.face.roll, *state.pose[1:]]), self.features.x0
         features = moved(state.features, lambda x: x + (rest - state.features.estimated.state))
-        state = state._replace(head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut_time=None)
-        state = state._replace(again=None, stranger_time=None)
+        state = state._replace(head=head, features=features, pose=pose, facing=Facing())
+        state = state._replace(sighting=None, cut_time=None, again=None, stranger_time=None)
         view = self._view(state, head.estimated.state, frame, due=True)
-        return self._followed(rng, state, view, frame, self.head.begun, notes)
+        return self._followed(rng, state, view, frame, self.head.begun, [note] if sighting.p < evidence.SURE else ())
+
+
+def _picture(frame: Frame, face: Similarity) -> Picture:
+    return Picture.of(frame, face._replace(scale=face.scale * FACE))
+
+
+def _updated(pose: Array, var: Array, offset: Array, std: Array) -> tuple[Array, Array]:
+    """A pose (4,) and its variances after a measurement that is `offset` from it, with standard deviations `std`."""
+    gain = var / (var + std**2)
+    return np.minimum(np.maximum(pose + gain * offset, -_MAX_POSE), _MAX_POSE), (1 - gain) * var

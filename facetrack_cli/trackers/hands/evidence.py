@@ -35,7 +35,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Box, Frame, Image, Planes, factor_for
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.trackers.hands.hand_kernels import BRIGHT, DARK, LEARNS, is_lit_alike, learn_head
+from facetrack_cli.trackers.hands.hand_kernels import LEARNS, learn_head
 
 Map = NDArray[np.float32]
 MAX_FACE_PX: Final = 20  # of the face's box in the reduced frame
@@ -50,7 +50,9 @@ RISES: Final = 0.002  # of the background's p in a frame
 CHANGED: Final = 4.0  # grey levels by which the face differs from before, where as much speaks for a hand as against it
 UNREST, UNREST_AT_FIRST = 2.5, 1.5  # by so many times as much as without a hand, if that is more; grey levels
 REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
-TELL: Final = 2400  # so many values tell, on a lattice
+TELL: Final = 2400  # so many values tell the light, on a lattice,
+DARK, BRIGHT, ENOUGH = 20, 240, 0.1  # of which this share is between these levels
+LEAST_GAIN: Final = 0.01  # of a channel: less is left as it is
 AGREES: Final = 0.15  # of a channel, between the quartiles of all pixels at most
 HEAD: Final = (-0.8, -1.3, 0.8, 1.1)  # head and neck about the face's middle, in sizes of the box
 _NOBODY: Final = np.empty((0, 2))
@@ -58,21 +60,16 @@ _SMOOTHED: Final = np.asarray(cv2.getGaussianKernel(9, 1.0, cv2.CV_32F)[:, 0], n
 
 
 class Scene(NamedTuple):
-    """What is known of the clip: `chances` (256, 256), p(skin | c) by [Cb, Cr]; `still` (H, W), the p
-    of the background; `grey` (H, W), the last frame; `face` (h, w, 3), the template of the head; `first`
-    (H, W, 3), the frame in whose light all are seen; `factor` of reduced frames, `side` of the face's box in their
-    pixels in the first frame; `unrest`, the grey levels by which the head differs from its template where no hand is
-    near.
-    """
+    """What is known of the clip."""
 
-    chances: Map
-    still: Map
-    grey: Map
-    face: Map
-    first: Image
-    factor: int
-    side: float
-    unrest: float = UNREST_AT_FIRST
+    chances: Map  # (256, 256), p(skin | c) by [Cb, Cr]
+    still: Map  # (H, W), the p of the background
+    grey: Map  # (H, W), the last frame
+    face: Map  # (h, w, 3), the template of the head
+    first: Image  # (H, W, 3), the frame in whose light all are seen
+    factor: int  # of reduced frames
+    side: float  # of the face's box in their pixels in the first frame
+    unrest: float = UNREST_AT_FIRST  # grey levels by which the head differs from its template where no hand is near
 
 
 def reduced(frame: Frame, factor: int) -> Image:
@@ -111,8 +108,9 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
     side = side_of(head)
     factor = factor_for(side, MAX_FACE_PX)
     small, s = reduced(frame, factor), side / factor
-    colours = _colours(small)
-    u, v = _from(to_map(head.centre, factor), small, s)
+    (x, y), colours = to_map(head.centre, factor), cv2.cvtColor(small, cv2.COLOR_BGR2YCrCb)[..., :0:-1]  # Cb and Cr
+    # of each pixel, how far it is from the middle of the face, in sizes
+    u, v = np.meshgrid((np.arange(small.shape[1]) - x) / s, (np.arange(small.shape[0]) - y) / s)
     face = (u / 0.33) ** 2 + (v / 0.42) ** 2 < 1
     middle = np.median(colours[face].astype(float), axis=0) - 128 if face.any() else np.zeros(2)
     if math.hypot(*middle) < LEAST_COLOUR:
@@ -127,7 +125,7 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
     for left, top, w, h in hands:
         (x0, y0), (x1, y1) = (np.rint(to_map(np.array(at), factor)) for at in ((left, top), (left + w, top + h)))
         still[max(int(y0), 0) : max(int(y1) + 1, 0), max(int(x0), 0) : max(int(x1) + 1, 0)] = 0
-    template = _head(small, to_map(head.centre, factor), s, s)
+    template = _head(small, np.array([x, y]), s, s)
     scene = Scene(chances, still.astype(np.float32), grey, template, small, factor, s)
     return look(scene, frame, head)
 
@@ -176,14 +174,18 @@ def _as_lit(first: Image, now: Image) -> Image:
     the median over pixels if they agree.
     """
     thin = max(round(math.sqrt(first.size / TELL)), 1)
-    if is_lit_alike(first, now, thin):
+    both = [np.ascontiguousarray(one[::thin, ::thin]) for one in (first, now)]
+    usable = np.flatnonzero(np.logical_and(*(cv2.inRange(one, (DARK,) * 3, (BRIGHT,) * 3) for one in both)))
+    if len(usable) < ENOUGH * both[0][..., 0].size:
         return now
-    before, after = (one[::thin, ::thin].reshape(-1, 3) for one in (first, now))
-    usable = ((np.minimum(before, after) >= DARK) & (np.maximum(before, after) <= BRIGHT)).all(axis=1)
-    ratio = (after[usable] / before[usable].astype(np.float32)).T
-    quarters = [share * ratio.shape[1] // 4 for share in (1, 2, 3)]
-    low, gain, high = np.partition(ratio, quarters, axis=1)[:, quarters].T
-    if (high - low).max() > AGREES:
+    before, after = (one.reshape(-1, 3).take(usable, axis=0).T for one in both)
+    ratio = after / before.astype(np.float32)
+    low, middle, high = (share * len(usable) // 4 for share in (1, 2, 3))
+    gain = np.partition(ratio, middle, axis=1)[:, middle]
+    if ((gain > 1 - LEAST_GAIN) & (gain < 1 + LEAST_GAIN)).all():
+        return now
+    ratio = np.partition(ratio, [low, high], axis=1)
+    if (ratio[:, high] - ratio[:, low]).max() > AGREES:
         return now
     return np.asarray(np.clip(np.rint(now / gain), 0, 255), np.uint8)
 
@@ -215,18 +217,6 @@ def _median(values: Map) -> float:
     """Of values (n,), in a fifth of NumPy's time."""
     middle = [(len(values) - 1) // 2, len(values) // 2]
     return float(np.partition(values, middle)[middle].sum(dtype=np.float64)) / 2
-
-
-def _from(at: Array, image: Image, side: float) -> tuple[Array, Array]:
-    """Of each pixel of an image, how far it is from a place, in sizes: along x and y."""
-    height, width = image.shape[:2]
-    u, v = np.meshgrid((np.arange(width) - at[0]) / side, (np.arange(height) - at[1]) / side)
-    return u, v
-
-
-def _colours(image: Image) -> Image:
-    """(H, W, 2) Cb and Cr."""
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)[..., :0:-1], np.uint8)
 
 
 def _chances(middle: Array, others: Image) -> Map:
@@ -281,19 +271,21 @@ def _heads(height: int, width: int, side: float) -> tuple[int, Map]:
     return margin, np.asarray(cv2.merge(images), np.float32)
 
 
-@lru_cache(16)
 def _disc(radius: int) -> Image:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1)), np.uint8)
 
 
 def shift_between(before: Map, after: Map) -> tuple[Array, float]:
     """The shift (2,) in pixels, x before y, from `before` to `after` (H, W), and the height of its peak, 0..1."""
-    height, width = before.shape
-    x = y = 0
+    (height, width), x, y = before.shape, 0, 0
     for _ in range(PASSES):
         ours = before[max(-y, 0) : height - max(y, 0), max(-x, 0) : width - max(x, 0)]
         theirs = after[max(y, 0) : height + min(y, 0), max(x, 0) : width + min(x, 0)]
-        rest, sure = _peak(ours, theirs)
+        # the least even lengths that a Fourier transform takes fast
+        fast = ((cv2.getOptimalDFTSize(longer) for longer in range(side, 2 * side + 2)) for side in ours.shape)
+        down, across = (next(size for size in sizes if size % 2 == 0) for sizes in fast)
+        border, window = (0, down - len(ours), 0, across - len(ours[0]), cv2.BORDER_CONSTANT), _hanning(*ours.shape)
+        rest, sure = cv2.phaseCorrelate(*(cv2.copyMakeBorder(one * window, *border) for one in (ours, theirs)))
         shift = np.array([x, y]) + rest
         before_that, (x, y) = (x, y), np.rint(shift).astype(int).tolist()
         if (x, y) == before_that or 2 * abs(x) > width or 2 * abs(y) > height:
@@ -301,23 +293,6 @@ def shift_between(before: Map, after: Map) -> tuple[Array, float]:
     return shift, sure
 
 
-def _peak(before: Map, after: Map) -> tuple[Array, float]:
-    height, width = before.shape
-    window = _hanning(width, height)
-    bottom, right = _even(height) - height, _even(width) - width
-    padded = (cv2.copyMakeBorder(one * window, 0, bottom, 0, right, cv2.BORDER_CONSTANT) for one in (before, after))
-    shift, sure = cv2.phaseCorrelate(*padded)
-    return np.array(shift), sure
-
-
 @lru_cache(4)
-def _hanning(width: int, height: int) -> Map:
+def _hanning(height: int, width: int) -> Map:
     return np.asarray(cv2.createHanningWindow((width, height), cv2.CV_32F), np.float32)
-
-
-def _even(length: int) -> int:
-    """The least even length from `length` on that a Fourier transform takes fast."""
-    found = cv2.getOptimalDFTSize(length)
-    while found % 2:
-        found = cv2.getOptimalDFTSize(found + 1)
-    return found

@@ -1,5 +1,5 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
-"""Steps and weights of two hands, particle by particle; what they mean stands in `joint.py`.
+"""Steps and weights of two hands, particle by particle; what they mean stands in `target.py`.
 
 Places x (N, 2, 4) and the `face` (2,) are in sizes of the face's first box, of which the face now has `size` and which
 are `scale` pixels of the maps (H, W) float32. `strength` is what the share of skin in a hand adds to log p.
@@ -27,8 +27,6 @@ SPREAD = 0.6  # pixels of the reduced frame, about a place of most skin
 WINDOW = 0.8  # radii, standard deviation of the window in which the axis of a hand is measured
 CHANGED_WIDTH = 1.0  # grey levels, of the logistic function of a change
 LEARNS, HELD = 0.1, 0.02  # share of a frame in the head's template, and where it has changed or a hand is before it
-DARK, BRIGHT, ENOUGH = 20, 240, 0.1  # levels, and the share of pixels between them, by which the light is told
-LEAST_GAIN = 0.01  # of a channel: less is left as it is
 _ALONG = (0.2, 0.35, 0.5, 0.65, 0.8)
 _OPPOSITE = np.array([[2 * math.cos(k * math.pi / 6), 2 * math.sin(k * math.pi / 6)] for k in range(6)])  # radii
 _TINY, _FAR = 1e-12, 9.0  # of a density, and standard deviations beyond which it is less than that
@@ -232,7 +230,7 @@ def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, stre
 
 @exact("f8:3 b1:2 f8:1 f4:2 f8 f4:2 f8 f8:1 f8:2 f8:3 f8:1 f8:1 f8:2")
 def gather(x, seen, w, skin_at, scale, evidence, radius, p, at, cov, near, skin, form):
-    """Each hand where most of the particles that see it are; all of them where none does. See `joint.Belief`.
+    """Each hand where most of the particles that see it are; all of them where none does. See `Belief`.
 
     `skin_at` is the share of skin in a hand at each pixel, `radius` that of a hand in pixels.
     """
@@ -273,29 +271,6 @@ def gather(x, seen, w, skin_at, scale, evidence, radius, p, at, cov, near, skin,
         form[hand, 1] = min(max(4 * math.sqrt(down), radius), 3 * radius) if down >= 0.0 else 2 * radius
         across, down, both = _spread(evidence, mx * scale, my * scale, math.ceil(2 * radius), WINDOW * radius)
         form[hand, 2] = 2 * both / (across + down) if across + down > 0.0 else 0.0
-
-
-@exact("f8:3 b1:2 b1:1 f8:1 f8 f8:2 f8:3 b1:2 b1:1")
-def resample(x, seen, parted, w, u, at, to, to_seen, to_parted):
-    """As many particles drawn by the weights w (N,), evenly from the offset u on (`engine.resampling.systematic`).
-
-    All have the order of the belief's places `at` (2, 2): which hand is which is not theirs to say.
-    """
-    total, last, n, i = 0.0, 0, len(w), 0
-    for k in range(n):
-        total += w[k]
-        if w[k] > 0.0:
-            last = k
-    cumulated, dx, dy = w[0], at[0, 0] - at[1, 0], at[0, 1] - at[1, 1]
-    for k in range(n):
-        while i < last and cumulated <= (k + u) / n * total:
-            i += 1
-            cumulated += w[i]
-        one, two = x[i, 0], x[i, 1]
-        other = seen[i, 0] and seen[i, 1] and (one[0] - two[0]) * dx + (one[1] - two[1]) * dy < 0.0
-        for d in range(4):
-            to[k, 0, d], to[k, 1, d] = (two[d], one[d]) if other else (one[d], two[d])
-        to_seen[k, 0], to_seen[k, 1], to_parted[k] = seen[i, 0], seen[i, 1], parted[i]
 
 
 @exact("f4:3 f4:3 f4:1 f8 f8:2 f8 f4:2 f4:2 f4:1")
@@ -345,29 +320,3 @@ def learn_head(seen, head, weights, limit, hands, radius, change, new, apart):
             for c in range(3):
                 head[y, x, c] += rate * (seen[y, x, c] - head[y, x, c])
     return count
-
-
-@exact("u1:3 u1:3 i8")
-def is_lit_alike(first, now, step):
-    """Whether each channel of `now` has the light of `first` (H, W, 3), or too few pixels of every `step`-th tell.
-
-    It has where the median of the ratios is nearer than `LEAST_GAIN` to 1.
-    """
-    usable = total = 0
-    below, far_below = np.zeros(3, np.int64), np.zeros(3, np.int64)
-    for y in range(0, first.shape[0], step):
-        for x in range(0, first.shape[1], step):
-            low, high = 255, 0
-            for c in range(3):
-                low = min(low, min(first[y, x, c], now[y, x, c]))
-                high = max(high, max(first[y, x, c], now[y, x, c]))
-            total += 1
-            if low >= DARK and high <= BRIGHT:
-                usable += 1
-                for c in range(3):
-                    below[c] += now[y, x, c] < (1.0 + LEAST_GAIN) * first[y, x, c]
-                    far_below[c] += now[y, x, c] <= (1.0 - LEAST_GAIN) * first[y, x, c]
-    same = True
-    for c in range(3):
-        same &= below[c] > usable // 2 >= far_below[c]
-    return same or usable < ENOUGH * total

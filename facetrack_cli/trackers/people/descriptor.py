@@ -31,7 +31,7 @@ import numpy as np
 from facetrack_cli.core.geometry import share_inside, shown_angle
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Box, Frame, Image, Mask, Whole, checked_name
-from facetrack_cli.trackers.face.detectors import Detector
+from facetrack_cli.trackers.face.detectors import Detector, packaged
 from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -45,6 +45,7 @@ WIDE_PX, WIDE_SIDES = 96, 3.0  # sides of the image of head and shoulders, and o
 STILL_SIDES: Final = 2.2  # of the face's box in the picture of a person
 STILL_PX: Final = 240
 MODEL: Final = "dlib_face_recognition_resnet_model_v1.dat"
+_SKIN, _HAIR, _WORN = np.s_[48:54, 40:56], np.s_[24:30, 38:58], np.s_[75:94, 19:77]  # where they are in that image
 _BINS: Final = 6  # of each colour of what is worn
 _SHARP: Final = (0.09, 0.17)  # shares of fine details of a face that cannot be told from others, and of one that can
 _SCORE: Final = (0.75, 0.9)  # the same of the detector's score
@@ -52,30 +53,23 @@ FACE_SCORE: Final = 0.65  # mean of the detector's score over the better half of
 
 
 class FaceDescriptor(NamedTuple):
-    """What M views of a face show: `face` (M, 576), grey without mean and of unit norm; `skin`, `hair` (M, 3) in Lab.
+    """What M views of a face show."""
 
-    `worn` (M, 36), a histogram of colours; `embedding` (M, 128), or (M, 0) without dlib. `worth` (M, 1): how much of a
-    face can be told from it, 0..1.
-    """
-
-    face: Array
-    skin: Array
-    hair: Array
-    worn: Array
-    embedding: Array
-    worth: Array
+    face: Array  # (M, 576), grey without mean and of unit norm
+    skin: Array  # (M, 3), in Lab
+    hair: Array  # (M, 3)
+    worn: Array  # (M, 36), a histogram of colours
+    embedding: Array  # (M, 128), or (M, 0) without dlib
+    worth: Array  # (M, 1), how much of a face can be told from it, 0..1
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A face in one frame: upright (CHIP_PX, CHIP_PX, 3), and with what is around it (WIDE_PX, WIDE_PX, 3).
+    """A face in one frame."""
 
-    `side` are the pixels of its box in the frame.
-    """
-
-    chip: Image
-    wide: Image
-    side: float
+    chip: Image  # (CHIP_PX, CHIP_PX, 3), upright
+    wide: Image  # (WIDE_PX, WIDE_PX, 3), with what is around it
+    side: float  # of its box in the frame, in pixels
 
     @classmethod
     def of(cls, frame: Frame, face: Similarity) -> Picture:
@@ -117,9 +111,7 @@ def load_people(path: Path) -> dict[str, FaceDescriptor]:
 
 def _people(stored: Stored) -> dict[str, FaceDescriptor]:
     names, which = stored.texts("names"), np.array(stored.whole("which"))
-    *first, last = FaceDescriptor._fields  # a file of an earlier version has no worth
-    ones = stored.reals(last, 2) if last in stored else np.ones((len(which), 1))
-    every = FaceDescriptor._make([*(stored.reals(name, 2) for name in first), ones])
+    every = FaceDescriptor._make(stored.reals(name, 2) for name in FaceDescriptor._fields)
     sizes = {len(values) for values in every} | {len(which)}
     if len(sizes) > 1 or set(which.tolist()) != set(range(len(names))) or len(set(names)) < len(names):
         raise ValueError("its arrays do not belong together")
@@ -162,7 +154,7 @@ class Describer:
         self._detector = detector
         self.scores: list[float] = []  # of the detector, in each view; 0 where it sees no face
         self._seen: list[FaceDescriptor] = []  # without embeddings
-        self._pictures: dict[int, tuple[int, Picture]] = {}  # of the views that are embedded, and their numbers
+        self._pictures: list[Picture] = []
         self._places: list[Image] = []
         self._first: Similarity | None = None
         self.best: tuple[float, Image] | None = None  # the best still
@@ -174,10 +166,7 @@ class Describer:
         found, looks = self._detector.measure(upright.bgr, BOX), picture.plain
         self.scores.append(0.0 if found is None else found.score)
         self._seen.append(looks._replace(worth=looks.worth * np.interp(self.scores[-1], _SCORE, (0.0, 1.0))))
-        now = len(self._seen) - 1
-        kept = self._pictures.get(now // SHARED)
-        if kept is None or self._seen[kept[0]].worth < self._seen[now].worth:
-            self._pictures[now // SHARED] = now, picture
+        self._pictures.append(picture)
         self._first = self._first or view.face
         place = cv2.cvtColor(_upright(frame, self._first, 1.0, FACE_PX), cv2.COLOR_BGR2GRAY)
         self._places.append(np.asarray(place, np.uint8))
@@ -194,10 +183,12 @@ class Describer:
         Views without an embedding have that of the nearest view.
         """
         seen = together(self._seen)
-        good = {k: one for k, one in self._pictures.values() if seen.worth[k] >= AS_GOOD * seen.worth.max()}
-        best = sorted(sorted(good, key=lambda k: -seen.worth[k, 0])[:most])
-        nearest = np.abs(np.subtract.outer(np.arange(len(seen.worth)), best)).argmin(axis=1)
-        return seen._replace(embedding=np.concatenate([good[k].looks.embedding for k in best])[nearest])
+        worth = seen.worth[:, 0]
+        better = (k + int(worth[k : k + SHARED].argmax()) for k in range(0, len(worth), SHARED))
+        good = [k for k in better if worth[k] >= AS_GOOD * worth.max()]
+        best = sorted(sorted(good, key=lambda k: -worth[k])[:most])
+        nearest = np.abs(np.subtract.outer(np.arange(len(worth)), best)).argmin(axis=1)
+        return seen._replace(embedding=np.concatenate([self._pictures[k].looks.embedding for k in best])[nearest])
 
     @property
     def is_face(self) -> bool:
@@ -240,30 +231,15 @@ def _face(chip: Image) -> Array:
 def _colours(wide: Image) -> list[Array]:
     """Skin between eyes and mouth, hair above the brows, and what is worn below the chin, of a head upright."""
     lab = cv2.cvtColor(wide, cv2.COLOR_BGR2LAB).astype(np.float64)
-    unit, middle = WIDE_PX / WIDE_SIDES, WIDE_PX / 2
-
-    def part(x: float, y: float, w: float, h: float) -> Array:
-        """Pixels (P, 3) of a box given in sides of the face's, from its middle."""
-        left, top = middle + x * unit, middle + y * unit
-        rows = slice(max(round(top), 0), round(top + h * unit))
-        found = lab[rows, max(round(left), 0) : round(left + w * unit)]
-        return np.asarray(found.reshape(-1, 3))
-
-    skin = np.median(part(-0.25, 0.0, 0.5, 0.2), axis=0)
-    hair = np.median(part(-0.3, -0.75, 0.6, 0.2), axis=0)
-    worn = part(-0.9, 0.85, 1.8, 0.6)
-    chroma, _ = np.histogramdd(worn[:, 1:], bins=_BINS, range=((100, 160), (100, 160)))
+    skin, hair = (np.median(lab[part].reshape(-1, 3), axis=0) for part in (_SKIN, _HAIR))
+    chroma, _ = np.histogramdd(lab[_WORN].reshape(-1, 3)[:, 1:], bins=_BINS, range=((100, 160), (100, 160)))
     return [skin, hair, (chroma / max(chroma.sum(), 1)).ravel()]
 
 
 @cache
 def embedding_model() -> Path | None:
     """The file of dlib's network; None without the extra `people`."""
-    spec = util.find_spec("face_recognition_models")
-    for folder in (spec.submodule_search_locations or ()) if spec is not None and util.find_spec("dlib") else ():
-        if (file := Path(folder) / "models" / MODEL).is_file():
-            return file
-    return None
+    return packaged("face_recognition_models", "models", MODEL) if util.find_spec("dlib") else None
 
 
 _one_at_a_time: Final = Lock()
@@ -397,16 +373,15 @@ def distances(looks: Sequence[FaceDescriptor]) -> dict[str, Array]:
     A face that is blurred, small, covered or turned away says less, whatever it looks like; its colours say as much.
     Colours that are far apart say little: the light may be another one, and so may the clothes.
     """
-    best, found = [_best(one) for one in looks], dict[str, Array]()
-    worth = np.array([worth_of(one) for one in looks])
+    best, found = [FaceDescriptor(*(values[_best(one)] for values in one)) for one in looks], dict[str, Array]()
+    worth = np.array([one.worth.mean() for one in best])
     worth = np.minimum(worth[:, None], worth)
     for key in ("face", "embedding"):  # known people may have been saved without
         if all(getattr(one, key).shape[1] for one in looks):
-            x = np.concatenate([getattr(one, key)[rows] for one, rows in zip(looks, best, strict=True)])
+            x = np.concatenate([getattr(one, key) for one in best])
             found[key] = worth * np.array([np.ones_like(worth), worth, _nearest(x)])
     skin, hair, worn = (
-        np.array([np.median(getattr(one, key)[rows], axis=0) for one, rows in zip(looks, best, strict=True)])
-        for key in ("skin", "hair", "worn")
+        np.array([np.median(getattr(one, key), axis=0) for one in best]) for key in ("skin", "hair", "worn")
     )
     clothes = [0.5 * np.sum((worn - one) ** 2 / (worn + one + 1e-9), axis=1) for one in worn]
     far = np.array([_far(skin), _far(skin), _far(hair), clothes]) / np.reshape(_NEAR, (4, 1, 1))
