@@ -31,6 +31,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.appearance.appearance_kernels.gain": ("f8:2 f8:2 i8 f8", "velocity"),
     "trackers.box.box_kernels.gradients_of_scales": ("u1:2 f8 f8 f8:2 i8 f4:4", _CELLS),
     "trackers.face.image_kernels._channels": ("f4:3", "head"),
+    "trackers.face.image_kernels.read_eyes": ("u1:3 f8:2 f4:2", "head"),
     "trackers.face.image_kernels.run_stages": ("f4:3 f8:2 f8:2 f8:1 f4:3", "head"),
     "trackers.face.window_kernels.greatest": ("f4:3 f4:4 i8:1 i8:2 f8:2 f4:3", "likelihood=window_ncc"),
     "trackers.face.window_kernels.matched": ("f4:3 f4:4 i8:1 i8:2 f8:3 f4:3 f8:3", "likelihood=window_ncc"),
@@ -53,6 +54,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.face.landmark_kernels.show": ("f8:2 f8:3 f8:1 i8 f8 f8:2 f8:2 f8:1 f8 f8 f8 f8:2 i8:1", "head"),
     "trackers.face.landmark_kernels.median_shift": ("f8:2 b1:1 f8:1", "head"),
     "trackers.face.image_kernels.read": ("f4:3 f8:2 f8:2", "head"),
+    "trackers.face.image_kernels.warp": ("u1:2 f8:2 u1:3", "head"),
     "trackers.face.image_kernels.looks": ("u1:3", "head"),
     "trackers.appearance.appearance_kernels.read_patches": (
         "u1:2 i8 i8 i8 i8 i8 f8x4 f8:2 f8 f8 i8 i8",

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.engine.kernels.compiled import fast, fast_part
+from facetrack_cli.engine.kernels.compiled import exact, fast, fast_part
 
 Single: TypeAlias = NDArray[np.float32]
 Image: TypeAlias = NDArray[np.uint8]
@@ -50,13 +50,58 @@ def smoothed_channels(image: Image) -> Single:
     return np.asarray(_channels(looks(np.ascontiguousarray(image))), np.float32)
 
 
-def grey_channels(sums: NDArray[np.int32]) -> Single:
-    """As `smoothed_channels`, of sums over 3 x 3 grey levels (H, W): without redness, relative to the whole image."""
-    return np.asarray(_channels(_OF_NINE[sums][None]), np.float32)
+@fast
+def _channels(seen):
+    return _smoothed(seen)
 
 
 @fast
-def _channels(seen):
+def read_eyes(patches, offsets, out):
+    """What is read of patches (2, H, W) of grey levels: `out` (2, G C + 1) at `offsets` (G, 2), and at last a 1.
+
+    The second patch is mirrored. Channels are as `smoothed_channels` of means over 3 x 3 levels, but without redness,
+    and relative to the whole patch.
+    """
+    _, height, width = patches.shape
+    sums, seen = np.empty((height, width), np.int32), np.empty((1, height, width), np.float32)
+    for eye in range(len(patches)):
+        for y in range(height):
+            above, below = patches[eye, abs(y - 1)], patches[eye, height - 1 - abs(height - 2 - y)]
+            for x in range(width):
+                sums[y, x] = np.int32(above[x]) + np.int32(patches[eye, y, x]) + np.int32(below[x])
+            for x in range(width):
+                left, right = sums[y, abs(x - 1)], sums[y, width - 1 - abs(width - 2 - x)]
+                seen[0, y, width - 1 - x if eye else x] = _OF_NINE[left + sums[y, x] + right]
+        channels = _smoothed(seen)
+        _read(channels, np.zeros((1, 2)), offsets, 1.0, out[eye, :-1].reshape(1, len(offsets), len(channels)))
+        out[eye, -1] = _ONE
+
+
+@exact
+def warp(image, maps, out):
+    """Images `out` (M, side, side) of a grey `image` under `maps` (M, 4), as OpenCV 4 has them, to the last bit.
+
+    A map (a, b, u, v) takes (x, y) to (a x - b y + u, b x + a y + v), to 1/32 pixel. The border's pixels go on.
+    """
+    (height, width), side = image.shape, out.shape[1]
+    across, down = np.empty(side, np.int64), np.empty(side, np.int64)
+    for m in range(len(maps)):
+        a, b, u, v = maps[m]
+        for x in range(side):
+            across[x], down[x] = np.int64(np.rint(a * x * 1024.0)), np.int64(np.rint(b * x * 1024.0))
+        for y in range(side):
+            left, top = np.int64(np.rint((-b * y + u) * 1024.0)) + 16, np.int64(np.rint((a * y + v) * 1024.0)) + 16
+            for x in range(side):
+                i, j = (top + down[x]) >> 5, (left + across[x]) >> 5
+                fy, fx, i, j = i & 31, j & 31, i >> 5, j >> 5
+                above, below = image[min(max(i, 0), height - 1)], image[min(max(i + 1, 0), height - 1)]
+                j, right = min(max(j, 0), width - 1), min(max(j + 1, 0), width - 1)
+                upper, lower = (32 - fx) * above[j] + fx * above[right], (32 - fx) * below[j] + fx * below[right]
+                out[m, y, x] = ((32 - fy) * upper + fy * lower + 512) >> 10
+
+
+@fast_part
+def _smoothed(seen):
     (many, height, width), whole = seen.shape, len(seen) > 1
     directions = len(_WAYS)
     out = np.empty((directions + 2 * many - 1, height, width + 2 * _REACH), np.float32)
