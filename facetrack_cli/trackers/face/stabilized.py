@@ -94,7 +94,9 @@ class Similarity(NamedTuple):
 
     def extent(self, side: int) -> tuple[int, Extent]:
         """By which factor the frame is reduced that is read, and where."""
-        factor = 2 ** min(max(math.floor(math.log2(max(self.scale, 1.0))), 0), 8)
+        factor = 1
+        while 2 * factor <= self.scale and factor < 256:
+            factor *= 2
         far = 0.5 * side * self.scale * (abs(math.cos(self.angle)) + abs(math.sin(self.angle))) + 4 * factor
         x, y = self.centre.tolist()
         return factor, (x - far, y - far, x + far, y + far)
