@@ -117,12 +117,17 @@ class Calibration(_StoredPart):
         map. A row is lost where p is below 1/2. Other rows that the tracker does not see are hidden: their target is
         seen, or their place is likely right.
         """
-        values, how = np.array([getattr(rows, name) for name in _READ]), np.empty(len(rows), np.int64)
-        about = boxes_of(rows), rows.status == "lost", rows.status == "init"
-        status = rows.status
+        columns = {name: getattr(rows, name) for name in (*_READ, "status")}
+        return replace(rows, **self.changed(columns, boxes_of(rows), size))
+
+    def changed(self, columns: Mapping[str, Any], boxes: Mask, size: float) -> dict[str, Any]:
+        """As `applied`, the columns that change, of rows that are not made yet; `boxes` (R,) are those of boxes."""
+        values, status = np.array([columns[name] for name in _READ]), columns["status"]
+        how = np.empty(len(status), np.int64)
+        about = boxes, status == "lost", status == "init"
         if calibrate(values, *about, size, *self._tables, self.lost, LIKELY, how):
             status = np.where(how == AS_IT_IS, status, np.where(how == HIDDEN, "hidden", "lost"))
-        return replace(rows, confidence=values[0], status=status, **dict(zip(SPREAD, values[5:], strict=True)))
+        return {"confidence": values[0], "status": status, **dict(zip(SPREAD, values[5:], strict=True))}
 
     @cached_property
     def _tables(self) -> tuple[Array, Array, Array, Whole, Array]:
