@@ -91,7 +91,9 @@ class EyeRegression(NamedTuple):
 
     def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
         """The corners (4, 2), as the cascade has them."""
-        x = self.mean + (np.append(parts - CORNER - self.rest, 1.0) @ self.first).reshape(-1, 2)
+        follows = np.ones(len(self.first))
+        follows[:-1] = (parts - CORNER - self.rest).ravel()
+        x = self.mean + (follows @ self.first).reshape(-1, 2)
         return np.asarray(run_stages(seen, x, AROUND, self.scales, self.stages) + CORNER)
 
     def save(self, path: Path) -> None:
