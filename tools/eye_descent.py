@@ -167,7 +167,7 @@ def drawn_of(mouth: CascadedRegression, clip: Clip, clips: Sequence[Clip]) -> tu
     return free, [draw(rng, mouth, clip, clips, COVERED) for _ in range(SAMPLES // 2)]
 
 
-def patches(model: EyeRegression, one: Drawn, off: Array) -> Array:
+def patches(model: EyeRegression, one: Drawn, off: Array) -> NDArray[np.float32]:
     """phi (2, WIDTH) of both eyes, whose corners are found `off` (2,)."""
     return phi(one.frame, HEAD, (model.corners(one.seen, one.parts) + off).reshape(2, 2, 2).mean(axis=1))
 
