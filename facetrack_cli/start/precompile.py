@@ -54,7 +54,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.face.landmark_kernels.show": ("f8:2 f8:3 f8:1 i8 f8 f8:2 f8:2 f8:1 f8 f8 f8 f8:2 i8:1", "head"),
     "trackers.face.landmark_kernels.median_shift": ("f8:2 b1:1 f8:1", "head"),
     "trackers.face.image_kernels.read": ("f4:3 f8:2 f8:2", "head"),
-    "trackers.face.image_kernels.warp": ("u1:2 f8:2 u1:3", "head"),
+    "trackers.face.image_kernels.warp": ("u1:2 f8:2 u1:3", f"head {_CELLS}"),
     "trackers.face.image_kernels.looks": ("u1:3", "head"),
     "trackers.appearance.appearance_kernels.read_patches": (
         "u1:2 i8 i8 i8 i8 i8 f8x4 f8:2 f8 f8 i8 i8",

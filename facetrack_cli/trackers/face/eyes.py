@@ -127,32 +127,29 @@ def _patches(frame: Frame, both: list[Similarity]) -> Image:
     (factor, one), (_, other) = both[0].extent(SIDE), both[1].extent(SIDE)
     extent = min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
     if frame.yuv is None or frame.yuv.ours is None:
-        return _read(frame.grey(factor, extent), both, factor, SIDE, MIDDLE)
-    y, *tints = frame.planes(factor, extent) or []
-    lit = _read(_cropped(*y, extent), both, factor, SIDE, MIDDLE)
-    u, v = (
-        _read(_cropped(*tint, extent), both, 2 * factor, SIDE // 2, MIDDLE / 2 - 0.25, 2).reshape(SIDE, -1)
-        for tint in tints
-    )
+        return _read((*frame.grey(factor, extent), factor), both, SIDE, MIDDLE)
+    y, *tints = (_in_one_piece(*plane, extent) for plane in frame.planes(factor, extent) or [])
+    lit = _read(y, both, SIDE, MIDDLE)
+    u, v = (_read(tint, both, SIDE // 2, MIDDLE / 2 - 0.25, 2).reshape(SIDE, -1) for tint in tints)
     return Planes(lit.reshape(-1, SIDE), u, v, frame.yuv.ours).grey.reshape(lit.shape)
 
 
-def _read(
-    part: tuple[Image, int, int], both: list[Similarity], factor: int, side: int, half: float, step: int = 1
-) -> Image:
+def _read(part: tuple[Image, int, int, int], both: list[Similarity], side: int, half: float, step: int = 1) -> Image:
     """(2, side, side) of both views in a part of the frame; see `Similarity.map_of`."""
-    image, left, top = part
-    maps = np.array([view.map_of(left, top, factor, half, step) for view in both])
+    image, *place = part
+    maps = np.array([view.map_of(*place, half, step) for view in both])
     image_kernels.warp(image, maps, out := np.empty((2, side, side), np.uint8))
     return out
 
 
-def _cropped(image: Image, left: int, top: int, factor: int, extent: Extent) -> tuple[Image, int, int]:
-    """What of an image, reduced by `factor`, that begins at (left, top), lies in the extent, in one piece."""
+def _in_one_piece(image: Image, left: int, top: int, factor: int, extent: Extent) -> tuple[Image, int, int, int]:
+    """An image of the frame as `map_of` has it, as one piece of memory: all of it, or what lies in the extent."""
+    if image.flags.c_contiguous:
+        return image, left, top, factor
     x0, y0, x1, y1 = (int(at - begin) // factor for at, begin in zip(extent, (left, top, left, top), strict=True))
     x0, y0 = min(max(x0, 0), image.shape[1] - 1), min(max(y0, 0), image.shape[0] - 1)
     part = image[y0 : max(y1, y0) + 2, x0 : max(x1, x0) + 2]
-    return np.ascontiguousarray(part), left + x0 * factor, top + y0 * factor
+    return np.ascontiguousarray(part), left + x0 * factor, top + y0 * factor, factor
 
 
 @lru_cache(maxsize=8)

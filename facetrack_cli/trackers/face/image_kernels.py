@@ -83,21 +83,38 @@ def warp(image, maps, out):
 
     A map (a, b, u, v) takes (x, y) to (a x - b y + u, b x + a y + v), to 1/32 pixel. The border's pixels go on.
     """
-    (height, width), side = image.shape, out.shape[1]
-    across, down = np.empty(side, np.int64), np.empty(side, np.int64)
+    (height, width), side, flat = image.shape, out.shape[1], image.reshape(image.size)
+    across, down, at = np.empty(side, np.int32), np.empty(side, np.int32), np.empty(side, np.int32)
+    fx, fy = np.empty(side, np.int32), np.empty(side, np.int32)
     for m in range(len(maps)):
         a, b, u, v = maps[m]
         for x in range(side):
-            across[x], down[x] = np.int64(np.rint(a * x * 1024.0)), np.int64(np.rint(b * x * 1024.0))
+            across[x], down[x] = np.int32(np.rint(a * x * 1024.0)), np.int32(np.rint(b * x * 1024.0))
         for y in range(side):
-            left, top = np.int64(np.rint((-b * y + u) * 1024.0)) + 16, np.int64(np.rint((a * y + v) * 1024.0)) + 16
+            left, top = np.int32(np.rint((-b * y + u) * 1024.0) + 16), np.int32(np.rint((a * y + v) * 1024.0) + 16)
+            inside = True
+            for x in (0, side - 1):
+                i, j = (top + down[x]) >> 10, (left + across[x]) >> 10
+                inside &= 0 <= i < height - 1 and 0 <= j < width - 1
+            if inside:
+                # loads from anywhere do not vectorise, all else does
+                for x in range(side):
+                    i, j = np.int32((top + down[x]) >> 5), np.int32((left + across[x]) >> 5)
+                    fx[x], fy[x], at[x] = j & 31, i & 31, (i >> 5) * np.int32(width) + (j >> 5)
+                for x in range(side):
+                    k = np.uint64(at[x])
+                    p, q = np.int32(flat[k]), np.int32(flat[k + np.uint64(1)])
+                    r, s = np.int32(flat[k + np.uint64(width)]), np.int32(flat[k + np.uint64(width + 1)])
+                    upper, lower = (p << 5) + fx[x] * (q - p), (r << 5) + fx[x] * (s - r)
+                    out[m, y, x] = ((upper << 5) + fy[x] * (lower - upper) + 512) >> 10
+                continue
             for x in range(side):
                 i, j = (top + down[x]) >> 5, (left + across[x]) >> 5
-                fy, fx, i, j = i & 31, j & 31, i >> 5, j >> 5
-                above, below = image[min(max(i, 0), height - 1)], image[min(max(i + 1, 0), height - 1)]
-                j, right = min(max(j, 0), width - 1), min(max(j + 1, 0), width - 1)
-                upper, lower = (32 - fx) * above[j] + fx * above[right], (32 - fx) * below[j] + fx * below[right]
-                out[m, y, x] = ((32 - fy) * upper + fy * lower + 512) >> 10
+                above, below = min(max(i >> 5, 0), height - 1), min(max((i >> 5) + 1, 0), height - 1)
+                one, two = min(max(j >> 5, 0), width - 1), min(max((j >> 5) + 1, 0), width - 1)
+                p, r = (32 - (j & 31)) * image[above, one], (32 - (j & 31)) * image[below, one]
+                p, r = p + (j & 31) * image[above, two], r + (j & 31) * image[below, two]
+                out[m, y, x] = ((p << 5) + (i & 31) * (r - p) + 512) >> 10
 
 
 @fast_part

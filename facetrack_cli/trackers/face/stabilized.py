@@ -11,6 +11,7 @@ import numpy as np
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Extent, Frame, Image, Planes
+from facetrack_cli.trackers.face.image_kernels import warp
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
@@ -104,6 +105,9 @@ class Similarity(NamedTuple):
     def _warped(self, image: Image, left: int, top: int, factor: int, side: int, half: float, step: int = 1) -> Image:
         """What `map_of` maps, (side, side)."""
         a, b, u, v = self.map_of(left, top, factor, half, step)
+        if image.ndim == 2 and image.flags.c_contiguous:  # OpenCV takes longer
+            warp(image, np.array([[a, b, u, v]]), out := np.empty((1, side, side), np.uint8))
+            return out[0]
         matrix = np.array([[a, -b, u], [b, a, v]])
         return np.asarray(warp_affine(image, matrix, (side, side), cv2.BORDER_REPLICATE, inverse=True), np.uint8)
 
