@@ -136,8 +136,8 @@ def _patches(frame: Frame, both: list[Similarity]) -> Image:
 
 def _read(part: tuple[Image, int, int, int], both: list[Similarity], side: int, half: float, step: int = 1) -> Image:
     """(2, side, side) of both views in a part of the frame; see `Similarity.map_of`."""
-    image, *place = part
-    maps = np.array([view.map_of(*place, half, step) for view in both])
+    image, left, top, factor = part
+    maps = np.array([view.map_of(left, top, factor, half, step) for view in both])
     image_kernels.warp(image, maps, out := np.empty((2, side, side), np.uint8))
     return out
 

@@ -106,8 +106,9 @@ class Similarity(NamedTuple):
         """What `map_of` maps, (side, side)."""
         a, b, u, v = self.map_of(left, top, factor, half, step)
         if image.ndim == 2 and image.flags.c_contiguous:  # OpenCV takes longer
-            warp(image, np.array([[a, b, u, v]]), out := np.empty((1, side, side), np.uint8))
-            return out[0]
+            out = np.empty((side, side), np.uint8)
+            warp(image, np.array([[a, b, u, v]]), out[None])
+            return out
         matrix = np.array([[a, -b, u], [b, a, v]])
         return np.asarray(warp_affine(image, matrix, (side, side), cv2.BORDER_REPLICATE, inverse=True), np.uint8)
 
