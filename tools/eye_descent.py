@@ -167,12 +167,9 @@ def drawn_of(mouth: CascadedRegression, clip: Clip, clips: Sequence[Clip]) -> tu
     return free, [draw(rng, mouth, clip, clips, COVERED) for _ in range(SAMPLES // 2)]
 
 
-def patches(model: EyeRegression, one: Drawn, off: Array) -> Array:
+def patches(model: EyeRegression, one: Drawn, off: Array) -> NDArray[np.float32]:
     """phi (2, WIDTH) of both eyes, whose corners are found `off` (2,)."""
-    found = views(HEAD, (model.corners(one.seen, one.parts) + off).reshape(2, 2, 2).mean(axis=1))
-    return np.array(
-        [phi(view.read_grey(one.frame, eyes.SIDE)[:, ::way]) for view, way in zip(found, (1, -1), strict=True)]
-    )
+    return phi(one.frame, HEAD, (model.corners(one.seen, one.parts) + off).reshape(2, 2, 2).mean(axis=1))
 
 
 def train(mouth: CascadedRegression, clips: Sequence[tuple[list[Drawn], list[Drawn]]]) -> EyeRegression:

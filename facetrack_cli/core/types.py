@@ -153,8 +153,10 @@ class Frame:
             return None
         lit, x, y, _ = self._part("y", factor, extent)
         half = extent[0] / 2, extent[1] / 2, extent[2] / 2, extent[3] / 2
-        tints = (self._part(name, factor, half) for name in "uv")
-        return [(lit, x, y, factor), *((tint, 2 * left, 2 * top, 2 * factor) for tint, left, top, _ in tints)]
+        u, left, top, _ = self._part("u", factor, half)
+        v = self._part("v", factor, half)[0]
+        own = 2 * left, 2 * top, 2 * factor
+        return [(lit, x, y, factor), (u, *own), (v, *own)]
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
@@ -170,21 +172,22 @@ class Frame:
 
     def _smaller(self, what: str, factor: int, extent: Extent) -> _Part:
         """A part of the image at half the factor, reduced."""
+        if what == "v" and (twin := self._parts.get(("u", factor))) is not None and _within(extent, twin[3]):
+            image, left, top, asked = twin
+            (height, width), (x, y) = image.shape, (left, top)
+            assert self.yuv is not None
+            image = self.yuv.v[y : y + factor * height, x : x + factor * width]
+            return _halved(image, factor, height, width), left, top, asked
         # with a margin, since the next call of this frame asks for nearly the same place
-        tint = what in ("u", "v")
+        tint = what == "u" or what == "v"
         asked, own, first = _widened(extent, 6.0 * factor), factor * (1 + tint), 1 if tint else factor // 2
-        width, height = (max(side // own, 1) for side in self.size)
-        left, right = _blocks(asked[0], asked[2], factor, width)
-        top, bottom = _blocks(asked[1], asked[3], factor, height)
+        left, right = _blocks(asked[0], asked[2], factor, self.size[0] // own or 1)
+        top, bottom = _blocks(asked[1], asked[3], factor, self.size[1] // own or 1)
         wanted = left * factor, top * factor, right * factor - 1, bottom * factor - 1
         larger, x, y, _ = self._part(what, first, wanted)
         zoom, x, y = factor // first, x // first, y // first
         image = larger[zoom * top - y : zoom * bottom - y, zoom * left - x : zoom * right - x]
-        while zoom > 1:  # by halves, which OpenCV computes four times as fast as other factors
-            zoom //= 2
-            half = zoom * (right - left), zoom * (bottom - top)
-            image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), np.uint8)
-        return image, left * factor, top * factor, asked
+        return _halved(image, zoom, bottom - top, right - left), left * factor, top * factor, asked
 
     def _of_whole(self, what: str, _: int, extent: Extent) -> _Part:
         """The image itself; a part of it where less than half would have to be converted."""
@@ -259,8 +262,18 @@ def _widened(extent: Extent, more: float) -> Extent:
 
 def _blocks(low: float, high: float, factor: int, count: int) -> tuple[int, int]:
     """The half-open range of blocks of `factor` pixels that covers [low, high], within `count` blocks, never empty."""
-    first = min(max(math.floor(max(low, -1e9) / factor), 0), count - 1)
-    return first, min(max(math.ceil(min(high, 1e9) / factor) + 1, first + 1), count)
+    most = factor * count
+    first = (count - 1 if low >= most else int(low / factor)) if low > 0 else 0
+    last = count if high >= most else math.ceil(max(high, -1.0) / factor) + 1
+    return min(first, count - 1), min(max(last, first + 1), count)
+
+
+def _halved(image: Image, zoom: int, height: int, width: int) -> Image:
+    """An image reduced by `zoom` to that size: by halves, which OpenCV computes four times as fast as other factors."""
+    while zoom > 1:
+        zoom //= 2
+        image = np.asarray(cv2.resize(image, (zoom * width, zoom * height), interpolation=cv2.INTER_AREA), np.uint8)
+    return image
 
 
 class Particles(NamedTuple):

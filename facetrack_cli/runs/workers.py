@@ -28,7 +28,7 @@ from itertools import takewhile
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
-from queue import Empty, Full, Queue
+from queue import Empty, SimpleQueue
 from typing import Any, TypeAlias, TypeVar
 
 import cv2
@@ -66,25 +66,31 @@ def decoded_ahead(
     if not threaded:
         yield takewhile(lambda _: not stopped(), frames)
         return
-    queue, cancelled = Queue[T | BaseException | None](most), threading.Event()
+    queue, room, cancelled = SimpleQueue[T | BaseException | None](), SimpleQueue[None](), threading.Event()
+    seats = 0  # for frames that wait; `room` has those that are free
 
-    def put(item: T | BaseException | None) -> bool:
-        if isinstance(item, Frame):
-            queue.maxsize = min(most, _room(item))
+    def put(item: T) -> bool:
+        nonlocal seats
+        if not seats:
+            seats = min(most, _room(item)) if isinstance(item, Frame) else most
+            for _ in range(seats):
+                room.put(None)
         while not cancelled.is_set():
-            with contextlib.suppress(Full):
-                queue.put(item, timeout=POLL_S)
+            with contextlib.suppress(Empty):
+                room.get(timeout=POLL_S)
+                queue.put(item)
                 return True
         return False
 
     def decode() -> None:
         try:
             if all(map(put, frames)):  # which holds no frame while the next one is decoded
-                put(None)
+                queue.put(None)
         except BaseException as e:
-            put(e)
+            queue.put(e)
 
     def decoded() -> Iterator[T]:
+        free = 0
         while not stopped():
             try:
                 item = queue.get(timeout=POLL_S)
@@ -94,6 +100,11 @@ def decoded_ahead(
                 return
             if isinstance(item, BaseException):
                 raise item
+            free += 1
+            if 2 * free >= seats or queue.empty():  # the decoder is woken for several frames at a time
+                for _ in range(free):
+                    room.put(None)
+                free = 0
             yield item
             del item  # while the next one is waited for
 

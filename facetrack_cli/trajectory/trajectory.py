@@ -437,7 +437,10 @@ def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
             pairs = zip(tables, arrays, strict=True)
             arrays = [np.full((len(t), 4, 2), np.nan) if a is None else a for t, a in pairs]
         columns[column] = None if arrays[0] is None else np.concatenate(arrays)
-    return build(tuple(numbers), np.concatenate(which), **columns, **others)
+    whole = np.concatenate(which)
+    if (whole[1:] > whole[:-1]).all():  # the targets of one frame: nothing is to be sorted
+        return Trajectory(tuple(numbers), which=whole, **columns, **others)
+    return build(tuple(numbers), whole, **columns, **others)
 
 
 def aligned(parts: Sequence[Trajectory], *columns: str, frame: Whole | None = None) -> tuple[Whole, dict[str, Any]]:

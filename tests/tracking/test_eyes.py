@@ -4,7 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Frame
+from facetrack_cli.trackers.face import image_kernels
 from facetrack_cli.trackers.face.cascaded_regression import face_channels, load_regression
 from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SMALL, load_eyes, openings
 from facetrack_cli.trackers.face.mesh import Iris
@@ -12,6 +14,7 @@ from facetrack_cli.trackers.face.stabilized import EYES
 from tests.support import moving_face as moving
 from tests.support.fake_mesh import _AT, IN_CLIP, head_of
 from tests.support.moving_face import Pose
+from tests.twins import cascaded_regression as naive
 
 TRUE = np.array([_AT[point] for point in POINTS], float)  # in the stabilized image
 POSES = [IN_CLIP, Pose(120, 110, 60), Pose(180, 125, 130, 12), Pose(160, 120, 90, -20)]
@@ -24,6 +27,22 @@ def found(pose, change=lambda picture, to_frame: picture):
     frame = Frame(0, 0.0, change(frame.bgr.copy(), head.to_frame))
     still = head.read(frame).bgr
     return load_eyes().fit(frame, head, face_channels(still), load_regression().fit(still).at), frame
+
+
+def test_patches_are_read_as_opencv_reads_them_and_their_channels_are_what_the_plain_twin_says():
+    rng = np.random.default_rng(4)
+    image = cv2.resize(rng.integers(0, 256, (9, 11), dtype=np.uint8), (60, 50), interpolation=cv2.INTER_CUBIC)
+    maps, out = np.array([[0.9, 0.3, -7.3, 2.2], [-1.7, 1.4, 40.0, 9.6]]), np.empty((2, 26, 26), np.uint8)
+    image_kernels.warp(image, maps, out)
+    for (a, b, u, v), patch in zip(maps, out, strict=True):
+        there = warp_affine(image, np.array([[a, -b, u], [b, a, v]]), (26, 26), cv2.BORDER_REPLICATE, inverse=True)
+        np.testing.assert_array_equal(patch, there)
+    places = np.array([[3.0, 4.0], [25.0, 0.0], [11.4, 19.6]])
+    read, (one, other) = np.empty((2, 28), np.float32), out.tolist()
+    image_kernels.read_eyes(out, places, read)
+    for phi, levels in zip(read, (one, [row[::-1] for row in other]), strict=True):
+        plain = naive.read(naive.patch_channels(levels), places.tolist(), 1.0, grid=1)
+        np.testing.assert_allclose(phi, plain, atol=1e-3)
 
 
 def squeezed(picture, to_frame, to=0.15):

@@ -48,15 +48,10 @@ def relative(values, side=47):
     return mapped(lambda v, s: v / (s + 0.05), off, rms(off, side))
 
 
-def channels(image, directions=8):
-    """11 tables of an image (H, W, 3) of whole numbers, blue first: edges in 8 directions, redness, grey, slope."""
-    height, width = len(image), len(image[0])
-    b, g, r = (mapped(round, mean(table(height, width, lambda i, j, c=c: float(image[i][j][c])), 3)) for c in range(3))
-    grey = mapped(lambda b, g, r: math.log(0.114 * b + 0.587 * g + 0.299 * r + 16), b, g, r)
-    red = mapped(lambda g, r: math.log((r + 8) / (g + 8)), g, r)
+def edges(grey, usually, directions):
     dx, dy = across(grey), down(grey)
     size = mapped(math.hypot, dx, dy)
-    usual = rms(size, 27)
+    usual = usually(size)
     found = []
     for k in range(directions):
         turn = 2 * math.pi * k / directions
@@ -67,9 +62,33 @@ def channels(image, directions=8):
             return along**2 / (size * (usual + 0.02) + 1e-6)
 
         found.append(mapped(edge, dx, dy, size, usual))
+    return found
+
+
+def channels(image, directions=8):
+    """11 tables of an image (H, W, 3) of whole numbers, blue first: edges in 8 directions, redness, grey, slope."""
+    height, width = len(image), len(image[0])
+    b, g, r = (mapped(round, mean(table(height, width, lambda i, j, c=c: float(image[i][j][c])), 3)) for c in range(3))
+    grey = mapped(lambda b, g, r: math.log(0.114 * b + 0.587 * g + 0.299 * r + 16), b, g, r)
+    red = mapped(lambda g, r: math.log((r + 8) / (g + 8)), g, r)
+    found = edges(grey, lambda size: rms(size, 27), directions)
     slope = down(red)
     found += [relative(red), relative(grey), mapped(lambda v, s: v / (s + 0.05), slope, rms(slope, 27))]
     return [mean(mean(one, 5), 5) for one in found]
+
+
+def patch_channels(levels, directions=8):
+    """9 tables of grey levels (H, W): edges in 8 directions, and grey, relative to the whole."""
+    count = len(levels) * len(levels[0])
+    grey = mapped(lambda s: math.log(math.floor(8 * s / 9 + 0.5) / 8 + 16), around(levels, 3))
+
+    def usual(values):
+        whole = math.sqrt(sum(v * v for row in values for v in row) / count)
+        return mapped(lambda _: whole, values)
+
+    found, mid = edges(grey, usual, directions), sum(map(sum, grey)) / count
+    off = mapped(lambda v: v - mid, grey)
+    return [mean(mean(one, 5), 5) for one in (*found, mapped(lambda v, s: v / (s + 0.05), off, usual(off)))]
 
 
 def read(tables, x, scale, grid=5, step=5.0):

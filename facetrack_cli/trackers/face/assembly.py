@@ -134,9 +134,10 @@ class StudentPrior(Prior):
         # q^T C^-1 q is the square of q L, where C^-1 = L L^T and q = (x - first) D
         relative = np.eye(len(self.first))[:, bound.moving] - np.eye(len(self.first))[:, [bound.stable]]
         self._to_unit = np.kron(relative, np.eye(2)) @ np.linalg.cholesky(np.linalg.inv(self.cov)) / self.length
+        self._first = self.first.ravel() @ self._to_unit
 
     def log_density(self, x: Array) -> Array:
         """(N,): the log density, at most 0."""
-        unit = x.reshape(-1, len(self._to_unit)) @ self._to_unit - self.first.ravel() @ self._to_unit
+        unit = x.reshape(-1, len(self._to_unit)) @ self._to_unit - self._first
         squared = np.einsum("ni,ni->n", unit, unit)
         return np.asarray(-0.5 * (self.freedom + unit.shape[1]) * np.log1p(squared / self.freedom))

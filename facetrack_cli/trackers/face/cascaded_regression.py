@@ -60,7 +60,7 @@ class PlacedPoints(NamedTuple):
     @property
     def log_odds(self) -> float:
         """Log odds that the face is there: those of all points together, each of them bounded."""
-        return float(np.clip(self.odds, -MAX_LOG_ODDS, MAX_LOG_ODDS).sum())
+        return float(np.add.reduce(np.minimum(np.maximum(self.odds, -MAX_LOG_ODDS), MAX_LOG_ODDS)))
 
 
 class CascadedRegression(NamedTuple):

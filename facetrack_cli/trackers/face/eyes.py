@@ -19,16 +19,16 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.types import Array, Frame, Image
+from facetrack_cli.core.types import Array, Extent, Frame, Image, Planes
+from facetrack_cli.trackers.face import image_kernels
 from facetrack_cli.trackers.face.cascaded_regression import AROUND, CORNER, GRID, PlacedPoints
-from facetrack_cli.trackers.face.image_kernels import DIRECTIONS, grey_channels, read, run_stages
+from facetrack_cli.trackers.face.image_kernels import DIRECTIONS, run_stages
 from facetrack_cli.trackers.face.stabilized import EYES, Similarity, slope
 
 KIND = Kind("facetrack-eyes", 1, "eye descent", "python tools/eye_descent.py")
@@ -42,6 +42,7 @@ SIDES: Final = ([0, 1, 2, 3], [5, 4, 6, 7])
 _BOTH: Final = np.array(SIDES)
 ZOOM: Final = 2.0  # of a patch
 SIDE: Final = 48  # of a patch, pixels
+MIDDLE: Final = (SIDE - 1) / 2
 CELL: Final = 4  # pixels between the points of its grid
 NARROW: Final = 0.25  # width of an eye in distances between the eyes, below which it is turned away
 SMALL: Final = 16.0  # pixels of the frame between the eyes, below which lids are not seen
@@ -80,8 +81,8 @@ class EyeRegression(NamedTuple):
         small = min(STEEP * (head.scale * EYES / SMALL - 1), 0.0)
         at, odds = np.empty((len(POINTS), 2)), np.empty(len(POINTS))
         (a, b), _ = Similarity(middles, 1 / ZOOM, -slope(middles)).matrix.tolist()
-        for index, middle, view, way in zip(_BOTH, middles, views(head, middles), (1, -1), strict=True):
-            output = phi(view.read_grey(frame, SIDE)[:, ::way]) @ self.lids
+        for index, middle, read, way in zip(_BOTH, middles, phi(frame, head, middles), (1, -1), strict=True):
+            output = read @ self.lids
             off = output[:-1].reshape(-1, 2)
             narrow = math.dist(*off[:2].tolist()) / (ZOOM * EYES) - NARROW  # turned away
             odds[index] = float(output[-1]) + min(STEEP * narrow, 0.0) + small
@@ -90,7 +91,9 @@ class EyeRegression(NamedTuple):
 
     def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
         """The corners (4, 2), as the cascade has them."""
-        x = self.mean + (np.append(parts - CORNER - self.rest, 1.0) @ self.first).reshape(-1, 2)
+        follows = np.ones(len(self.first))
+        follows[:-1] = (parts - CORNER - self.rest).ravel()
+        x = self.mean + (follows @ self.first).reshape(-1, 2)
         return np.asarray(run_stages(seen, x, AROUND, self.scales, self.stages) + CORNER)
 
     def save(self, path: Path) -> None:
@@ -112,10 +115,41 @@ def views(head: Similarity, middles: Array) -> list[Similarity]:
     return [Similarity(at, head.scale / ZOOM, angle) for at in head.to_frame(middles)]
 
 
-def phi(patch: Image) -> NDArray[np.float32]:
-    """(WIDTH,) of a patch in grey (SIDE, SIDE)."""
-    seen = grey_channels(np.asarray(cv2.boxFilter(patch, cv2.CV_32S, (3, 3), normalize=False), np.int32))
-    return np.append(read(seen, np.zeros((1, 2)), _GRID).ravel(), np.float32(1))
+def phi(frame: Frame, head: Similarity, middles: Array) -> NDArray[np.float32]:
+    """(2, WIDTH) of the patches around both eyes, whose `middles` (2, 2) are in the stabilized image."""
+    out = np.empty((2, WIDTH), np.float32)
+    image_kernels.read_eyes(_patches(frame, views(head, middles)), _GRID, out)
+    return out
+
+
+def _patches(frame: Frame, both: list[Similarity]) -> Image:
+    """(2, SIDE, SIDE) of both views in grey."""
+    (factor, one), (_, other) = both[0].extent(SIDE), both[1].extent(SIDE)
+    extent = min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
+    if frame.yuv is None or frame.yuv.ours is None:
+        return _read((*frame.grey(factor, extent), factor), both, SIDE, MIDDLE)
+    y, *tints = (_in_one_piece(*plane, extent) for plane in frame.planes(factor, extent) or [])
+    lit = _read(y, both, SIDE, MIDDLE)
+    u, v = (_read(tint, both, SIDE // 2, MIDDLE / 2 - 0.25, 2).reshape(SIDE, -1) for tint in tints)
+    return Planes(lit.reshape(-1, SIDE), u, v, frame.yuv.ours).grey.reshape(lit.shape)
+
+
+def _read(part: tuple[Image, int, int, int], both: list[Similarity], side: int, half: float, step: int = 1) -> Image:
+    """(2, side, side) of both views in a part of the frame; see `Similarity.map_of`."""
+    image, left, top, factor = part
+    maps = np.array([view.map_of(left, top, factor, half, step) for view in both])
+    image_kernels.warp(image, maps, out := np.empty((2, side, side), np.uint8))
+    return out
+
+
+def _in_one_piece(image: Image, left: int, top: int, factor: int, extent: Extent) -> tuple[Image, int, int, int]:
+    """An image of the frame as `map_of` has it, as one piece of memory: all of it, or what lies in the extent."""
+    if image.flags.c_contiguous:
+        return image, left, top, factor
+    x0, y0, x1, y1 = (int(at - begin) // factor for at, begin in zip(extent, (left, top, left, top), strict=True))
+    x0, y0 = min(max(x0, 0), image.shape[1] - 1), min(max(y0, 0), image.shape[0] - 1)
+    part = image[y0 : max(y1, y0) + 2, x0 : max(x1, x0) + 2]
+    return np.ascontiguousarray(part), left + x0 * factor, top + y0 * factor, factor
 
 
 @lru_cache(maxsize=8)

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.engine.kernels.compiled import fast, fast_part
+from facetrack_cli.engine.kernels.compiled import exact, fast, fast_part
 
 Single: TypeAlias = NDArray[np.float32]
 Image: TypeAlias = NDArray[np.uint8]
@@ -50,13 +50,75 @@ def smoothed_channels(image: Image) -> Single:
     return np.asarray(_channels(looks(np.ascontiguousarray(image))), np.float32)
 
 
-def grey_channels(sums: NDArray[np.int32]) -> Single:
-    """As `smoothed_channels`, of sums over 3 x 3 grey levels (H, W): without redness, relative to the whole image."""
-    return np.asarray(_channels(_OF_NINE[sums][None]), np.float32)
-
-
-@fast("f4:3")
+@fast
 def _channels(seen):
+    return _smoothed(seen)
+
+
+@fast("u1:3 f8:2 f4:2")
+def read_eyes(patches, offsets, out):
+    """What is read of patches (2, H, W) of grey levels: `out` (2, G C + 1) at `offsets` (G, 2), and at last a 1.
+
+    The second patch is mirrored. Channels are as `smoothed_channels` of means over 3 x 3 levels, but without redness,
+    and relative to the whole patch.
+    """
+    _, height, width = patches.shape
+    sums, seen = np.empty((height, width), np.int32), np.empty((1, height, width), np.float32)
+    for eye in range(len(patches)):
+        for y in range(height):
+            above, below = patches[eye, abs(y - 1)], patches[eye, height - 1 - abs(height - 2 - y)]
+            for x in range(width):
+                sums[y, x] = np.int32(above[x]) + np.int32(patches[eye, y, x]) + np.int32(below[x])
+            for x in range(width):
+                left, right = sums[y, abs(x - 1)], sums[y, width - 1 - abs(width - 2 - x)]
+                seen[0, y, width - 1 - x if eye else x] = _OF_NINE[left + sums[y, x] + right]
+        channels = _smoothed(seen)
+        _read(channels, np.zeros((1, 2)), offsets, 1.0, out[eye, :-1].reshape(1, len(offsets), len(channels)))
+        out[eye, -1] = _ONE
+
+
+@exact("u1:2 f8:2 u1:3")
+def warp(image, maps, out):
+    """Images `out` (M, side, side) of a grey `image` under `maps` (M, 4), as OpenCV 4 has them, to the last bit.
+
+    A map (a, b, u, v) takes (x, y) to (a x - b y + u, b x + a y + v), to 1/32 pixel. The border's pixels go on.
+    """
+    (height, width), side, flat = image.shape, out.shape[1], image.reshape(image.size)
+    across, down, at = np.empty(side, np.int32), np.empty(side, np.int32), np.empty(side, np.int32)
+    fx, fy = np.empty(side, np.int32), np.empty(side, np.int32)
+    for m in range(len(maps)):
+        a, b, u, v = maps[m]
+        for x in range(side):
+            across[x], down[x] = np.int32(np.rint(a * x * 1024.0)), np.int32(np.rint(b * x * 1024.0))
+        for y in range(side):
+            left, top = np.int32(np.rint((-b * y + u) * 1024.0) + 16), np.int32(np.rint((a * y + v) * 1024.0) + 16)
+            inside = True
+            for x in (0, side - 1):
+                i, j = (top + down[x]) >> 10, (left + across[x]) >> 10
+                inside &= 0 <= i < height - 1 and 0 <= j < width - 1
+            if inside:
+                # loads from anywhere do not vectorise, all else does
+                for x in range(side):
+                    i, j = np.int32((top + down[x]) >> 5), np.int32((left + across[x]) >> 5)
+                    fx[x], fy[x], at[x] = j & 31, i & 31, (i >> 5) * np.int32(width) + (j >> 5)
+                for x in range(side):
+                    k = np.uint64(at[x])
+                    p, q = np.int32(flat[k]), np.int32(flat[k + np.uint64(1)])
+                    r, s = np.int32(flat[k + np.uint64(width)]), np.int32(flat[k + np.uint64(width + 1)])
+                    upper, lower = (p << 5) + fx[x] * (q - p), (r << 5) + fx[x] * (s - r)
+                    out[m, y, x] = ((upper << 5) + fy[x] * (lower - upper) + 512) >> 10
+                continue
+            for x in range(side):
+                i, j = (top + down[x]) >> 5, (left + across[x]) >> 5
+                above, below = min(max(i >> 5, 0), height - 1), min(max((i >> 5) + 1, 0), height - 1)
+                one, two = min(max(j >> 5, 0), width - 1), min(max((j >> 5) + 1, 0), width - 1)
+                p, r = (32 - (j & 31)) * image[above, one], (32 - (j & 31)) * image[below, one]
+                p, r = p + (j & 31) * image[above, two], r + (j & 31) * image[below, two]
+                out[m, y, x] = ((p << 5) + (i & 31) * (r - p) + 512) >> 10
+
+
+@fast_part
+def _smoothed(seen):
     (many, height, width), whole = seen.shape, len(seen) > 1
     directions = len(_WAYS)
     out = np.empty((directions + 2 * many - 1, height, width + 2 * _REACH), np.float32)

@@ -11,6 +11,7 @@ import numpy as np
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Extent, Frame, Image, Planes
+from facetrack_cli.trackers.face.image_kernels import warp
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
@@ -65,7 +66,7 @@ class Similarity(NamedTuple):
         if (planes := self._planes(frame, side)) is not None:
             still = planes.bgr[:side, :side]
         else:
-            factor, extent = self._extent(side)
+            factor, extent = self.extent(side)
             still = self._warped(*frame.reduced(factor, extent), factor, side, (side - 1) / 2)
         return Frame(frame.index, frame.time_s, still)
 
@@ -73,35 +74,46 @@ class Similarity(NamedTuple):
         """As `read`, in grey (side, side)."""
         if frame.yuv is not None and frame.yuv.ours is not None and (planes := self._planes(frame, side)):
             return planes.grey[:side, :side]  # of so few pixels alone
-        factor, extent = self._extent(side)
+        factor, extent = self.extent(side)
         return self._warped(*frame.grey(factor, extent), factor, side, (side - 1) / 2)
 
     def _planes(self, frame: Frame, side: int) -> Planes | None:
         """As `read`, of planes as they are stored, with an even number of pixels along each side."""
-        factor, extent = self._extent(side)
+        factor, extent = self.extent(side)
         if frame.yuv is None or (planes := frame.planes(factor, extent)) is None:
             return None
         even, middle = side + side % 2, (side - 1) / 2
         u, v = (self._warped(*tint, even // 2, middle / 2 - 0.25, 2) for tint in planes[1:])
         return Planes(self._warped(*planes[0], even, middle), u, v, frame.yuv.ours)
 
-    def _extent(self, side: int) -> tuple[int, Extent]:
+    def extent(self, side: int) -> tuple[int, Extent]:
         """By which factor the frame is reduced that is read, and where."""
-        factor = 2 ** min(max(math.floor(math.log2(max(self.scale, 1.0))), 0), 8)
+        factor = 1
+        while 2 * factor <= self.scale and factor < 256:
+            factor *= 2
         far = 0.5 * side * self.scale * (abs(math.cos(self.angle)) + abs(math.sin(self.angle))) + 4 * factor
         x, y = self.centre.tolist()
         return factor, (x - far, y - far, x + far, y + far)
 
     def _warped(self, image: Image, left: int, top: int, factor: int, side: int, half: float, step: int = 1) -> Image:
-        """Of a frame an image, reduced by `factor`, that begins at (left, top), read at every `step` pixels.
+        """What `map_of` maps, (side, side)."""
+        a, b, u, v = self.map_of(left, top, factor, half, step)
+        if image.ndim == 2 and image.flags.c_contiguous:  # OpenCV takes longer
+            out = np.empty((side, side), np.uint8)
+            warp(image, np.array([[a, b, u, v]]), out[None])
+            return out
+        matrix = np.array([[a, -b, u], [b, a, v]])
+        return np.asarray(warp_affine(image, matrix, (side, side), cv2.BORDER_REPLICATE, inverse=True), np.uint8)
 
-        `half` of these lie on either side of the middle.
+    def map_of(self, left: int, top: int, factor: int, half: float, step: int = 1) -> tuple[float, float, float, float]:
+        """The map (a x - b y + u, b x + a y + v) to an image of the frame.
+
+        That image is reduced by `factor` and begins at (left, top). It is read at every `step` pixels, of which `half`
+        lie on either side of the middle.
         """
         (x, y), off, scale = self.centre.tolist(), (factor - 1) / 2, step * self.scale / factor
         a, b = scale * math.cos(self.angle), scale * math.sin(self.angle)
-        u, v = (x - left - off) / factor - (a - b) * half, (y - top - off) / factor - (b + a) * half
-        matrix = np.array([[a, -b, u], [b, a, v]])
-        return np.asarray(warp_affine(image, matrix, (side, side), cv2.BORDER_REPLICATE, inverse=True), np.uint8)
+        return a, b, (x - left - off) / factor - (a - b) * half, (y - top - off) / factor - (b + a) * half
 
 
 def change_between(x: Array, rest: Array) -> tuple[float, float]:

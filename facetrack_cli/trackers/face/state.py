@@ -144,12 +144,18 @@ class FaceParts:
         if self.sensors.mesh is not None:
             values[NETWORK.name] = state.bias_filters.reliability[kernels.BY_NETWORK].mean(keepdims=True)
         diagnostics = {self.name: Diagnostics(self.diagnostics, np.array([frame.index]), values)}
-        rows = filtered = of_frame(self._names, frame, diagnostics, **self._columns(state, info.ess, face))
+        filtered = columns = self._columns(state, info.ess, face)
         if self.calibration is not None:
-            rows = self.calibration.applied(rows, self.features.size * self.side / FACE)
+            changed = self.calibration.changed(columns, self._boxes, self.features.size * self.side / FACE)
+            columns = {**columns, **changed}
+        rows = of_frame(self._names, frame, diagnostics, **columns)
         turned = complex(*face.matrix[:, 0])
         cloud = mapped(state.features.particles.x, turned, complex(*face.centre) - turned * complex(MIDDLE, MIDDLE))
-        return TargetResult(rows, cloud, notes, lambda: self.beliefs(state, filtered.unseen))
+
+        def beliefs() -> tuple[Belief, ...]:
+            return self.beliefs(state, of_frame(self._names, frame, diagnostics, **filtered).unseen)
+
+        return TargetResult(rows, cloud, notes, beliefs)
 
     def _columns(self, state: FaceState, head_ess: Array, face: Similarity) -> dict[str, Any]:
         """Columns of all parts.
@@ -218,3 +224,7 @@ class FaceParts:
     @cached_property
     def _names(self) -> tuple[tuple[str, str], ...]:
         return tuple((self.name, part) for part in self.parts)
+
+    @cached_property
+    def _boxes(self) -> Mask:
+        return np.array([part == BOX for part in self.parts])

@@ -119,7 +119,7 @@ class WindowNcc(Likelihood):
     def look(self, learned: WindowState, frame: Frame, expected: Array) -> WindowState:
         """With r around `expected` (K, 2)."""
         reach = self.reach if learned.within >= self.reach else min(max(math.ceil(learned.within), LEAST), self.reach)
-        corner, side = np.round(expected) - reach, 2 * reach + 1
+        corner, side = np.rint(expected) - reach, 2 * reach + 1
         maps, templates = np.empty((len(expected), side, side), np.float32), learned.templates
         greatest(channels(frame), templates.windows, templates.number, self.sides, corner + self.shift, maps)
         return learned._replace(maps=maps, corner=corner)
@@ -143,9 +143,9 @@ class WindowNcc(Likelihood):
     def scored(self, learned: WindowState) -> ScoredMaps:
         """What `score` reads."""
         assert learned.maps is not None and learned.corner is not None
-        return ScoredMaps(
-            learned.maps, learned.corner, np.clip(learned.visible, *kernels.BOUNDS), self.settings.sharpness, FLOOR
-        )
+        least, most = kernels.BOUNDS
+        visible = np.minimum(np.maximum(learned.visible, least), most)
+        return ScoredMaps(learned.maps, learned.corner, visible, self.settings.sharpness, FLOOR)
 
     def distances(self, learned: WindowState, frame: Frame, x: Array) -> Array:
         """1 - r of windows at x (N, K, 2) -> (N, K)."""
