@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from facetrack_cli.engine.confidence import (
     Map,
     PartKind,
     boxes_of,
-    features,
 )
 from facetrack_cli.evaluation.accuracy import (
     ELLIPSE_50,
@@ -186,6 +185,22 @@ def pool(y: Array, weight: Array) -> Array:
             weights[-2:] = [w]
             counts[-2:] = [counts[-2] + counts[-1]]
     return np.repeat(means, counts)
+
+
+def features(columns: Mapping[str, Any], boxes: Mask, size: float) -> dict[Feature, Array]:
+    """The features (R,) of rows of which these (R,) are `boxes`; `size`, in pixels, is that of the points."""
+    c = columns["confidence"]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sides = np.where(boxes | (size == 0), np.sqrt(columns["w"] * columns["h"]), size)
+        return {
+            "confidence": c,
+            "log_odds": np.log((c + 0.01) / (1.01 - c)),
+            "spread": np.log(np.clip(np.hypot(columns["std_x"], columns["std_y"]) / sides, 1e-3, 10.0)),
+            "ess": np.log10(np.clip(columns["ess"] / columns["particles"], 1e-3, 1.0)),
+            "lost": (columns["status"] == "lost").astype(float),
+            # what is small in the picture is placed less exactly, in terms of its size
+            "size": np.log(np.clip(sides, 3.0, 1000.0)),
+        }
 
 
 def probability(fitted: Map, values: Mapping[Feature, Array]) -> Array:

@@ -30,8 +30,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -39,6 +40,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Whole
+from facetrack_cli.engine.kernels.compiled import AS_IT_IS, HIDDEN, calibrate
 from facetrack_cli.recipe.model import LIKELY, ConfidenceSettings
 from facetrack_cli.trajectory.trajectory import SPREAD, Status, Trajectory
 
@@ -48,7 +50,6 @@ if TYPE_CHECKING:
 Feature: TypeAlias = Literal["confidence", "log_odds", "spread", "ess", "lost", "size"]
 PartKind: TypeAlias = Literal["points", "box"]
 Metric: TypeAlias = Callable[[Frame, Array], Array]  # `distances` of a likelihood and what it has learned
-_KINDS: Final[tuple[PartKind, ...]] = ("box", "points")
 
 
 class _StoredPart(BaseModel):
@@ -63,11 +64,6 @@ class Logistic(_StoredPart):
     coefficients: dict[Feature, float]
     least: Annotated[float, Field(ge=0, le=0.5)]
 
-    def of(self, features: Mapping[Feature, Array]) -> Array:
-        """p (R,) of rows, by features (R,)."""
-        score = self.intercept + sum(slope * features[name] for name, slope in self.coefficients.items())
-        return np.asarray(np.clip(1 / (1 + np.exp(-np.clip(score, -700, 700))), self.least, 1 - self.least))
-
 
 class Isotonic(_StoredPart):
     """p is linear between `knots`, pairs of a value of the score and p, and level beyond them.
@@ -78,11 +74,6 @@ class Isotonic(_StoredPart):
     method: Literal["isotonic"] = "isotonic"
     score: Feature | Logistic
     knots: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=1)]
-
-    def of(self, features: Mapping[Feature, Array]) -> Array:
-        """p (R,) of rows, by features (R,)."""
-        score = self.score.of(features) if isinstance(self.score, Logistic) else features[self.score]
-        return np.asarray(np.interp(score, *np.transpose(self.knots)))
 
 
 Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
@@ -124,37 +115,31 @@ class Calibration(_StoredPart):
 
     def changed(self, columns: Mapping[str, Any], boxes: Mask, size: float) -> dict[str, Any]:
         """As `applied`, the columns that change, of rows that are not made yet; `boxes` (R,) are those of boxes."""
-        status, c, unknown = columns["status"], columns["confidence"], np.isnan(columns["ess"])
-        known, lost = features(columns, boxes, size), status == "lost"
-        both = [
-            (self.maps[kind].of(known), self.spread.get(kind, 1.0)) if kind in self.maps else (np.nan, 1.0)
-            for kind in _KINDS
-        ]
-        p, factor = (np.where(boxes, *each) for each in zip(*both, strict=True))
-        if (lost & boxes).any():
-            p = np.where(lost, np.minimum(p, self.lost), p)
-        factor = np.where(unknown, 1.0, factor)
-        judged = ~((status == "init") | np.isnan(c) | unknown)
-        status = np.where(judged & lost & ~np.isnan(p), "hidden", status)
-        spread = {name: columns[name] * factor ** (2 if name == "cov_xy" else 1) for name in SPREAD}
-        status = np.where(judged & (p < LIKELY), "lost", status)
-        return {"confidence": np.where(judged, p, c), "status": status, **spread}
+        values, status = np.array([columns[name] for name in _READ]), columns["status"]
+        how = np.empty(len(status), np.int64)
+        about = boxes, status == "lost", status == "init"
+        if calibrate(values, *about, size, *self._tables, self.lost, LIKELY, how):
+            status = np.where(how == AS_IT_IS, status, np.where(how == HIDDEN, "hidden", "lost"))
+        return {"confidence": values[0], "status": status, **dict(zip(SPREAD, values[5:], strict=True))}
+
+    @cached_property
+    def _tables(self) -> tuple[Array, Array, Array, Whole, Array]:
+        """The maps and spreads of points and of boxes, as the kernel takes them."""
+        kinds: list[PartKind] = ["points", "box"]
+        maps = [self.maps.get(kind) for kind in kinds]
+        scores = [one.score if isinstance(one, Isotonic) else one for one in maps]
+        each = [one.coefficients if isinstance(one, Logistic) else {one: 1.0} for one in scores]
+        ends = [(one.intercept, one.least) if isinstance(one, Logistic) else (0.0, np.nan) for one in scores]
+        steps = [one.knots if isinstance(one, Isotonic) else [] for one in maps]
+        knots = np.zeros((2, 2, max(1, *map(len, steps))))
+        for table, own in zip(knots, steps, strict=True):
+            table[:, : len(own)] = np.array(own).reshape(-1, 2).T
+        counts = np.array([-1 if one is None else len(own) for one, own in zip(maps, steps, strict=True)])
+        slopes = np.array([[own.get(name, 0.0) for name in get_args(Feature)] for own in each])
+        return slopes, np.array(ends), knots, counts, np.array([self.spread.get(kind, 1.0) for kind in kinds])
 
 
-def features(columns: Mapping[str, Any], boxes: Mask, size: float) -> dict[Feature, Array]:
-    """The features (R,) of rows of which these (R,) are `boxes`; `size`, in pixels, is that of the points."""
-    c = columns["confidence"]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sides = np.where(boxes | (size == 0), np.sqrt(columns["w"] * columns["h"]), size)
-        return {
-            "confidence": c,
-            "log_odds": np.log((c + 0.01) / (1.01 - c)),
-            "spread": np.log(np.clip(np.hypot(columns["std_x"], columns["std_y"]) / sides, 1e-3, 10.0)),
-            "ess": np.log10(np.clip(columns["ess"] / columns["particles"], 1e-3, 1.0)),
-            "lost": (columns["status"] == "lost").astype(float),
-            # what is small in the picture is placed less exactly, in terms of its size
-            "size": np.log(np.clip(sides, 3.0, 1000.0)),
-        }
+_READ: Final = ("confidence", "w", "h", "ess", "particles", *SPREAD)
 
 
 def boxes_of(rows: Trajectory) -> Mask:

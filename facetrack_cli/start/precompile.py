@@ -41,7 +41,7 @@ KERNELS: Mapping[str, str] = {
         ("trackers.hands.hand_kernels", "move weigh gather fit_skin learn_head", "hands"),
         ("trackers.box.box_kernels", "remember respond read_cubic", _CELLS),
         ("trackers.regions.region_kernels", "match_boxes", "histogram"),
-        ("engine.kernels.compiled", "invert_cdf moments", _FILTERS),
+        ("engine.kernels.compiled", "invert_cdf moments calibrate", _FILTERS),
         ("trackers.skin.skin_kernels", "box_sums", "ncc skin"),
     )
     for name in names.split()
