@@ -206,9 +206,8 @@ class Trajectory:
     @property
     def corrected(self) -> Mask:
         """(R,) rows of a part that corrections gave; in a CSV `init` after the first row, or where `absent` begins.
-        A box that the tracker itself calls absent has particles.
 
-        What begins where chunks of a clip meet, as the header says, was not corrected.
+        Not those that begin where chunks of a clip meet; a box that the tracker itself calls absent has particles.
         """
         absent = self.status == "absent"
         seams = self.header.get("seams")

@@ -299,8 +299,7 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
     known = np.isnan(polygons).all(axis=1) | (np.abs(polygons) <= MAX_PIXELS).all(axis=1)
     result = bool((codes == INIT).any())
     wrong = ~known | ~(np.isnan(codes) | np.isin(codes, (UNKNOWN, INIT, FAILURE) if result else (UNKNOWN,)))
-    why = f"is none of {REGION}; a 2, a failure, comes after a 1, where a track begins"
-    lines.refuse(wrong, f"{why}; no number is farther out than any image, or all of them are nan")
+    lines.refuse(wrong, f"is none of {REGION}, within any image; a 2, a failure, comes after a 1, where a track begins")
     corners = polygons.reshape(-1, 4, 2)
     low, high = corners.min(axis=1), corners.max(axis=1)
     kept = np.flatnonzero(codes != UNKNOWN) if result else np.arange(len(lines))
@@ -324,8 +323,7 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     count = len(lines.cells[0])
     if count not in MOT_COLUMNS:
         raise lines.error(0, f"has {count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}")
-    values = np.full((len(lines), 10), np.nan)
-    values[:, :count] = lines.numbers(MOT_COLUMNS[count], count)
+    values = np.pad(lines.numbers(MOT_COLUMNS[count], count), ((0, 0), (0, 10 - count)), constant_values=np.nan)
     frame, ident = lines.whole(values[:, 0], "frame", 1), lines.whole(values[:, 1], "id", 1)
     seventh, eighth, covered = values[:, 6:9].T
     if results is None:
@@ -343,10 +341,9 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     left_out = f", {(~counts).sum()} rows of flag 0 or other classes left out" if not counts.all() else ""
     header = {"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"}
     hidden = ignored | ((covered == 0) & (count == 9) & (not results))
-    own = {"ids": ident, "status": np.where(hidden, "hidden", "visible"), "confidence": confidence}
-    own = {name: column[counts] for name, column in own.items()}
-    ltwh = values[counts, 2:6] - FROM_ONE
-    return lines.take(counts).boxes(frame[counts] - 1 + shift, ltwh, header=header, **own)
+    status = np.where(hidden, "hidden", "visible")
+    own = {"ids": ident[counts], "status": status[counts], "confidence": confidence[counts], "header": header}
+    return lines.take(counts).boxes(frame[counts] - 1 + shift, values[counts, 2:6] - FROM_ONE, **own)
 
 
 def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
