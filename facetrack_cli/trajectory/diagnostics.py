@@ -122,10 +122,9 @@ class Diagnostics:
             return replace(parts[0], frame=np.concatenate([piece.frame for piece in parts]), values=values)
         # what is read from a file declares, in the tracker's order, only what is there
         longest = sorted(parts, key=lambda part: -len(part.declared))
-        declared = {each.name: each for part in reversed(longest) for each in part.declared}
-        order = dict.fromkeys(each.name for part in longest for each in part.declared)
+        declared = {each.name: each for part in longest for each in part.declared}
         frames = [frame for piece in parts for frame in piece.frame.tolist()]
-        return cls.of([declared[name] for name in order], frames, [each for piece in parts for each in piece.records()])
+        return cls.of([*declared.values()], frames, [each for piece in parts for each in piece.records()])
 
     def records(self) -> list[dict[str, Any]]:
         """What is known in each frame, by name, as `of` takes it."""

@@ -318,12 +318,6 @@ class InitHeader(StartRecord):
         return self.start_from(self.origin)
 
 
-class SplitHeader(BaseModel, defer_build=True):
-    """How a clip was cut into chunks, as --split takes it."""
-
-    length: str
-
-
 class SeamHeader(BaseModel, defer_build=True):
     """Where two chunks of a clip meet: the first frame of the later one's rows, the share of frames that agree."""
 
@@ -332,14 +326,11 @@ class SeamHeader(BaseModel, defer_build=True):
     agrees: bool
 
 
-class SmoothedHeader(BaseModel, defer_build=True):
-    """By how many frames rows are late; None: they were given the whole clip."""
-
-    lag: int | None = None
-
-
 class Header(BaseModel, defer_build=True):
-    """The JSON around the frames; what only its end says is None where a file of lines was cut off."""
+    """The JSON around the frames; what only its end says is None where a file of lines was cut off.
+
+    `split` has the `length` of chunks, as --split takes it; `smoothed` by how many frames rows are late, their `lag`.
+    """
 
     facetrack: str = "unknown"
     versions: dict[str, str] = {}
@@ -347,9 +338,9 @@ class Header(BaseModel, defer_build=True):
     recipe: dict[str, Any]
     seed: int
     init: InitHeader
-    split: SplitHeader | None = None
+    split: dict[str, str] = {}
     seams: tuple[SeamHeader, ...] = ()
-    smoothed: SmoothedHeader | None = None
+    smoothed: dict[str, int | None] | None = None
     complete: bool | None = None
     stopped: str | None = None
     variable_fps: bool | None = None
@@ -386,9 +377,8 @@ def clip_of(table: Trajectory) -> Path | None:
 def frame_size_of(table: Trajectory) -> tuple[int, int] | None:
     """Width and height of its images in pixels."""
     size = header_value(table, "source", "size")
-    if isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size):
-        return size[0], size[1]
-    return None
+    known = isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size)
+    return (size[0], size[1]) if known else None
 
 
 def is_there(path: Path) -> bool:
