@@ -30,18 +30,14 @@ _Seconds: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
 _Still: TypeAlias = Annotated[str, Field(pattern=rf"^({STILLS}/[^/\\\x00.][^/\\\x00]*)?$")]  # a file of that folder
 
 
-class _Record(BaseModel, extra="forbid", defer_build=True):
-    """What people.json has."""
-
-
-class ShotRecord(_Record):
+class ShotRecord(BaseModel, extra="forbid", defer_build=True):
     """Frames [first, stop) of one shot; stop None: the end of the clip."""
 
     first: _Frame
     stop: _Frame | None
 
 
-class TrackRecord(_Record):
+class TrackRecord(BaseModel, extra="forbid", defer_build=True):
     """One track: whose it is, in which frames [first, stop), and with which probability.
 
     `other` (None: somebody new) has `p_other`, where that is in doubt; `still` is then its picture. `given`: by hand.
@@ -68,7 +64,7 @@ class TrackRecord(_Record):
 Tracks: TypeAlias = Sequence[TrackRecord]
 
 
-class PersonRecord(_Record):
+class PersonRecord(BaseModel, extra="forbid", defer_build=True):
     """A person: `seconds` on the screen, the intervals [first, stop) of frames, the mean probability of its tracks.
 
     `times` are the intervals in s. `still` is the picture; `photograph`: it never moves.
@@ -83,7 +79,7 @@ class PersonRecord(_Record):
     photograph: bool = False
 
 
-class People(_Record):
+class People(BaseModel, extra="forbid", defer_build=True):
     """Who is in a film of `fps` frames per second, in order of first appearance, by which `tracks`."""
 
     format: Literal["facetrack-people"] = "facetrack-people"

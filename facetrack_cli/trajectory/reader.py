@@ -36,6 +36,13 @@ _BOUNDS: Final = {
     **dict.fromkeys(("w", "h", "std_x", "std_y", "std_w", "std_h"), (0.0, MAX_PIXELS)),
     "identity_prob": (0.0, 1.0),
 }
+# of the cells of a column: the type of their values, the characters that stand in them, and what they are
+_CELLS: Final[Mapping[str, tuple[type, str, str]]] = {
+    **dict.fromkeys(COLUMNS, (np.float64, r"[-+.0-9eE]*", "finite number")),
+    **dict.fromkeys((*TEXTS, "target", "part"), (np.str_, r"(?s).*", "name")),
+    "frame": (np.int64, r"[0-9]*", "whole number from 0 up"),
+    "particles": (np.float64, r"[0-9]*", "whole number from 0 up"),
+}
 # the JSON of a frame
 _Number: TypeAlias = Annotated[float, Field(strict=True)] | None
 _Word: TypeAlias = Annotated[str, Field(min_length=1)]
@@ -135,15 +142,6 @@ def _read_csv(path: Path) -> Trajectory:
     return _build(path, names, whole)
 
 
-# of the cells of a column: the type of their values, the characters that stand in them, and what they are
-_CELLS: Final[Mapping[str, tuple[type, str, str]]] = {
-    **dict.fromkeys(COLUMNS, (np.float64, r"[-+.0-9eE]*", "finite number")),
-    **dict.fromkeys((*TEXTS, "target", "part"), (np.str_, r"(?s).*", "name")),
-    "frame": (np.int64, r"[0-9]*", "whole number from 0 up"),
-    "particles": (np.float64, r"[0-9]*", "whole number from 0 up"),
-}
-
-
 def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int]) -> NDArray[Any]:
     """The values of a column's cells; InputError, with the line, for the first that it cannot have."""
     kind, characters, what = _CELLS[name]
@@ -227,20 +225,19 @@ _Parts: TypeAlias = Annotated[
 ]
 
 
-class _Target(BaseModel, extra="forbid", defer_build=True):
-    box: tuple[Pixels, Pixels, Side, Side] | None = None  # left, top, width, height
-    points: dict[Name, tuple[Pixels, Pixels]] = {}  # x, y
-
-
-class TargetRecord(_Target):
+class TargetRecord(BaseModel, extra="forbid", defer_build=True):
     """Where one target is at the start."""
 
+    box: tuple[Pixels, Pixels, Side, Side] | None = None  # left, top, width, height
+    points: dict[Name, tuple[Pixels, Pixels]] = {}  # x, y
     windows: dict[Name, tuple[Side, Side]] = {}  # width, height
 
 
-class CorrectionRecord(_Target):
+class CorrectionRecord(BaseModel, extra="forbid", defer_build=True):
     """What is corrected of one target in one frame; the members are those of `core.types.Correction`."""
 
+    box: tuple[Pixels, Pixels, Side, Side] | None = None
+    points: dict[Name, tuple[Pixels, Pixels]] = {}
     kept: dict[Name, tuple[Pixels, Pixels]] = {}
     absent: _Parts = ()
     learn: Annotated[bool, Field(strict=True)] | None = None

@@ -369,12 +369,10 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
     """
     about = {name: others.pop(name) for name in ("header", "diagnostics", "path") if name in others}
     which, frame = np.asarray(which, np.int64), np.asarray(frame, np.int64)
-    order: Any = slice(None)
-    if not (which[1:] > which[:-1]).all():  # each part once, in order, as of one frame
-        order = np.lexsort((frame, which))
-        if (order == np.arange(len(order))).all():
-            order = slice(None)
-        which, frame = which[order], frame[order]
+    order: Any = np.lexsort((frame, which))
+    if (order == np.arange(len(order))).all():
+        order = slice(None)
+    which, frame = which[order], frame[order]
     twice = np.flatnonzero((frame[1:] == frame[:-1]) & (which[1:] == which[:-1]))
     if twice.size:
         at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
@@ -433,8 +431,7 @@ def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     for column in _ARRAYS[1:]:
         arrays = [getattr(table, column) for table in tables]
         if column == "corners" and any(array is not None for array in arrays):
-            pairs = zip(tables, arrays, strict=True)
-            arrays = [np.full((len(t), 4, 2), np.nan) if a is None else a for t, a in pairs]
+            arrays = [np.full((len(t), 4, 2), np.nan) if t.corners is None else t.corners for t in tables]
         columns[column] = None if arrays[0] is None else np.concatenate(arrays)
     return build(tuple(numbers), np.concatenate(which), **columns, **others)
 

@@ -244,5 +244,4 @@ def _quoted(text: str) -> str:
 
 _key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
 _SPECS = {"frame": ".0f", "particles": ".0f", **{name: f".{decimals}f" for name, decimals in DECIMALS.items()}}
-
 _BLOCK = 1_000  # frames that become text at a time

@@ -51,8 +51,6 @@ EXPORTS: Final = {
 }
 """The formats that are written, in the order of the help."""
 ALIASES: Final = {"elan": "eaf"}
-
-
 _SIZED = {"size", "frame_size", "video"}
 OF_MEDIA: Final = tuple(form for form, export in EXPORTS.items() if _SIZED & {*export.takes.split()})
 """The formats whose function asks for something of the clip."""

@@ -203,9 +203,8 @@ def _shape_marks(place: str, label: str, shape: ET.Element) -> Iterator[tuple[tu
             for _, mark in _shape_marks(place, label, point):
                 yield (label, str(point.get("label"))), mark
         return
-    status = "hidden" if shape.get("occluded") == "1" else "visible"
-    about: dict[str, Any] = {"status": "absent" if shape.get("outside") == "1" else status}
-    about["by_hand"] = shape.get("keyframe") != "0"
+    by_hand, seen = shape.get("keyframe") != "0", "hidden" if shape.get("occluded") == "1" else "visible"
+    about: dict[str, Any] = {"status": "absent" if shape.get("outside") == "1" else seen, "by_hand": by_hand}
     if shape.tag == "box":
         left, top, right, bottom = _pixels(place, *(shape.get(name) for name in ("xtl", "ytl", "xbr", "ybr")))
         (turn,) = _pixels(place, shape.get("rotation", 0))
@@ -542,7 +541,7 @@ def read_xml(path: Path, tool: str) -> ET.Element:
     if "<!DOCTYPE" in text:
         raise InputError(f"{path}: declares a document type, which {tool}'s files do not; it is not read")
     try:
-        return ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+        return ET.fromstring(text)
     except ET.ParseError as e:
         raise InputError(f"{path}:{e.position[0]}: is no XML ({e}); save it by {tool} again") from None
 

@@ -42,6 +42,7 @@ from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, REQUIRED, rea
 from facetrack_cli.trajectory.trajectory import MAX_ROWS, SEEN, Trajectory, build
 from facetrack_cli.trajectory.views import check_sized
 
+_BEGINS: Final = {"{": "facetrack", "<": "cvat", "version:": "pts"}  # how files of formats begin
 FROM_ONE: Final = np.array([1.0, 1.0, 0.0, 0.0])  # boxes (..., 4) that count pixels from 1, minus boxes that do from 0
 BOX_COLUMNS: Final = ("frame", "x", "y", "w", "h")
 LTWH: Final = "left,top,width,height"
@@ -147,9 +148,6 @@ def recognise(path: Path) -> tuple[Path, str]:
     form = f"a header reads {','.join(REQUIRED)} or {','.join(BOX_COLUMNS)}; commas stand between columns"
     why = f"begins no ground truth file that is known here: {form}; or give --truth-format: {', '.join(READERS)}"
     raise lines.error(0, why)
-
-
-_BEGINS: Final = {"{": "facetrack", "<": "cvat", "version:": "pts"}
 
 
 def read_text(path: Path) -> str:

@@ -403,4 +403,4 @@ def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
     if not rows:
         names = ", ".join(name for name in MESH if name in LANDMARKS)
         raise InputError(f"no part is one of OpenFace's landmarks, which are {names}, and point_01 to point_68")
-    return csv_text(OPENFACE, sorted(rows, key=lambda row: row[:2]))
+    return csv_text(OPENFACE, sorted(rows, key=itemgetter(0, 1)))
