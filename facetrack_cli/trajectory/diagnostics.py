@@ -42,11 +42,11 @@ class Diagnostic:
     decimals: int | tuple[int, ...] = 4
 
     def __post_init__(self) -> None:
-        if not self.name or (self.shape and (len(self.shape) > 1 or self.shape[0] < 1)):
-            raise ValueError(f"diagnostic {self.name!r} needs a name, and a shape of (), (n,) or None")
         many = self.decimals if isinstance(self.decimals, tuple) else (self.decimals,)
-        if min(many, default=-1) < 0 or (many is self.decimals and self.shape != (len(many),)):
-            raise ValueError(f"diagnostic {self.name!r} needs decimals from 0 up, one for all or for each number")
+        each = many is not self.decimals or self.shape == (len(many),)
+        shaped = not self.shape or (len(self.shape) == 1 and self.shape[0] > 0)
+        if not (self.name and shaped and each and min(many, default=-1) >= 0):
+            raise ValueError(f"diagnostic {self.name!r} needs a name, and a shape of (), (n,) or None, and decimals")
 
     def record(self) -> dict[str, Any]:
         """What the header of a JSON trajectory says of it; JSON has no infinite bounds."""

@@ -324,10 +324,7 @@ class SeamHeader(BaseModel, defer_build=True):
 
 
 class Header(BaseModel, defer_build=True):
-    """The JSON around the frames; what only its end says is None where a file of lines was cut off.
-
-    `split` has the `length` of chunks, as --split takes it; `smoothed` by how many frames rows are late, their `lag`.
-    """
+    """The JSON around the frames; what only its end says is None where a file of lines was cut off."""
 
     facetrack: str = "unknown"
     versions: dict[str, str] = {}
@@ -335,9 +332,9 @@ class Header(BaseModel, defer_build=True):
     recipe: dict[str, Any]
     seed: int
     init: InitHeader
-    split: dict[str, str] = {}
+    split: dict[str, str] = {}  # the `length` of chunks, as --split takes it
     seams: tuple[SeamHeader, ...] = ()
-    smoothed: dict[str, int | None] | None = None
+    smoothed: dict[str, int | None] | None = None  # `lag`: by how many frames rows are late; None: by all
     complete: bool | None = None
     stopped: str | None = None
     variable_fps: bool | None = None

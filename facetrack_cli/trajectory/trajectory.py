@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from facetrack_cli.trajectory.people import People
 
 Status: TypeAlias = Literal["init", "tracked", "hidden", "lost", "absent"]
+Names: TypeAlias = tuple[tuple[str, str], ...]
 UNSEEN: Final = ("hidden", "lost")  # statuses of parts that the tracker does not see, and has a place for
 SEEN: Final = ("", "visible", "init", "tracked")  # statuses, also of ground truth, of what can be seen
 SPREAD: Final = ("std_x", "std_y", "cov_xy", "std_w", "std_h")
@@ -64,7 +65,7 @@ class Trajectory:
     `path` the file.
     """
 
-    names: tuple[tuple[str, str], ...]
+    names: Names
     which: Whole
     frame: Whole
     time_s: Array
@@ -384,9 +385,7 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
     return Trajectory(tuple(names), **columns, **about)
 
 
-def of_frame(
-    names: tuple[tuple[str, str], ...], frame: Frame, diagnostics: Mapping[str, Diagnostics], **columns: Any
-) -> Trajectory:
+def of_frame(names: Names, frame: Frame, diagnostics: Mapping[str, Diagnostics], **columns: Any) -> Trajectory:
     """`build` of the rows of one frame, one for each of `names` and in their order, without looking for mistakes.
 
     An angle is that in the frame's pixels. What lies beyond the outermost pixels of the frame cannot be seen: it is

@@ -70,6 +70,7 @@ class _Mark(NamedTuple):
     angle: float = math.nan
 
 
+Clock: TypeAlias = tuple[Whole, Array]  # frames (T,) and their seconds (T,), as `every_frame` gives them
 _Marks: TypeAlias = dict[tuple[str, str], dict[int, _Mark]]  # by (target, part), then by frame
 
 
@@ -107,10 +108,9 @@ def _box(place: str, left: Any, top: Any, w: Any, h: Any, **about: Any) -> _Mark
 
 
 def _pixels(place: str, *texts: Any) -> list[float]:
-    try:
+    values = [math.nan]
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
         values = [float(text) for text in texts]
-    except (TypeError, ValueError, OverflowError):
-        values = [math.nan]
     if not all(abs(value) <= MAX_PIXELS for value in values):
         raise InputError(f"{place}: {', '.join(map(str, texts))} are no pixels; export the file from its tool again")
     return values
@@ -261,9 +261,7 @@ def _frames_of(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:
     return numbers, frames[first]
 
 
-def read_labelstudio(
-    path: Path, size: tuple[int, int], clock: tuple[Whole, Array] | None = None, *, fps: float = 0.0
-) -> Trajectory:
+def read_labelstudio(path: Path, size: tuple[int, int], clock: Clock | None = None, *, fps: float = 0.0) -> Trajectory:
     """The regions of the one task in an export (JSON): visible, or absent where not enabled.
 
     Of the places that are on one picture the last that is not interpolated counts; it is `by_hand`. Frames between two
@@ -273,7 +271,7 @@ def read_labelstudio(
     ----------
     path : the export.
     size : (width, height) of the clip, in pixels.
-    clock : the frames (T,) of the clip and their seconds (T,), as `every_frame` gives them; None: a frame is a picture.
+    clock : of the clip; None: a frame is a picture.
     fps : the framerate beside a clock where the file tells none, in frames per second.
 
     Raises
@@ -405,8 +403,9 @@ def _with_tiers(root: ET.Element, table: Trajectory, offset: int = 0) -> tuple[s
                 put("LINGUISTIC_TYPE", _type(kind, names[kind]))
                 if kind in VOCABULARIES:
                     vocabulary = put("CONTROLLED_VOCABULARY", {"CV_ID": names[kind]})
-                    what = ET.SubElement(vocabulary, "DESCRIPTION", LANG_REF="eng")
-                    what.text = "motion of the target in the image plane"
+                    ET.SubElement(
+                        vocabulary, "DESCRIPTION", LANG_REF="eng"
+                    ).text = "motion of the target in the image plane"
                 for label in VOCABULARIES.get(kind, ()):
                     entry = ET.SubElement(vocabulary, "CV_ENTRY_ML", CVE_ID=f"cveid_{names[kind]}_{label}")
                     ET.SubElement(entry, "CVE_VALUE", LANG_REF="eng").text = label
@@ -450,9 +449,7 @@ def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[in
 
 
 def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
-    """The spans of frames in which a target of a film has rows, and a hand is not absent; none if another than a hand
-    has them always.
-    """
+    """The spans of frames in which a target of a film, or a hand, is seen; none if another than a hand always is."""
     frames = np.unique(np.concatenate([part.frame for part in parts]))
     there = ~np.isin(frames, np.concatenate([part.frame[part.vanished] for part in parts]))
     runs = numbers.spans(there, np.diff(frames) > 1)
@@ -526,10 +523,7 @@ def _offset_of(root: ET.Element, clip: str) -> int | None:
 
 
 def add_tiers(path: Path, table: Trajectory, clip: str) -> tuple[str, list[str], bool]:
-    """The text of the file with the tiers of a table; the names that they have there; whether it has the clip.
-
-    Tiers whose name is there get another. InputError for a file that cannot take them.
-    """
+    """As `_with_tiers` of a file, and whether it has the clip. InputError for a file that cannot take them."""
     root = _read(path)
     offset = _offset_of(root, clip)
     return (*_with_tiers(root, table, offset or 0), offset is not None)

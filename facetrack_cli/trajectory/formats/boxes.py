@@ -277,8 +277,7 @@ def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
     gone = (ltwh[:, 2:] == 0).any(axis=1) | (ltwh == [-2, -2, -1, -1]).all(axis=1)
     status = np.where(gone, "absent", "visible")
     for name, means in (("cover", "hidden"), ("absence", "absent")):  # what is absent is so whatever covers it
-        file = path.with_name(f"{name}.label")
-        if file.is_file():
+        if (file := path.with_name(f"{name}.label")).is_file():
             labels = Lines.of(file, by_frame=True).numbers("one number", 1)[:, 0]
             if len(labels) != len(lines):
                 raise InputError(f"{file}: has {len(labels)} lines, {path.name} beside it {len(lines)}; move one away")

@@ -280,9 +280,7 @@ OPENFACE: Final = (
 )  # fmt: skip
 
 
-def write_coco(
-    table: Trajectory, size: tuple[int, int], file_name: Callable[[int], str], around: Around = "windows"
-) -> str:
+def write_coco(table: Trajectory, size: tuple[int, int], file_name: Callable[[int], str], around: Around) -> str:
     """The JSON text for images of `size` (width, height), named `file_name(frame)`. InputError as of `enclose`."""
     categories, annotations = [], list[dict[str, Any]]()
     for ident, target in enumerate(table.targets, 1):
