@@ -84,10 +84,9 @@ def mean(values: Array) -> Array:
 
 
 class Clock:
-    """The clip's clock: times as in the rows, between them in proportion, beyond them at the nominal rate `fps`."""
+    """The clip's clock: times as in the rows, between them in proportion, beyond or without at the nominal rate `fps`."""
 
     def __init__(self, table: Trajectory | None, fps: float) -> None:
-        """Without a table, all times are at the nominal rate."""
         self.fps, self._period = fps, 1 / fps
         self.frames: Whole = np.zeros(1, np.int64) if table is None or not len(table) else table.frames
         times = np.zeros(1) if table is None or not len(table) else table.times

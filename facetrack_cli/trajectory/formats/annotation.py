@@ -129,10 +129,7 @@ def _trajectory(path: Path, marks: _Marks, read_as: str, shift: int = 0) -> Traj
 
 
 def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> str:
-    """The XML text; `size` (width, height) of the images and the `name` of the clip, where they are known.
-
-    InputError for boxes without a size.
-    """
+    """The XML text; `size` (width, height) and `name` of the clip as far as known. InputError for boxes without a size."""
     tracks, last = list(_tracks(table)), int(table.frames[-1])
     kinds = [(escape(clean(label)), "rectangle" if track.part == BOX else "points") for label, track in tracks]
     labels = "".join(f"<label><name>{text}</name><type>{kind}</type><attributes/></label>" for text, kind in kinds)
@@ -251,10 +248,9 @@ def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, name
 
 
 def _frames_of(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:
-    """The frames (N,), from 1, of a player at a rate, and the pictures (N,) that come up in them.
+    """The frames (N,), from 1, of a player at a rate, and the pictures (N,) that come up in them, of several the first.
 
-    `times` (T,) are the seconds of the pictures `frames` (T,), nan where they have none. Of several pictures in a frame
-    of the player the first counts.
+    `times` (T,) are the seconds of the pictures `frames` (T,), nan where they have none.
     """
     there = np.where(np.isfinite(times), np.rint(np.round(times * rate, 3)), frames).astype(np.int64) + 1
     numbers, first = np.unique(there, return_index=True)

@@ -400,8 +400,7 @@ def write_got10k(part: Trajectory) -> str:
 def write_vot(part: Trajectory) -> str:
     """A result from frame 0 on: 1 in the first frame of the series, then a region a line, a polygon where there is one.
 
-    Frames before the first and in gaps are 0, a place that is not known is 2. InputError for a place without a size,
-    and for a frame below 0.
+    Frames before the first and in gaps are 0, a place that is not known is 2. InputError for one without a size.
     """
     first, last = int(part.frame[0]), int(part.frame[-1])
     if first < 0 or last >= MAX_ROWS:

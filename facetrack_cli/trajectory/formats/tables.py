@@ -25,9 +25,9 @@ OpenFace 2's FeatureExtraction (Baltrusaitis et al., FG 2018; its wiki page "Out
 
 - `timestamp` in seconds; `success` is 1 where all landmarks of the face are seen. All places are written, as OpenFace
   does; `confidence` is the mean over the parts. Nothing is interpolated.
-- `pose_R` in radians: pitch, yaw, roll of R = R_x R_y R_z in the camera's axes. `pose_T` in millimetres: the middle
-  between the eyes of a generic head (63 mm apart), which OpenFace has near the middle of the face, by OpenFace's own
-  guess of a camera: a focal length of the mean of 500 width / 640 and 500 height / 480, through the image's centre.
+- `pose_R`: pitch, yaw, roll of R = R_x R_y R_z in the camera's axes. `pose_T`: the middle between the eyes of a generic
+  head, which OpenFace has near the middle of the face, by OpenFace's own guess of a camera: a focal length of the mean
+  of 500 width / 640 and 500 height / 480, through the image's centre.
 """
 
 from __future__ import annotations
@@ -69,8 +69,7 @@ class Clip(NamedTuple):
 
 
 def write_csv_wide(table: Trajectory) -> str:
-    """A CSV with one row a frame: frame, time_s, of each part `target_part_x`, y, w, h, confidence, status, and of each
-    measure (measures.py) `target_mouth_opening`, `target_mouth_opening_std`, ...
+    """A CSV with one row a frame: frame, time_s, of each part `target_part_x`, y, ..., of each measure `target_smile`.
 
     Of a part `box` the name is the target's alone. The text begins with a byte order mark only where a name is not
     ASCII: spreadsheets need it then. A name that they would take for a formula is put behind an underscore.
@@ -91,10 +90,7 @@ def write_csv_wide(table: Trajectory) -> str:
 
 
 def write_pose(table: Trajectory) -> str:
-    """A CSV with a row for each frame and target that has points: roll, yaw, pitch in degrees, and their spread.
-
-    InputError if no target has enough points for a pose.
-    """
+    """A CSV with a row for each frame and target with a pose: pitch, yaw, roll in degrees, spreads. InputError if none."""
     rows: list[list[Any]] = []
     frames, times = timed(table)
     for name in table.targets:
