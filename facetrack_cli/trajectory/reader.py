@@ -266,8 +266,7 @@ class StartRecord(BaseModel, extra="forbid", defer_build=True):
 
 def to_record(start: Start) -> dict[str, Any]:
     """What `StartRecord` reads, for JSON; members without a value are left out."""
-    at = start.targets.items()
-    targets = {name: _known(box=each.box, points=dict(each.points), windows=dict(each.windows)) for name, each in at}
+    targets = {k: _known(box=t.box, points=dict(t.points), windows=dict(t.windows)) for k, t in start.targets.items()}
     measured = _known(detector=start.detector, placed=start.placed)
     return {"frame": start.frame, "targets": targets, **measured, **corrections_record(start.corrections)}
 

@@ -84,7 +84,7 @@ def mean(values: Array) -> Array:
 
 
 class Clock:
-    """The clip's clock: times as in the rows, between them in proportion, beyond or without at the nominal rate `fps`."""
+    """The clip's clock: times as in the rows, between in proportion, beyond or without at the nominal rate `fps`."""
 
     def __init__(self, table: Trajectory | None, fps: float) -> None:
         self.fps, self._period = fps, 1 / fps

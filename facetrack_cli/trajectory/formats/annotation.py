@@ -129,7 +129,7 @@ def _trajectory(path: Path, marks: _Marks, read_as: str, shift: int = 0) -> Traj
 
 
 def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> str:
-    """The XML text; `size` (width, height) and `name` of the clip as far as known. InputError for boxes without a size."""
+    """The XML text; `size` (width, height) and `name` of the clip, if known. InputError for boxes without a size."""
     tracks, last = list(_tracks(table)), int(table.frames[-1])
     kinds = [(escape(clean(label)), "rectangle" if track.part == BOX else "points") for label, track in tracks]
     labels = "".join(f"<label><name>{text}</name><type>{kind}</type><attributes/></label>" for text, kind in kinds)
@@ -218,15 +218,10 @@ def _shape_marks(place: str, label: str, shape: ET.Element) -> Iterator[tuple[tu
 
 
 def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, name: str) -> str:
-    """The JSON text of one task, in which each part is a rectangle.
+    """The JSON text of one task, in which each part is a rectangle, for the framerate `fps` of the configuration.
 
-    Points without windows are left out where other parts have some, else they are an InputError.
-
-    Parameters
-    ----------
-    size : (width, height) of the clip, in pixels.
-    fps : the framerate of the labelling configuration, in frames per second.
-    name : of the clip.
+    `size` is (width, height) of the clip in pixels, `name` its name. Points without windows are left out where other
+    parts have some, else they are an InputError.
     """
     numbers, pictures = _frames_of(*every_frame(table), fps)
     shown, count = dict(zip(pictures.tolist(), numbers.tolist(), strict=True)), int(numbers[-1])
@@ -513,8 +508,7 @@ def _offset_of(root: ET.Element, clip: str) -> int | None:
     """The time of the clip, in ms, at which the file's own times begin; None where it does not link to the clip."""
     for media in root.iter("MEDIA_DESCRIPTOR"):
         if unquote(media.get("MEDIA_URL", "")).replace("\\", "/").rpartition("/")[2] == unquote(clip):
-            origin = media.get("TIME_ORIGIN", "0")
-            return int(origin) if _is_whole(origin) else 0
+            return int(origin) if _is_whole(origin := media.get("TIME_ORIGIN", "0")) else 0
     return None
 
 

@@ -90,7 +90,7 @@ def write_csv_wide(table: Trajectory) -> str:
 
 
 def write_pose(table: Trajectory) -> str:
-    """A CSV with a row for each frame and target with a pose: pitch, yaw, roll in degrees, spreads. InputError if none."""
+    """A CSV with a row for each frame and target: pitch, yaw, roll in degrees, and spreads. InputError without pose."""
     rows: list[list[Any]] = []
     frames, times = timed(table)
     for name in table.targets:
@@ -109,11 +109,7 @@ def write_pose(table: Trajectory) -> str:
 def write_measures(clips: Sequence[Clip], many: bool = False) -> str:
     """A CSV with a row for each frame and target: those measures that any target has, and of each `_std` and `_noise`.
 
-    Of `many` clips the first column has their names.
-
-    Raises
-    ------
-    InputError : where no clip has the points, or the hands, that a measure needs.
+    Of `many` clips the first column has their names. InputError where none has the points, or hands, of a measure.
     """
     measures = [{target: measured for target, measured in clip.table.measures.items() if measured} for clip in clips]
     names_known = {name for targets in measures for measured in targets.values() for name in measured}
