@@ -266,8 +266,8 @@ def head_motion(parts: Sequence[Trajectory]) -> dict[str, list[tuple[int, int, s
         unit = float(np.exp(nanmedian(size)))
     else:  # (T, M) of pairs of points; of many points, those across from one another in the list
         k = len(parts)
-        first, second = np.triu_indices(k, 1) if k <= 12 else (np.arange(k), (np.arange(k) + k // 2) % k)
-        off = np.stack([x[:, second] - x[:, first], y[:, second] - y[:, first]], axis=2)
+        one, other = np.triu_indices(k, 1) if k <= 12 else (np.arange(k), (np.arange(k) + k // 2) % k)
+        off = np.stack([x[:, other] - x[:, one], y[:, other] - y[:, one]], axis=2)
         length = np.hypot(off[..., 0], off[..., 1])
         typical = nanmedian(length, axis=0)
         largest = float(np.nanmax(typical)) if np.isfinite(typical).any() else np.nan
