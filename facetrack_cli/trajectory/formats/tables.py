@@ -340,7 +340,7 @@ def write_dlc_h5(table: Trajectory, scorer: str = "facetrack") -> bytes:
         try:
             store.put("df_with_missing", frame, format="table", index=False, track_times=False)
         except HDF5ExtError:
-            why = f"HDF5 has no room for the names of {len(columns)} columns; choose a --target, or export to dlc"
+            why = f"HDF5 has no room for the names of {len(columns)} columns; choose a target, or export to dlc"
             raise InputError(why) from None
         # readers before pandas 3, as DeepLabCut has, find no values without what pandas 3.1 no longer writes
         store.get_storer("df_with_missing").attrs.pandas_version = "0.15.2"
