@@ -83,12 +83,12 @@ def command(header: Header, last: int) -> str:
     words += ["--start", str(header.init.frame)] if header.init.frame and not header.init.targets else []
     words += ["--seed", str(header.seed), "--stop", str(last + 1)]
     if header.smoothed is not None:
-        words += ["--lag", str(header.smoothed.lag)] if header.smoothed.lag else ["--smooth"]
+        words += ["--lag", str(lag)] if (lag := header.smoothed.get("lag")) else ["--smooth"]
     words += [] if source.stream is None else ["--stream", str(source.stream)]
     with contextlib.suppress(FacetrackError, OSError, ValueError):
         rate = given_rate(Path(source.path), source.fps)
         words += ["--fps", str(rate)] if rate else []
-    words += ["--split", header.split.length] if header.split is not None else []
+    words += ["--split", header.split["length"]] if "length" in header.split else []
     return shlex.join([*words, "-o", "again"])
 
 

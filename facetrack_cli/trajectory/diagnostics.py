@@ -42,11 +42,11 @@ class Diagnostic:
     decimals: int | tuple[int, ...] = 4
 
     def __post_init__(self) -> None:
-        if not self.name or (self.shape and (len(self.shape) > 1 or self.shape[0] < 1)):
-            raise ValueError(f"diagnostic {self.name!r} needs a name, and a shape of (), (n,) or None")
         many = self.decimals if isinstance(self.decimals, tuple) else (self.decimals,)
-        if min(many, default=-1) < 0 or (many is self.decimals and self.shape != (len(many),)):
-            raise ValueError(f"diagnostic {self.name!r} needs decimals from 0 up, one for all or for each number")
+        each = many is not self.decimals or self.shape == (len(many),)
+        shaped = not self.shape or (len(self.shape) == 1 and self.shape[0] > 0)
+        if not (self.name and shaped and each and min(many, default=-1) >= 0):
+            raise ValueError(f"diagnostic {self.name!r} needs a name, and a shape of (), (n,) or None, and decimals")
 
     def record(self) -> dict[str, Any]:
         """What the header of a JSON trajectory says of it; JSON has no infinite bounds."""
@@ -122,10 +122,9 @@ class Diagnostics:
             return replace(parts[0], frame=np.concatenate([piece.frame for piece in parts]), values=values)
         # what is read from a file declares, in the tracker's order, only what is there
         longest = sorted(parts, key=lambda part: -len(part.declared))
-        declared = {each.name: each for part in reversed(longest) for each in part.declared}
-        order = dict.fromkeys(each.name for part in longest for each in part.declared)
+        declared = {each.name: each for part in longest for each in part.declared}
         frames = [frame for piece in parts for frame in piece.frame.tolist()]
-        return cls.of([declared[name] for name in order], frames, [each for piece in parts for each in piece.records()])
+        return cls.of([*declared.values()], frames, [each for piece in parts for each in piece.records()])
 
     def records(self) -> list[dict[str, Any]]:
         """What is known in each frame, by name, as `of` takes it."""

@@ -264,8 +264,17 @@ def head_motion(parts: Sequence[Trajectory]) -> dict[str, list[tuple[int, int, s
     if len(parts) == 1:
         size, turn = np.where((w > 0) & (h > 0), 0.5 * np.log(w * h), np.nan), np.exp(1j * np.radians(angle))
         unit = float(np.exp(nanmedian(size)))
-    else:
-        size, turn, unit = _of_pairs(np.stack([x, y], axis=2))
+    else:  # (T, M) of pairs of points; of many points, those across from one another in the list
+        k = len(parts)
+        one, other = np.triu_indices(k, 1) if k <= 12 else (np.arange(k), (np.arange(k) + k // 2) % k)
+        off = np.stack([x[:, other] - x[:, one], y[:, other] - y[:, one]], axis=2)
+        length = np.hypot(off[..., 0], off[..., 1])
+        typical = nanmedian(length, axis=0)
+        largest = float(np.nanmax(typical)) if np.isfinite(typical).any() else np.nan
+        far = typical >= 0.5 * largest  # directions between points close together are mostly noise
+        off, length = np.nan_to_num(off[:, far]), np.where(length[:, far] > 0, length[:, far], np.nan)
+        turn = np.where(np.isfinite(length), np.exp(1j * np.arctan2(off[..., 1], off[..., 0])), np.nan)
+        size, unit = np.log(length), POINTS_TO_FACE * largest
     placed = np.isfinite(x) & np.isfinite(y)
     unit = unit if unit > 0 else np.nan  # nothing tells how large it is
     ways = {"horizontal": x, "vertical": y}
@@ -285,23 +294,6 @@ def head_motion(parts: Sequence[Trajectory]) -> dict[str, list[tuple[int, int, s
             for kind, first, last, label in _spans(time_s[a:b], own):
                 motions[kind].append((int(frame[a + first]), int(frame[a + last]), label))
     return {kind: sorted(found) for kind, found in motions.items()}
-
-
-def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
-    """Log distances (T, M) and directions (T, M, complex) of pairs of points xy (T, K, 2), and the target's size."""
-    k = xy.shape[1]
-    if k <= 12:
-        first, second = np.triu_indices(k, 1)
-    else:  # of many points, those across from one another in the list do
-        first, second = np.arange(k), (np.arange(k) + k // 2) % k
-    apart = xy[:, second] - xy[:, first]
-    length = np.hypot(apart[..., 0], apart[..., 1])
-    typical = nanmedian(length, axis=0)
-    largest = float(np.nanmax(typical)) if np.isfinite(typical).any() else np.nan
-    far = typical >= 0.5 * largest  # directions between points close together are mostly noise
-    apart, length = np.nan_to_num(apart[:, far]), np.where(length[:, far] > 0, length[:, far], np.nan)
-    turn = np.exp(1j * np.arctan2(apart[..., 1], apart[..., 0]))
-    return np.log(length), np.where(np.isfinite(length), turn, np.nan), POINTS_TO_FACE * largest
 
 
 def _follow(values: Array) -> Array:

@@ -27,22 +27,17 @@ _P: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 _Name: TypeAlias = Annotated[str, AfterValidator(checked_name)]
 _Frame: TypeAlias = Annotated[int, Field(ge=0, le=MAX_FRAME)]
 _Seconds: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
-
 _Still: TypeAlias = Annotated[str, Field(pattern=rf"^({STILLS}/[^/\\\x00.][^/\\\x00]*)?$")]  # a file of that folder
 
 
-class _Record(BaseModel, extra="forbid", defer_build=True):
-    """What people.json has."""
-
-
-class ShotRecord(_Record):
+class ShotRecord(BaseModel, extra="forbid", defer_build=True):
     """Frames [first, stop) of one shot; stop None: the end of the clip."""
 
     first: _Frame
     stop: _Frame | None
 
 
-class TrackRecord(_Record):
+class TrackRecord(BaseModel, extra="forbid", defer_build=True):
     """One track: whose it is, in which frames [first, stop), and with which probability.
 
     `other` (None: somebody new) has `p_other`, where that is in doubt; `still` is then its picture. `given`: by hand.
@@ -69,7 +64,7 @@ class TrackRecord(_Record):
 Tracks: TypeAlias = Sequence[TrackRecord]
 
 
-class PersonRecord(_Record):
+class PersonRecord(BaseModel, extra="forbid", defer_build=True):
     """A person: `seconds` on the screen, the intervals [first, stop) of frames, the mean probability of its tracks.
 
     `times` are the intervals in s. `still` is the picture; `photograph`: it never moves.
@@ -84,7 +79,7 @@ class PersonRecord(_Record):
     photograph: bool = False
 
 
-class People(_Record):
+class People(BaseModel, extra="forbid", defer_build=True):
     """Who is in a film of `fps` frames per second, in order of first appearance, by which `tracks`."""
 
     format: Literal["facetrack-people"] = "facetrack-people"
@@ -120,12 +115,11 @@ class People(_Record):
 
     def seconds_together(self) -> Mapping[tuple[str, str], float]:
         """How long two people are on the screen at the same time, where they ever are."""
-        together: dict[tuple[str, str], float] = {}
-        for a, b in combinations(self.people, 2):
-            seconds = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in a.times for y in b.times)
-            if seconds:
-                together[a.name, b.name] = round(seconds, 3)
-        return together
+        together = {
+            (a.name, b.name): sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in a.times for y in b.times)
+            for a, b in combinations(self.people, 2)
+        }
+        return {both: round(seconds, 3) for both, seconds in together.items() if seconds}
 
 
 def read_people(path: Path) -> People | None:
@@ -166,8 +160,8 @@ def people_of(
         p = round(float(np.average([row.p for row in theirs], weights=[row.stop - row.first for row in theirs])), 4)
         picture: dict[str, Any] = {"still": stills.get(name, ""), "photograph": name in photographs}
         people.append(PersonRecord(name=name, seconds=seconds, p=p, intervals=spans, times=times, **picture))
-    own: dict[str, Any] = {"tracks": ordered, "corrections": tuple(corrections)}
-    return People(fps=clock.fps, shots=tuple(shots), people=tuple(people), **own)
+    shown, words = tuple(people), tuple(corrections)
+    return People(fps=clock.fps, shots=tuple(shots), people=shown, tracks=ordered, corrections=words)
 
 
 def merge(tracks: Tracks, name: str, into: str) -> Tracks:

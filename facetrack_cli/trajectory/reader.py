@@ -36,6 +36,13 @@ _BOUNDS: Final = {
     **dict.fromkeys(("w", "h", "std_x", "std_y", "std_w", "std_h"), (0.0, MAX_PIXELS)),
     "identity_prob": (0.0, 1.0),
 }
+# of the cells of a column: the type of their values, the characters that stand in them, and what they are
+_CELLS: Final[Mapping[str, tuple[type, str, str]]] = {
+    **dict.fromkeys(COLUMNS, (np.float64, r"[-+.0-9eE]*", "finite number")),
+    **dict.fromkeys((*TEXTS, "target", "part"), (np.str_, r"(?s).*", "name")),
+    "frame": (np.int64, r"[0-9]*", "whole number from 0 up"),
+    "particles": (np.float64, r"[0-9]*", "whole number from 0 up"),
+}
 # the JSON of a frame
 _Number: TypeAlias = Annotated[float, Field(strict=True)] | None
 _Word: TypeAlias = Annotated[str, Field(min_length=1)]
@@ -135,15 +142,6 @@ def _read_csv(path: Path) -> Trajectory:
     return _build(path, names, whole)
 
 
-# of the cells of a column: the type of their values, the characters that stand in them, and what they are
-_CELLS: Final[Mapping[str, tuple[type, str, str]]] = {
-    **dict.fromkeys(COLUMNS, (np.float64, r"[-+.0-9eE]*", "finite number")),
-    **dict.fromkeys((*TEXTS, "target", "part"), (np.str_, r"(?s).*", "name")),
-    "frame": (np.int64, r"[0-9]*", "whole number from 0 up"),
-    "particles": (np.float64, r"[0-9]*", "whole number from 0 up"),
-}
-
-
 def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int]) -> NDArray[Any]:
     """The values of a column's cells; InputError, with the line, for the first that it cannot have."""
     kind, characters, what = _CELLS[name]
@@ -227,20 +225,19 @@ _Parts: TypeAlias = Annotated[
 ]
 
 
-class _Target(BaseModel, extra="forbid", defer_build=True):
-    box: tuple[Pixels, Pixels, Side, Side] | None = None  # left, top, width, height
-    points: dict[Name, tuple[Pixels, Pixels]] = {}  # x, y
-
-
-class TargetRecord(_Target):
+class TargetRecord(BaseModel, extra="forbid", defer_build=True):
     """Where one target is at the start."""
 
+    box: tuple[Pixels, Pixels, Side, Side] | None = None  # left, top, width, height
+    points: dict[Name, tuple[Pixels, Pixels]] = {}  # x, y
     windows: dict[Name, tuple[Side, Side]] = {}  # width, height
 
 
-class CorrectionRecord(_Target):
+class CorrectionRecord(BaseModel, extra="forbid", defer_build=True):
     """What is corrected of one target in one frame; the members are those of `core.types.Correction`."""
 
+    box: tuple[Pixels, Pixels, Side, Side] | None = None
+    points: dict[Name, tuple[Pixels, Pixels]] = {}
     kept: dict[Name, tuple[Pixels, Pixels]] = {}
     absent: _Parts = ()
     learn: Annotated[bool, Field(strict=True)] | None = None
@@ -267,8 +264,7 @@ class StartRecord(BaseModel, extra="forbid", defer_build=True):
 
 def to_record(start: Start) -> dict[str, Any]:
     """What `StartRecord` reads, for JSON; members without a value are left out."""
-    at = start.targets.items()
-    targets = {name: _known(box=each.box, points=dict(each.points), windows=dict(each.windows)) for name, each in at}
+    targets = {k: _known(box=t.box, points=dict(t.points), windows=dict(t.windows)) for k, t in start.targets.items()}
     measured = _known(detector=start.detector, placed=start.placed)
     return {"frame": start.frame, "targets": targets, **measured, **corrections_record(start.corrections)}
 
@@ -316,24 +312,12 @@ class InitHeader(StartRecord):
         return self.start_from(self.origin)
 
 
-class SplitHeader(BaseModel, defer_build=True):
-    """How a clip was cut into chunks, as --split takes it."""
-
-    length: str
-
-
 class SeamHeader(BaseModel, defer_build=True):
     """Where two chunks of a clip meet: the first frame of the later one's rows, the share of frames that agree."""
 
     frame: FrameNumber
     agreement: float | None
     agrees: bool
-
-
-class SmoothedHeader(BaseModel, defer_build=True):
-    """By how many frames rows are late; None: they were given the whole clip."""
-
-    lag: int | None = None
 
 
 class Header(BaseModel, defer_build=True):
@@ -345,9 +329,9 @@ class Header(BaseModel, defer_build=True):
     recipe: dict[str, Any]
     seed: int
     init: InitHeader
-    split: SplitHeader | None = None
+    split: dict[str, str] = {}  # the `length` of chunks, as --split takes it
     seams: tuple[SeamHeader, ...] = ()
-    smoothed: SmoothedHeader | None = None
+    smoothed: dict[str, int | None] | None = None  # `lag`: by how many frames rows are late; None: by all
     complete: bool | None = None
     stopped: str | None = None
     variable_fps: bool | None = None
@@ -384,9 +368,8 @@ def clip_of(table: Trajectory) -> Path | None:
 def frame_size_of(table: Trajectory) -> tuple[int, int] | None:
     """Width and height of its images in pixels."""
     size = header_value(table, "source", "size")
-    if isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size):
-        return size[0], size[1]
-    return None
+    known = isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size)
+    return (size[0], size[1]) if known else None
 
 
 def is_there(path: Path) -> bool:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from facetrack_cli.trajectory.people import People
 
 Status: TypeAlias = Literal["init", "tracked", "hidden", "lost", "absent"]
+Names: TypeAlias = tuple[tuple[str, str], ...]
 UNSEEN: Final = ("hidden", "lost")  # statuses of parts that the tracker does not see, and has a place for
 SEEN: Final = ("", "visible", "init", "tracked")  # statuses, also of ground truth, of what can be seen
 SPREAD: Final = ("std_x", "std_y", "cov_xy", "std_w", "std_h")
@@ -64,7 +65,7 @@ class Trajectory:
     `path` the file.
     """
 
-    names: tuple[tuple[str, str], ...]
+    names: Names
     which: Whole
     frame: Whole
     time_s: Array
@@ -206,9 +207,8 @@ class Trajectory:
     @property
     def corrected(self) -> Mask:
         """(R,) rows of a part that corrections gave; in a CSV `init` after the first row, or where `absent` begins.
-        A box that the tracker itself calls absent has particles.
 
-        What begins where chunks of a clip meet, as the header says, was not corrected.
+        Not those that begin where chunks of a clip meet; a box that the tracker itself calls absent has particles.
         """
         absent = self.status == "absent"
         seams = self.header.get("seams")
@@ -370,12 +370,10 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
     """
     about = {name: others.pop(name) for name in ("header", "diagnostics", "path") if name in others}
     which, frame = np.asarray(which, np.int64), np.asarray(frame, np.int64)
-    order: Any = slice(None)
-    if not (which[1:] > which[:-1]).all():  # each part once, in order, as of one frame
-        order = np.lexsort((frame, which))
-        if (order == np.arange(len(order))).all():
-            order = slice(None)
-        which, frame = which[order], frame[order]
+    order: Any = np.lexsort((frame, which))
+    if (order == np.arange(len(order))).all():
+        order = slice(None)
+    which, frame = which[order], frame[order]
     twice = np.flatnonzero((frame[1:] == frame[:-1]) & (which[1:] == which[:-1]))
     if twice.size:
         at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
@@ -387,9 +385,7 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
     return Trajectory(tuple(names), **columns, **about)
 
 
-def of_frame(
-    names: tuple[tuple[str, str], ...], frame: Frame, diagnostics: Mapping[str, Diagnostics], **columns: Any
-) -> Trajectory:
+def of_frame(names: Names, frame: Frame, diagnostics: Mapping[str, Diagnostics], **columns: Any) -> Trajectory:
     """`build` of the rows of one frame, one for each of `names` and in their order, without looking for mistakes.
 
     An angle is that in the frame's pixels. What lies beyond the outermost pixels of the frame cannot be seen: it is
@@ -434,8 +430,7 @@ def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     for column in _ARRAYS[1:]:
         arrays = [getattr(table, column) for table in tables]
         if column == "corners" and any(array is not None for array in arrays):
-            pairs = zip(tables, arrays, strict=True)
-            arrays = [np.full((len(t), 4, 2), np.nan) if a is None else a for t, a in pairs]
+            arrays = [np.full((len(t), 4, 2), np.nan) if t.corners is None else t.corners for t in tables]
         columns[column] = None if arrays[0] is None else np.concatenate(arrays)
     whole = np.concatenate(which)
     if (whole[1:] > whole[:-1]).all():  # the targets of one frame: nothing is to be sorted

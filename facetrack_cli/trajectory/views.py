@@ -16,6 +16,7 @@ from facetrack_cli.core.types import BOX, Array, Whole
 from facetrack_cli.trajectory.trajectory import MAX_ROWS, UNSEEN, Trajectory, aligned, header_value, joined, one_part
 
 Around: TypeAlias = Literal["windows", "points"]
+FRAME_S = 0.04  # how long a single frame lasts where nothing tells
 
 
 def choose(table: Trajectory, select: str | None) -> Trajectory:
@@ -82,14 +83,10 @@ def mean(values: Array) -> Array:
     return np.where(count > 0, np.where(finite, values, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)
 
 
-FRAME_S = 0.04  # how long a single frame lasts where nothing tells
-
-
 class Clock:
-    """The clip's clock: times as in the rows, between them in proportion, beyond them at the nominal rate `fps`."""
+    """The clip's clock: times as in the rows, between in proportion, beyond or without at the nominal rate `fps`."""
 
     def __init__(self, table: Trajectory | None, fps: float) -> None:
-        """Without a table, all times are at the nominal rate."""
         self.fps, self._period = fps, 1 / fps
         self.frames: Whole = np.zeros(1, np.int64) if table is None or not len(table) else table.frames
         times = np.zeros(1) if table is None or not len(table) else table.times
@@ -152,9 +149,8 @@ def frame_milliseconds(table: Trajectory) -> list[dict[int, int]]:
     frames, time_s = table.frames, table.times
     if (unknown := frames[~np.isfinite(time_s)]).size:
         raise InputError(f"frame {unknown[0]} has no time_s, and annotations need times; fill that column")
-    if (back := np.flatnonzero(np.diff(time_s) <= 0)).size:
-        (earlier, later), (first, second) = frames[back[0] :][:2], time_s[back[0] :][:2]
-        raise InputError(f"frame {later} is at {second:g} s, not after frame {earlier} at {first:g} s; correct time_s")
+    for at in np.flatnonzero(np.diff(time_s) <= 0)[:1] + 1:
+        raise InputError(f"frame {frames[at]} is at {time_s[at]:g} s, not after frame {frames[at - 1]}; correct time_s")
     steps = np.diff(time_s) / np.diff(frames)
     usual = float(np.median(steps)) if steps.size else FRAME_S
     after = np.append(time_s[1:], time_s[-1] + usual)

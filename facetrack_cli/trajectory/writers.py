@@ -57,8 +57,7 @@ class RunSummary:
         frames = set(rows.frame.tolist())
         self.frames, last = self.frames + len(frames), max(frames)
         [at] = (rows.status == "lost").nonzero()
-        if at.size:
-            at = at[np.lexsort((rows.which[at], rows.frame[at]))]
+        at = at[np.lexsort((rows.which[at], rows.frame[at]))]
         lost = ["/".join(rows.names[i]) for i in rows.which[at].tolist()]
         for name in lost:
             self.lost_frames[name] = self.lost_frames.get(name, 0) + 1
@@ -131,22 +130,22 @@ def _members(values: Mapping[str, Any]) -> list[str]:
 
 def csv_frames(rows: Trajectory) -> Iterator[str]:
     """The lines of each frame, without the header."""
-    for _, _, cells in _frames(rows, COLUMNS):
-        yield "".join([",".join(line) + "\n" for line in cells])
+    for _, lines in _frames(rows, COLUMNS):
+        yield "".join([",".join(line) + "\n" for _, line in lines])
 
 
 def json_frames(rows: Trajectory) -> Iterator[str]:
     """The members of each frame's object; numbers have the digits of the CSV."""
-    for frame, which, cells in _frames(rows, (*OF_TARGET, *OF_PART, "time_s"), named=True):
+    for frame, cells in _frames(rows, (*OF_TARGET, *OF_PART, "time_s"), named=True):
         targets = []
-        for target, group in groupby(zip(which, cells, strict=True), key=lambda row: rows.names[row[0]][0]):
+        for target, group in groupby(cells, key=lambda row: rows.names[row[0]][0]):
             lines = [line for _, line in group]
             head = list(filter(None, lines[0][: len(OF_TARGET)]))
             if target in rows.diagnostics:
                 head += _reported(rows.diagnostics[target], frame)
             parts = ["{" + ",".join(filter(None, line[len(OF_TARGET) : -1])) + "}" for line in lines]
             targets.append("{" + ",".join(head) + ',"parts":[' + ",".join(parts) + "]}")
-        time_s = cells[0][-1] or '"time_s":null'
+        time_s = cells[0][1][-1] or '"time_s":null'
         yield f'"frame":{frame},{time_s},"targets":[{",".join(targets)}]'
 
 
@@ -174,35 +173,32 @@ def by_frame(rows: Trajectory) -> Iterator[tuple[int, list[int]]]:
         yield frame, list(at)
 
 
-def _frames(
-    rows: Trajectory, columns: tuple[str, ...], *, named: bool = False
-) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:
-    """Each frame with its rows by part: the indices of their names, and their columns as text, "" if not known."""
+_Row: TypeAlias = tuple[int, tuple[str, ...]]  # the index of its names, and its columns as text, "" if not known
+
+
+def _frames(rows: Trajectory, columns: tuple[str, ...], *, named: bool = False) -> Iterator[tuple[int, list[_Row]]]:
+    """Each frame with its rows by part."""
     if len(rows) and (rows.frame == rows.frame[0]).all():  # as a run writes them; no order is looked for
-        yield int(rows.frame[0]), rows.which.tolist(), _lines(rows, columns, named)
+        yield int(rows.frame[0]), _lines(rows, columns, named)
         return
     frames = by_frame(rows)
     while block := list(islice(frames, _BLOCK)):
         some = rows.take(np.array([i for _, at in block for i in at], np.int64))
-        lines = zip(some.which.tolist(), _lines(some, columns, named), strict=True)
-        for frame, at in block:
-            which, cells = zip(*islice(lines, len(at)), strict=True)
-            yield frame, list(which), list(cells)
+        lines = iter(_lines(some, columns, named))
+        yield from ((frame, list(islice(lines, len(at)))) for frame, at in block)
 
 
-def _lines(rows: Trajectory, columns: tuple[str, ...], named: bool) -> list[tuple[str, ...]]:
-    """The columns of each row as text, `named` as members of JSON, "" if not known."""
-    digits, texts = _digits(rows), []
+def _lines(rows: Trajectory, columns: tuple[str, ...], named: bool) -> list[_Row]:
+    """Each row, `named` as members of JSON."""
+    digits, texts, which = _digits(rows), [], rows.which.tolist()
     quoted = _key if named else _quoted
     for name in columns:
         if (text := digits.get(name)) is None:
-            if name in ("target", "part"):
-                values = [rows.names[i][name == "part"] for i in rows.which.tolist()]
-            else:
-                values = getattr(rows, name).tolist()
+            own = name in ("target", "part")
+            values = [rows.names[i][name == "part"] for i in which] if own else getattr(rows, name).tolist()
             text = [quoted(value) if value else "" for value in values]
         texts.append([f'"{name}":{value}' if value else "" for value in text] if named else text)
-    return list(zip(*texts, strict=True))
+    return list(zip(which, zip(*texts, strict=True), strict=True))
 
 
 @lru_cache(1)  # of the rows of one frame CSV and JSON ask, one after the other
@@ -248,5 +244,4 @@ def _quoted(text: str) -> str:
 
 _key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
 _SPECS = {"frame": ".0f", "particles": ".0f", **{name: f".{decimals}f" for name, decimals in DECIMALS.items()}}
-
 _BLOCK = 1_000  # frames that become text at a time

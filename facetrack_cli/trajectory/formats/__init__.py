@@ -51,8 +51,6 @@ EXPORTS: Final = {
 }
 """The formats that are written, in the order of the help."""
 ALIASES: Final = {"elan": "eaf"}
-
-
 _SIZED = {"size", "frame_size", "video"}
 OF_MEDIA: Final = tuple(form for form, export in EXPORTS.items() if _SIZED & {*export.takes.split()})
 """The formats whose function asks for something of the clip."""
@@ -63,10 +61,9 @@ def load(verb: Literal["read", "write"], form: str) -> Callable[..., Any]:
 
     Parameters
     ----------
-    verb : what it does. It reads a Path, and adds `shift` to every frame number, which is from 0 on. It returns a
-        Trajectory in pixels from 0, whose `header["read_as"]` says how the file was read, and raises InputError, with
-        the line where there is one, for what it cannot read. It writes what `Export.takes` names, as text or bytes, and
-        raises InputError for what the format has no room for.
+    verb : a reader takes a path and `shift`, which is added to every frame number. It returns a Trajectory, in frames
+        and pixels from 0, whose `header["read_as"]` says how it was read. A writer takes what `Export.takes` names, and
+        returns text or bytes. Both raise InputError, with the line if there is one, for what has no room.
     form : one of READERS, or of EXPORTS.
     """
     module = import_module(f"{__name__}.{READERS[form] if verb == 'read' else EXPORTS[form].module}")

@@ -70,6 +70,7 @@ class _Mark(NamedTuple):
     angle: float = math.nan
 
 
+Clock: TypeAlias = tuple[Whole, Array]  # frames (T,) and their seconds (T,), as `every_frame` gives them
 _Marks: TypeAlias = dict[tuple[str, str], dict[int, _Mark]]  # by (target, part), then by frame
 
 
@@ -107,10 +108,9 @@ def _box(place: str, left: Any, top: Any, w: Any, h: Any, **about: Any) -> _Mark
 
 
 def _pixels(place: str, *texts: Any) -> list[float]:
-    try:
+    values = [math.nan]
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
         values = [float(text) for text in texts]
-    except (TypeError, ValueError, OverflowError):
-        values = [math.nan]
     if not all(abs(value) <= MAX_PIXELS for value in values):
         raise InputError(f"{place}: {', '.join(map(str, texts))} are no pixels; export the file from its tool again")
     return values
@@ -129,10 +129,7 @@ def _trajectory(path: Path, marks: _Marks, read_as: str, shift: int = 0) -> Traj
 
 
 def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> str:
-    """The XML text; `size` (width, height) of the images and the `name` of the clip, where they are known.
-
-    InputError for boxes without a size.
-    """
+    """The XML text; `size` (width, height) and `name` of the clip, if known. InputError for boxes without a size."""
     tracks, last = list(_tracks(table)), int(table.frames[-1])
     kinds = [(escape(clean(label)), "rectangle" if track.part == BOX else "points") for label, track in tracks]
     labels = "".join(f"<label><name>{text}</name><type>{kind}</type><attributes/></label>" for text, kind in kinds)
@@ -203,9 +200,8 @@ def _shape_marks(place: str, label: str, shape: ET.Element) -> Iterator[tuple[tu
             for _, mark in _shape_marks(place, label, point):
                 yield (label, str(point.get("label"))), mark
         return
-    status = "hidden" if shape.get("occluded") == "1" else "visible"
-    about: dict[str, Any] = {"status": "absent" if shape.get("outside") == "1" else status}
-    about["by_hand"] = shape.get("keyframe") != "0"
+    by_hand, seen = shape.get("keyframe") != "0", "hidden" if shape.get("occluded") == "1" else "visible"
+    about: dict[str, Any] = {"status": "absent" if shape.get("outside") == "1" else seen, "by_hand": by_hand}
     if shape.tag == "box":
         left, top, right, bottom = _pixels(place, *(shape.get(name) for name in ("xtl", "ytl", "xbr", "ybr")))
         (turn,) = _pixels(place, shape.get("rotation", 0))
@@ -222,15 +218,10 @@ def _shape_marks(place: str, label: str, shape: ET.Element) -> Iterator[tuple[tu
 
 
 def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, name: str) -> str:
-    """The JSON text of one task, in which each part is a rectangle.
+    """The JSON text of one task, in which each part is a rectangle, for the framerate `fps` of the configuration.
 
-    Points without windows are left out where other parts have some, else they are an InputError.
-
-    Parameters
-    ----------
-    size : (width, height) of the clip, in pixels.
-    fps : the framerate of the labelling configuration, in frames per second.
-    name : of the clip.
+    `size` is (width, height) of the clip in pixels, `name` its name. Points without windows are left out where other
+    parts have some, else they are an InputError.
     """
     numbers, pictures = _frames_of(*every_frame(table), fps)
     shown, count = dict(zip(pictures.tolist(), numbers.tolist(), strict=True)), int(numbers[-1])
@@ -252,19 +243,16 @@ def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, name
 
 
 def _frames_of(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:
-    """The frames (N,), from 1, of a player at a rate, and the pictures (N,) that come up in them.
+    """The frames (N,), from 1, of a player at a rate, and the pictures (N,) that come up in them, of several the first.
 
-    `times` (T,) are the seconds of the pictures `frames` (T,), nan where they have none. Of several pictures in a frame
-    of the player the first counts.
+    `times` (T,) are the seconds of the pictures `frames` (T,), nan where they have none.
     """
     there = np.where(np.isfinite(times), np.rint(np.round(times * rate, 3)), frames).astype(np.int64) + 1
     numbers, first = np.unique(there, return_index=True)
     return numbers, frames[first]
 
 
-def read_labelstudio(
-    path: Path, size: tuple[int, int], clock: tuple[Whole, Array] | None = None, *, fps: float = 0.0
-) -> Trajectory:
+def read_labelstudio(path: Path, size: tuple[int, int], clock: Clock | None = None, *, fps: float = 0.0) -> Trajectory:
     """The regions of the one task in an export (JSON): visible, or absent where not enabled.
 
     Of the places that are on one picture the last that is not interpolated counts; it is `by_hand`. Frames between two
@@ -274,7 +262,7 @@ def read_labelstudio(
     ----------
     path : the export.
     size : (width, height) of the clip, in pixels.
-    clock : the frames (T,) of the clip and their seconds (T,), as `every_frame` gives them; None: a frame is a picture.
+    clock : of the clip; None: a frame is a picture.
     fps : the framerate beside a clock where the file tells none, in frames per second.
 
     Raises
@@ -406,8 +394,9 @@ def _with_tiers(root: ET.Element, table: Trajectory, offset: int = 0) -> tuple[s
                 put("LINGUISTIC_TYPE", _type(kind, names[kind]))
                 if kind in VOCABULARIES:
                     vocabulary = put("CONTROLLED_VOCABULARY", {"CV_ID": names[kind]})
-                    what = ET.SubElement(vocabulary, "DESCRIPTION", LANG_REF="eng")
-                    what.text = "motion of the target in the image plane"
+                    ET.SubElement(
+                        vocabulary, "DESCRIPTION", LANG_REF="eng"
+                    ).text = "motion of the target in the image plane"
                 for label in VOCABULARIES.get(kind, ()):
                     entry = ET.SubElement(vocabulary, "CV_ENTRY_ML", CVE_ID=f"cveid_{names[kind]}_{label}")
                     ET.SubElement(entry, "CVE_VALUE", LANG_REF="eng").text = label
@@ -451,9 +440,7 @@ def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[in
 
 
 def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
-    """The spans of frames in which a target of a film has rows, and a hand is not absent; none if another than a hand
-    has them always.
-    """
+    """The spans of frames in which a target of a film, or a hand, is seen; none if another than a hand always is."""
     frames = np.unique(np.concatenate([part.frame for part in parts]))
     there = ~np.isin(frames, np.concatenate([part.frame[part.vanished] for part in parts]))
     runs = numbers.spans(there, np.diff(frames) > 1)
@@ -521,16 +508,12 @@ def _offset_of(root: ET.Element, clip: str) -> int | None:
     """The time of the clip, in ms, at which the file's own times begin; None where it does not link to the clip."""
     for media in root.iter("MEDIA_DESCRIPTOR"):
         if unquote(media.get("MEDIA_URL", "")).replace("\\", "/").rpartition("/")[2] == unquote(clip):
-            origin = media.get("TIME_ORIGIN", "0")
-            return int(origin) if _is_whole(origin) else 0
+            return int(origin) if _is_whole(origin := media.get("TIME_ORIGIN", "0")) else 0
     return None
 
 
 def add_tiers(path: Path, table: Trajectory, clip: str) -> tuple[str, list[str], bool]:
-    """The text of the file with the tiers of a table; the names that they have there; whether it has the clip.
-
-    Tiers whose name is there get another. InputError for a file that cannot take them.
-    """
+    """As `_with_tiers` of a file, and whether it has the clip. InputError for a file that cannot take them."""
     root = _read(path)
     offset = _offset_of(root, clip)
     return (*_with_tiers(root, table, offset or 0), offset is not None)
@@ -542,7 +525,7 @@ def read_xml(path: Path, tool: str) -> ET.Element:
     if "<!DOCTYPE" in text:
         raise InputError(f"{path}: declares a document type, which {tool}'s files do not; it is not read")
     try:
-        return ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+        return ET.fromstring(text)
     except ET.ParseError as e:
         raise InputError(f"{path}:{e.position[0]}: is no XML ({e}); save it by {tool} again") from None
 

@@ -42,6 +42,7 @@ from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, REQUIRED, rea
 from facetrack_cli.trajectory.trajectory import MAX_ROWS, SEEN, Trajectory, build
 from facetrack_cli.trajectory.views import check_sized
 
+_BEGINS: Final = {"{": "facetrack", "<": "cvat", "version:": "pts"}  # how files of formats begin
 FROM_ONE: Final = np.array([1.0, 1.0, 0.0, 0.0])  # boxes (..., 4) that count pixels from 1, minus boxes that do from 0
 BOX_COLUMNS: Final = ("frame", "x", "y", "w", "h")
 LTWH: Final = "left,top,width,height"
@@ -147,9 +148,6 @@ def recognise(path: Path) -> tuple[Path, str]:
     form = f"a header reads {','.join(REQUIRED)} or {','.join(BOX_COLUMNS)}; commas stand between columns"
     why = f"begins no ground truth file that is known here: {form}; or give --truth-format: {', '.join(READERS)}"
     raise lines.error(0, why)
-
-
-_BEGINS: Final = {"{": "facetrack", "<": "cvat", "version:": "pts"}
 
 
 def read_text(path: Path) -> str:
@@ -279,8 +277,7 @@ def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
     gone = (ltwh[:, 2:] == 0).any(axis=1) | (ltwh == [-2, -2, -1, -1]).all(axis=1)
     status = np.where(gone, "absent", "visible")
     for name, means in (("cover", "hidden"), ("absence", "absent")):  # what is absent is so whatever covers it
-        file = path.with_name(f"{name}.label")
-        if file.is_file():
+        if (file := path.with_name(f"{name}.label")).is_file():
             labels = Lines.of(file, by_frame=True).numbers("one number", 1)[:, 0]
             if len(labels) != len(lines):
                 raise InputError(f"{file}: has {len(labels)} lines, {path.name} beside it {len(lines)}; move one away")
@@ -299,8 +296,7 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
     known = np.isnan(polygons).all(axis=1) | (np.abs(polygons) <= MAX_PIXELS).all(axis=1)
     result = bool((codes == INIT).any())
     wrong = ~known | ~(np.isnan(codes) | np.isin(codes, (UNKNOWN, INIT, FAILURE) if result else (UNKNOWN,)))
-    why = f"is none of {REGION}; a 2, a failure, comes after a 1, where a track begins"
-    lines.refuse(wrong, f"{why}; no number is farther out than any image, or all of them are nan")
+    lines.refuse(wrong, f"is none of {REGION}, within any image; a 2, a failure, comes after a 1, where a track begins")
     corners = polygons.reshape(-1, 4, 2)
     low, high = corners.min(axis=1), corners.max(axis=1)
     kept = np.flatnonzero(codes != UNKNOWN) if result else np.arange(len(lines))
@@ -324,8 +320,7 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     count = len(lines.cells[0])
     if count not in MOT_COLUMNS:
         raise lines.error(0, f"has {count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}")
-    values = np.full((len(lines), 10), np.nan)
-    values[:, :count] = lines.numbers(MOT_COLUMNS[count], count)
+    values = np.pad(lines.numbers(MOT_COLUMNS[count], count), ((0, 0), (0, 10 - count)), constant_values=np.nan)
     frame, ident = lines.whole(values[:, 0], "frame", 1), lines.whole(values[:, 1], "id", 1)
     seventh, eighth, covered = values[:, 6:9].T
     if results is None:
@@ -343,10 +338,9 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     left_out = f", {(~counts).sum()} rows of flag 0 or other classes left out" if not counts.all() else ""
     header = {"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"}
     hidden = ignored | ((covered == 0) & (count == 9) & (not results))
-    own = {"ids": ident, "status": np.where(hidden, "hidden", "visible"), "confidence": confidence}
-    own = {name: column[counts] for name, column in own.items()}
-    ltwh = values[counts, 2:6] - FROM_ONE
-    return lines.take(counts).boxes(frame[counts] - 1 + shift, ltwh, header=header, **own)
+    status = np.where(hidden, "hidden", "visible")
+    own = {"ids": ident[counts], "status": status[counts], "confidence": confidence[counts], "header": header}
+    return lines.take(counts).boxes(frame[counts] - 1 + shift, values[counts, 2:6] - FROM_ONE, **own)
 
 
 def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
@@ -406,8 +400,7 @@ def write_got10k(part: Trajectory) -> str:
 def write_vot(part: Trajectory) -> str:
     """A result from frame 0 on: 1 in the first frame of the series, then a region a line, a polygon where there is one.
 
-    Frames before the first and in gaps are 0, a place that is not known is 2. InputError for a place without a size,
-    and for a frame below 0.
+    Frames before the first and in gaps are 0, a place that is not known is 2. InputError for one without a size.
     """
     first, last = int(part.frame[0]), int(part.frame[-1])
     if first < 0 or last >= MAX_ROWS:

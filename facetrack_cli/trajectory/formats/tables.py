@@ -25,9 +25,9 @@ OpenFace 2's FeatureExtraction (Baltrusaitis et al., FG 2018; its wiki page "Out
 
 - `timestamp` in seconds; `success` is 1 where all landmarks of the face are seen. All places are written, as OpenFace
   does; `confidence` is the mean over the parts. Nothing is interpolated.
-- `pose_R` in radians: pitch, yaw, roll of R = R_x R_y R_z in the camera's axes. `pose_T` in millimetres: the middle
-  between the eyes of a generic head (63 mm apart), which OpenFace has near the middle of the face, by OpenFace's own
-  guess of a camera: a focal length of the mean of 500 width / 640 and 500 height / 480, through the image's centre.
+- `pose_R`: pitch, yaw, roll of R = R_x R_y R_z in the camera's axes. `pose_T`: the middle between the eyes of a generic
+  head, which OpenFace has near the middle of the face, by OpenFace's own guess of a camera: a focal length of the mean
+  of 500 width / 640 and 500 height / 480, through the image's centre.
 """
 
 from __future__ import annotations
@@ -69,8 +69,7 @@ class Clip(NamedTuple):
 
 
 def write_csv_wide(table: Trajectory) -> str:
-    """A CSV with one row a frame: frame, time_s, of each part `target_part_x`, y, w, h, confidence, status, and of each
-    measure (measures.py) `target_mouth_opening`, `target_mouth_opening_std`, ...
+    """A CSV with one row a frame: frame, time_s, of each part `target_part_x`, y, ..., of each measure `target_smile`.
 
     Of a part `box` the name is the target's alone. The text begins with a byte order mark only where a name is not
     ASCII: spreadsheets need it then. A name that they would take for a formula is put behind an underscore.
@@ -91,10 +90,7 @@ def write_csv_wide(table: Trajectory) -> str:
 
 
 def write_pose(table: Trajectory) -> str:
-    """A CSV with a row for each frame and target that has points: roll, yaw, pitch in degrees, and their spread.
-
-    InputError if no target has enough points for a pose.
-    """
+    """A CSV with a row for each frame and target: pitch, yaw, roll in degrees, and spreads. InputError without pose."""
     rows: list[list[Any]] = []
     frames, times = timed(table)
     for name in table.targets:
@@ -113,11 +109,7 @@ def write_pose(table: Trajectory) -> str:
 def write_measures(clips: Sequence[Clip], many: bool = False) -> str:
     """A CSV with a row for each frame and target: those measures that any target has, and of each `_std` and `_noise`.
 
-    Of `many` clips the first column has their names.
-
-    Raises
-    ------
-    InputError : where no clip has the points, or the hands, that a measure needs.
+    Of `many` clips the first column has their names. InputError where none has the points, or hands, of a measure.
     """
     measures = [{target: measured for target, measured in clip.table.measures.items() if measured} for clip in clips]
     names_known = {name for targets in measures for measured in targets.values() for name in measured}
@@ -139,8 +131,7 @@ def _measured(measures: Mapping[str, Measured], names: Sequence[str], frames: Wh
     """(T, 3 N) texts of N measures, their spreads and noises in T frames, "" of what is not known."""
     values = np.full((len(names), len(STD), len(frames)), np.nan)
     for k, name in enumerate(names):
-        if name in measures:
-            measure = measures[name]
+        if (measure := measures.get(name)) is not None:
             values[k][:, np.searchsorted(frames, measure.frame)] = measure.value, measure.std, measure.noise
     return texts(values.reshape(-1, len(frames)).T, 4)
 
@@ -152,8 +143,7 @@ def _called(target: str, part: str) -> str:
 def timed(table: Trajectory) -> tuple[Whole, Any]:
     """The frames of `every_frame`, and their times as text, by which readers know a constant rate to 1e-5 of a step."""
     frames, times = every_frame(table)
-    steps = np.diff(times)
-    return frames, texts(times, 9 if np.any(steps < 1 / 61) else 7)
+    return frames, texts(times, 9 if np.any(np.diff(times) < 1 / 61) else 7)
 
 
 def texts(values: Any, decimals: int) -> Any:
@@ -197,7 +187,7 @@ def write_textgrid(table: Trajectory) -> str:
     It begins at 0, as sound does. InputError where the points tell no kind of event.
     """
     kinds = [
-        (f"{kind}@{name or 'target'}", events)
+        (f"{kind}@{name or 'target'}".replace('"', '""'), events)
         for name in table.targets
         for kind, events in events_of(name, table.measures[name]).items()
     ]
@@ -214,10 +204,9 @@ def write_textgrid(table: Trajectory) -> str:
             spans += [(at, begin, "")] * (begin > at) + [(begin, e.end_s, e.value)] * (e.end_s > begin)
             at = max(e.end_s, at)
         spans += [(at, end, "")] * (end > at or not spans)
-        quoted = [name.replace('"', '""'), *(text.replace('"', '""') for _, _, text in spans)]
-        lines += [f"    item [{n}]:", '        class = "IntervalTier"', f'        name = "{quoted[0]}"']
+        lines += [f"    item [{n}]:", '        class = "IntervalTier"', f'        name = "{name}"']
         lines += ["        xmin = 0", f"        xmax = {end:.6f}", f"        intervals: size = {len(spans)}"]
-        for k, ((begin, stop, _), text) in enumerate(zip(spans, quoted[1:], strict=True), 1):
+        for k, (begin, stop, text) in enumerate(spans, 1):
             lines += [f"        intervals [{k}]:", f"            xmin = {begin:.6f}", f"            xmax = {stop:.6f}"]
             lines += [f'            text = "{text}"']
     return "\n".join(lines) + "\n"
@@ -226,11 +215,10 @@ def write_textgrid(table: Trajectory) -> str:
 def write_boris(clips: Sequence[Clip], written: datetime) -> str:
     """A project with an observation for each clip; several of one name are numbered."""
     date, subjects = written.isoformat(timespec="seconds"), dict[str, None]()
-    observations: dict[str, Any] = {}
-    values: dict[str, dict[str, None]] = {}
+    observations, values = dict[str, Any](), dict[str, dict[str, None]]()
     for name, table in clips:
         path, fps = str(clip_of(table) or name), header_value(table, "source", "fps")
-        rows: list[list[Any]] = []
+        rows = list[list[Any]]()
         for e in table.events:
             subjects[e.target] = values.setdefault(e.tier, {})[e.value] = None
             for time, frame in ((e.begin_s, e.first_frame), (e.end_s, e.last_frame + 1)):
@@ -284,9 +272,7 @@ OPENFACE: Final = (
 )  # fmt: skip
 
 
-def write_coco(
-    table: Trajectory, size: tuple[int, int], file_name: Callable[[int], str], around: Around = "windows"
-) -> str:
+def write_coco(table: Trajectory, size: tuple[int, int], file_name: Callable[[int], str], around: Around) -> str:
     """The JSON text for images of `size` (width, height), named `file_name(frame)`. InputError as of `enclose`."""
     categories, annotations = [], list[dict[str, Any]]()
     for ident, target in enumerate(table.targets, 1):
@@ -354,8 +340,8 @@ def write_dlc_h5(table: Trajectory, scorer: str = "facetrack") -> bytes:
         try:
             store.put("df_with_missing", frame, format="table", index=False, track_times=False)
         except HDF5ExtError:
-            why = f"HDF5 has no room for the names of {len(columns)} columns"
-            raise InputError(f"{why}; choose a target with --target, or export to dlc") from None
+            why = f"HDF5 has no room for the names of {len(columns)} columns; choose a target, or export to dlc"
+            raise InputError(why) from None
         # readers before pandas 3, as DeepLabCut has, find no values without what pandas 3.1 no longer writes
         store.get_storer("df_with_missing").attrs.pandas_version = "0.15.2"
         store.flush()
@@ -379,19 +365,17 @@ def _dlc(table: Trajectory, scorer: str) -> tuple[list[str], list[tuple[str, ...
 
 def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
     """The text for images of `size` (width, height), None if that is not known. InputError without any landmark."""
-    rows: list[tuple[int, int, list[Any]]] = []
+    rows = list[list[Any]]()
     shown = size and (size[0] * table.pixel_aspect, size[1])
     faces = [[part for part in table.of_target(name) if part.part in LANDMARKS] for name in table.targets]
     for ident, parts in enumerate(filter(None, faces)):
         frames, columns = aligned(parts, "x", "y", "confidence", "status")
         cells = np.full((len(frames), len(OPENFACE)), "", dtype=object)
         seen = np.isin(columns["status"], SEEN) & np.isfinite(columns["x"] + columns["y"])
-        cells[:, 2] = texts(joined(parts).times, 3)
-        cells[:, 3] = texts(mean(columns["confidence"]), 4)
-        cells[:, 4] = seen.all(axis=1).astype(int)
+        cells[:, 0], cells[:, 1], cells[:, 2] = frames + 1, ident, texts(joined(parts).times, 3)
+        cells[:, 3], cells[:, 4] = texts(mean(columns["confidence"]), 4), seen.all(axis=1).astype(int)
         if (pose := head_pose(table.of_target(parts[0].target))) is not None:
-            at = np.searchsorted(frames, pose.frame)
-            there = np.isin(pose.frame, frames)
+            at, there = np.searchsorted(frames, pose.frame), np.isin(pose.frame, frames)
             place, rotation = np.full_like(pose.angles, np.nan), np.radians(pose.angles)
             if shown is not None:
                 focal = (500 * shown[0] / 640 + 500 * shown[1] / 480) / 2
@@ -405,9 +389,8 @@ def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
         for k, part in enumerate(parts):
             for first, name in ((11, "x"), (11 + COUNT, "y")):
                 cells[:, first + LANDMARKS[part.part]] = texts(columns[name][:, k], 3)
-        cells[:, 0], cells[:, 1] = frames + 1, ident
-        rows += [(row[0], ident, row) for row in cells.tolist()]
+        rows += cells.tolist()
     if not rows:
         names = ", ".join(name for name in MESH if name in LANDMARKS)
         raise InputError(f"no part is one of OpenFace's landmarks, which are {names}, and point_01 to point_68")
-    return csv_text(OPENFACE, [row for *_, row in sorted(rows, key=lambda row: row[:2])])
+    return csv_text(OPENFACE, sorted(rows, key=itemgetter(0, 1)))
