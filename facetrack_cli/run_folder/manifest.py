@@ -16,7 +16,6 @@ import os
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from itertools import chain, groupby, takewhile
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal
@@ -92,7 +91,9 @@ class Manifest(RunSummary):
     a batch a clip that failed has its `error`.
     """
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="ignore")  # another version may say more
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
+        extra="ignore", defer_build=True
+    )  # another version may say more
     format: Literal["facetrack-run"] = "facetrack-run"
     version: Literal[1] = 1
     facetrack: str = __version__
@@ -119,7 +120,7 @@ class Manifest(RunSummary):
     def record(self) -> dict[str, Any]:
         """The contents as JSON has them. What the tables say of the ending and the clip is not repeated."""
         left_out = {"variable_fps", "evidence", "source_sha256"}
-        return dict(_adapter().dump_python(self, mode="json", exclude=left_out))
+        return dict(_ADAPTER.dump_python(self, mode="json", exclude=left_out))
 
     @property
     def is_failure(self) -> bool:
@@ -127,16 +128,14 @@ class Manifest(RunSummary):
         return self.error is not None and not self.files
 
 
-@cache
-def _adapter() -> TypeAdapter[Manifest]:
-    return TypeAdapter(Manifest)
+_ADAPTER: Final = TypeAdapter(Manifest)
 
 
 def read_manifest(folder: Path) -> Manifest | None:
     """The run.json of a folder; None if there is none. InputError for a file that is not as we write it."""
     path = folder / NAME
     try:
-        return _adapter().validate_json(read_bounded(path))
+        return _ADAPTER.validate_json(read_bounded(path))
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as e:
@@ -291,7 +290,7 @@ def recover(folder: Path, lock: lease.FolderLease) -> None:
     note = lock.stale_note
     lease.finish_replacing(folder, note)
     with contextlib.suppress(ValueError, InputError):  # a note need not be ours
-        run, mark = _adapter().validate_python(note.get("run")), lease.mark_of(note)
+        run, mark = _ADAPTER.validate_python(note.get("run")), lease.mark_of(note)
         if mark is not None:
             _end_tables(folder, lock, mark, run)
     lock.note({"before": None})

@@ -82,18 +82,9 @@ def track_video(
     ------
     RecipeError, InputError, UsageError : with the line that the command prints.
     """
-    job = Job(
-        Path(path),
-        chosen_recipe(recipe, seed, init),
-        None,
-        video=False,
-        init=_init(init, start),
-        start=start,
-        stop=stop,
-        fps=None if fps is None else _rate(fps),
-        lag=lag,
-        faces=faces,
-    )
+    asked: Any = {"init": _init(init, start), "start": start, "stop": stop, "lag": lag, "faces": faces}
+    rate = None if fps is None else _rate(fps)
+    job = Job(Path(path), chosen_recipe(recipe, seed, init), None, video=False, fps=rate, **asked)
     plan = resolve(job, kept=True)
     sink = Rows()
     with Recorder(plan) as into:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import contextlib
 import glob
-import hashlib
 import itertools
 import json
 import logging
@@ -67,14 +66,11 @@ RETRIES: Final = 2  # of a clip on a cluster that is not itself at fault
 ANSWER_S = 30.0  # for a scheduler to answer
 ANSWER_LOOK_S = 0.1  # between two looks at the clips that are out
 STOP_S = 30.0  # for clips on a cluster that are told to end, to close their files
-_LONGEST: Final = 60  # characters of settings in the name of a folder
 
 
 def variant_name(recipe: str, settings: Sequence[str]) -> str:
-    """A recipe's name with the settings that are changed, as in `face-filter.particles=500`; a digest of long ones."""
+    """A recipe's name with the settings that are changed, as in `face-filter.particles=500`."""
     suffix = ",".join("".join(c if c.isalnum() or c in ".=_+" else "-" for c in text.strip()) for text in settings)
-    if len(suffix) > _LONGEST:
-        suffix = "set-" + hashlib.sha256(",".join(settings).encode("utf-8", "surrogateescape")).hexdigest()[:8]
     return f"{recipe}-{suffix}" if suffix else recipe
 
 

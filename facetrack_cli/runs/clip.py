@@ -160,10 +160,11 @@ def _follow(into: Recorder, start: Start, shots: list[Shot], stop: Stop, report:
             if shots and whole and not job.chunk and not state.outcome.evidence:
                 raise InputError(f"{job.clip}: no face found in frames {start.frame} to {state.frame - 1}")
             warnings = (*source.warnings, *done.warnings)
-            if shots:
-                from facetrack_cli.runs.people import crowded
+            if shots and state.at.states and (crowd := state.at.states[0].crowd) is not None:
+                from facetrack_cli.start.presence import MAX_FACES
 
-                warnings += crowded(state.at)
+                many = f"more than {MAX_FACES} faces at a time, first in frame {crowd}; the largest are followed"
+                warnings += (many,)
             if whole and job.stop is None:
                 warnings += past_end(start.corrections, state.frame - 1, start.origin)
             if job.faces == "all" and not shots and not job.chunk:

@@ -293,7 +293,7 @@ def repaint(
         return tuple(video.warnings)
 
 
-KIND: Final = Kind("facetrack-posterior", 1, "posterior of a run", "facetrack run --smooth")
+KIND: Final = Kind("facetrack-posterior", 2, "posterior of a run", "facetrack run --smooth")
 _BLOCK_FRAMES: Final = 500  # that are written together
 
 

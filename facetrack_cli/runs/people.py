@@ -14,13 +14,11 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import check_plain, make_folder, remove_folders
 from facetrack_cli.core.types import BOX, Frame, Image
-from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.run_folder.lease import IN_A_COPY, FolderLease
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, other_clip, read_manifest, read_run
 from facetrack_cli.runs.finished import rewrite
 from facetrack_cli.runs.plan import Job, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
-from facetrack_cli.start.presence import MAX_FACES
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import (
     SURE,
@@ -192,13 +190,6 @@ def _named(
     stills = {name: paths[name, False] for name in names}
     people = people_of(clock, kept, records, stills, {*names} - moving)
     return NamedFilm(people, records, {paths[key]: _jpeg(image) for key, (_, image) in pictures.items()})
-
-
-def crowded(at: TrackState) -> tuple[str, ...]:
-    """A warning after a film that shows more faces at a time than are followed."""
-    if not at.states or at.states[0].crowd is None:
-        return ()
-    return (f"more than {MAX_FACES} faces at a time, first in frame {at.states[0].crowd}; the largest are followed",)
 
 
 def name_run(job: Job, stop: Stop, looked: Report) -> str:

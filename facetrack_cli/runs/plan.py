@@ -9,7 +9,7 @@ import math
 import os
 import shlex
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, fields, replace
 from fractions import Fraction
 from functools import partial
@@ -39,7 +39,7 @@ from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import load_people
 from facetrack_cli.trackers.skin.settings import CloudSettings
 from facetrack_cli.trajectory.reader import PEOPLE, to_record
-from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
+from facetrack_cli.trajectory.trajectory import SEEN, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import FORMATS, Format, by_frame
 from facetrack_cli.video.source import Source, open_source
 
@@ -142,8 +142,7 @@ class ClipRequest:
         for candidate in starts:
             with self.open(start.frame) as source:
                 tracker = tracker_for(recipe, candidate, source.size)
-                results = track(tracker, islice(iter(source), SIGNS_FRAMES), recipe.seed)
-                moved.append(hands_moved([result.rows for result in results]))
+                moved.append(hands_moved(track(tracker, islice(iter(source), SIGNS_FRAMES), recipe.seed)))
         best = int(np.argmax(moved))
         if moved[best] < MIN_MOVED or moved[best] < MOVES_MORE * moved[0]:
             return replace(starts[0], note=start.note.replace(", and ", "; passed over: ", 1))
@@ -239,10 +238,10 @@ def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
     )
 
 
-def hands_moved(frames: Sequence[Trajectory]) -> float:
+def hands_moved(results: Iterable[FrameResult]) -> float:
     """How far the hands of a head go while they have a place, in all, in sizes of the head's box."""
     total, before = 0.0, dict[str, complex]()
-    for rows in frames:
+    for rows in (result.rows for result in results):
         targets = [rows.names[i][0] for i in rows.which]
         at = {name: complex(x, y) for name, x, y in zip(targets, rows.x, rows.y, strict=True) if math.isfinite(x)}
         head = next(i for i, name in enumerate(targets) if name not in HANDS)

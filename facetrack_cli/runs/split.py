@@ -120,7 +120,7 @@ def _check_detector(job: Job, start: Start) -> None:
 
 def cut_by_length(first: int, end: int, fps: float, split: Split) -> list[tuple[int, int]]:
     """[first, stop) of chunks of the frames from `first` to before the `end`; each overlaps the next. UsageError."""
-    length, overlap = round(split.length if split.frames else split.length * fps), round(OVERLAP_S * fps)
+    length, overlap = round(split.length * (1 if split.frames else fps)) or 1, round(OVERLAP_S * fps)
     least = split._replace(length=2 * overlap if split.frames else 2 * OVERLAP_S)
     if split.length < least.length:
         raise UsageError(f"chunks overlap by {OVERLAP_S:g} s; give --split {least.record()['length']} or more")

@@ -234,7 +234,7 @@ def test_bad_input_gets_one_line(tmp_path, capsys, clip):
     small = write_video(tmp_path / "small.mp4", frames=30, size=(32, 24))
     short = write_video(tmp_path / "short.mp4", frames=12)
     for words, code, said in (
-        ([tmp_path / "none"], ExitCode.INPUT, "is no folder"),
+        ([tmp_path / "none"], ExitCode.INPUT, "name the folder of a run"),
         ([trajectory], ExitCode.INPUT, "name the folder"),
         ([tmp_path], ExitCode.INPUT, "no trajectory.json"),
         ([run, "-o", tmp_path / "no" / "x.html"], ExitCode.USAGE, "no folder"),

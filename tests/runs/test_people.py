@@ -422,7 +422,6 @@ def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(named, tmp_path,
 
 def test_a_crowd_is_bounded_and_said(tmp_path, monkeypatch):
     monkeypatch.setattr(presence, "MAX_FACES", 1)
-    monkeypatch.setattr(runs_people, "MAX_FACES", 1)
     done = clip.run(job(tmp_path / "out"), Stop())
     assert done.failure is None
     [said] = [line for line in done.warnings if "faces at a time" in line]
