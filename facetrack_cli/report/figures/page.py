@@ -71,8 +71,8 @@ def measures_figure(table: Trajectory, names: Sequence[str]) -> Figure:
     wanted = list(dict.fromkeys(name if name in there else by.get(name, name) for name in names))
     if missing := [name for name in wanted if name not in there]:
         choices = [*there, *(word for word, measure in by.items() if word and measure in there)]
-        others = ", ".join(choices) or "the measures of a run by face"
-        raise UsageError(f"{table.path}: has no {', '.join(missing)}; choose among {others}")
+        others = f"choose among {', '.join(choices)}" if choices else "it has no measures, which the recipe face gives"
+        raise UsageError(f"{table.path}: has no {', '.join(missing)}; {others}")
     with style.style():
         page = _Page(table, ())
         panels = [page.measure(name, there[name].unit, 1.0, names) for name in wanted]
