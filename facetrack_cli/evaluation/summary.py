@@ -36,7 +36,6 @@ from facetrack_cli.evaluation.rows import (
     Rows,
     Value,
     column,
-    measures_of,
     normalised_rows,
 )
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
@@ -112,9 +111,10 @@ class PartMeasures:
 
 # all measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `jitter.truth_px`
 MEASURES: Final[Mapping[str, Measure]] = {
-    f"{group}.{name}": measure
-    for group, hint in get_type_hints(PartMeasures).items()
-    for name, measure in measures_of((get_args(hint) or (object,))[0]).items()
+    f"{group}.{name}": hint.__metadata__[0]
+    for group, kind in get_type_hints(PartMeasures).items()
+    for name, hint in get_type_hints((get_args(kind) or (object,))[0], include_extras=True).items()
+    if hasattr(hint, "__metadata__")
 }
 
 

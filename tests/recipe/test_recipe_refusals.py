@@ -13,7 +13,6 @@ DYNAMICS = "{A: [[1, 0], [0, 0]], B: [[0.1], [0]]}"
 GREEDY = "give velocity.samples, as in samples: 32"
 WRONG = [
     ("factorized", "prior=null", "prior needs a prior; add a prior section"),
-    ("factorized", "prior=null filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 needs a prior"),
     ("factorized", "filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 goes with reweight: prior"),
     ("factorized", "filter.reweight=transition filter.particles=2001", "compares every two particles; give 2,000"),
     ("factorized", "target.points=[]", 'unknown key "target.points"; correct it, or remove it'),

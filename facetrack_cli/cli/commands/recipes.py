@@ -82,8 +82,7 @@ def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     Each error has its file, line and column, and what to do about it. The exit code is 2 if there are any.
 
     \b
-    Examples:
-        facetrack recipes check mine.yaml
+    Example:
         facetrack recipes check factorized --set filter.particles=50
     """
     from facetrack_cli.recipe.load import check_recipe
@@ -253,8 +252,7 @@ def show_gallery(file: Path, out: Path | None, overwrite: bool) -> None:
     The figure has the mean face, the first eigenfaces of each space, and everyone who is in it.
 
     \b
-    Examples:
-      facetrack gallery show
+    Example:
       facetrack gallery show people.npz -o people.pdf
     """
     from facetrack_cli.report.figures.models import gallery_figure
@@ -299,10 +297,7 @@ def prior_command() -> None:
 
 
 def _parts(value: str) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in value.split(",") if name.strip())
-    if not names:
-        raise click.BadParameter(f"{value!r}: name the parts with commas, such as nose,mouth_left,mouth_right")
-    return names
+    return tuple(name.strip() for name in value.split(","))
 
 
 _SCALE = words("A,B", "([^,]*),([^,]*)", "name two parts with a comma, such as mouth_left,mouth_right")
@@ -330,9 +325,8 @@ def fit_prior(
     absent or lost are left out.
 
     \b
-    Examples:
+    Example:
       facetrack prior fit anna.truth.csv ben.truth.csv -o mouths.npz
-      facetrack prior fit clip.truth.csv --parts nose,mouth_left,mouth_right
     """
     from facetrack_cli.core.files import check_new
     from facetrack_cli.trackers.points.shape_prior import fit_prior as fit
@@ -356,8 +350,7 @@ def show_prior(file: Path | None) -> None:
     """Summarise a prior; without FILE, the shipped one.
 
     \b
-    Examples:
-      facetrack prior show
+    Example:
       facetrack prior show mouths.npz
     """
     from facetrack_cli.evaluation.summary import Sheet
