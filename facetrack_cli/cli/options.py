@@ -258,16 +258,13 @@ class Extent:
     stop: int | None
     fps: Fraction | None
 
-    def check(self, *clips: Path) -> None:
-        """UsageError where options contradict each other, or have no meaning for these clips."""
+    def check(self) -> None:
+        """UsageError where options contradict each other."""
         from facetrack_cli.runs.plan import check_span
-        from facetrack_cli.video.source import brings_rate
 
         both = self.init is not None and self.box is not None
-        rates = self.fps is not None and all(clip.is_file() and brings_rate(clip) for clip in clips)
         refuse((both, "--init and --box both say where the track starts; give one of them"))
         check_span(self.start, self.stop)
-        refuse((rates, "--fps is for image folders; a video brings its own rate"))
 
 
 extent_options = gathered(

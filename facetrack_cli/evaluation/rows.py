@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_type_hints
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -44,12 +44,6 @@ class Measure:
     write: Callable[[float], str]
     better: Literal["more", "less"] | None = None
     rare: bool = False
-
-
-def measures_of(kind: type) -> dict[str, Measure]:
-    """The measures that a dataclass declares, by the names of its fields."""
-    hints = get_type_hints(kind, include_extras=True)
-    return {name: hint.__metadata__[0] for name, hint in hints.items() if hasattr(hint, "__metadata__")}
 
 
 COUNT: Final = "{:,.0f}".format

@@ -26,8 +26,7 @@ from facetrack_cli.core.errors import InputError, flat, visible
 from facetrack_cli.core.files import absolute
 from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Whole
-from facetrack_cli.evaluation import accuracy as errors
-from facetrack_cli.evaluation.accuracy import BoxMeasures, measure_boxes
+from facetrack_cli.evaluation import accuracy
 from facetrack_cli.evaluation.identities import PeopleMeasures
 from facetrack_cli.evaluation.rows import (
     NEAR_IOU,
@@ -36,7 +35,6 @@ from facetrack_cli.evaluation.rows import (
     Rows,
     Value,
     column,
-    measures_of,
     normalised_rows,
 )
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
@@ -91,12 +89,12 @@ class PartMeasures:
 
     target: str
     part: str
-    points: errors.PointMeasures | None
-    boxes: BoxMeasures | None
-    lost: errors.LostMeasures | None
-    confidence: errors.ConfidenceMeasures | None
-    coverage: errors.CoverageMeasures | None
-    jitter: errors.JitterMeasures | None
+    points: accuracy.PointMeasures | None
+    boxes: accuracy.BoxMeasures | None
+    lost: accuracy.LostMeasures | None
+    confidence: accuracy.ConfidenceMeasures | None
+    coverage: accuracy.CoverageMeasures | None
+    jitter: accuracy.JitterMeasures | None
     people: PeopleMeasures | None = None
 
     @property
@@ -112,9 +110,10 @@ class PartMeasures:
 
 # all measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `jitter.truth_px`
 MEASURES: Final[Mapping[str, Measure]] = {
-    f"{group}.{name}": measure
-    for group, hint in get_type_hints(PartMeasures).items()
-    for name, measure in measures_of((get_args(hint) or (object,))[0]).items()
+    f"{group}.{name}": hint.__metadata__[0]
+    for group, kind in get_type_hints(PartMeasures).items()
+    for name, hint in get_type_hints((get_args(kind) or (object,))[0], include_extras=True).items()
+    if hasattr(hint, "__metadata__")
 }
 
 
@@ -145,7 +144,7 @@ def evaluate(
     notes: Sequence[str] = (),
     *,
     normalise: str = "size",
-    failure: float = errors.FAILURE,
+    failure: float = accuracy.FAILURE,
     size: tuple[int, int] | None = None,
     reference: Sequence[Trajectory] = (),
     people: PeopleMeasures | None = None,
@@ -168,12 +167,12 @@ def evaluate(
         return PartMeasures(
             target,
             part,
-            points=errors.measure_points(points, failure) if points else None,
+            points=accuracy.measure_points(points, failure) if points else None,
             boxes=_boxes(pairs[some], own, size) if len(points) < len(own) else None,
-            lost=errors.measure_lost(own),
-            confidence=errors.measure_confidence(own),
-            coverage=errors.measure_coverage(own),
-            jitter=errors.measure_jitter(own),
+            lost=accuracy.measure_lost(own),
+            confidence=accuracy.measure_confidence(own),
+            coverage=accuracy.measure_coverage(own),
+            jitter=accuracy.measure_jitter(own),
             people=people,
         )
 
@@ -185,12 +184,12 @@ def evaluate(
     return Evaluation(normalise, failure, rows, units, parts, whole, tuple(notes))
 
 
-def _boxes(pairs: Sequence[Pair], parts: Sequence[Rows], size: tuple[int, int] | None) -> BoxMeasures:
+def _boxes(pairs: Sequence[Pair], parts: Sequence[Rows], size: tuple[int, int] | None) -> accuracy.BoxMeasures:
     """The rows of all pairs of boxes as if they were one target's; rows that a correction gave do not count."""
     pairs, rows = zip(*(both for both in zip(pairs, parts, strict=True) if both[0].is_box), strict=True)
     ours, truth = (joined([s.renamed(str(i), "box") for i, s in enumerate(each)]) for each in zip(*pairs, strict=True))
     later = column(rows, "later")
-    return measure_boxes(
+    return accuracy.measure_boxes(
         ours.boxes,
         truth.boxes,
         visible=column(rows, "visible") & ~later,

@@ -295,18 +295,12 @@ def _problems(details: ErrorDetails, root: Node) -> Iterator[Problem]:
     elif kind == "union_tag_invalid":
         chosen, _ = node.at(["type"])
         yield Problem(chosen.span, f"{where}.type is one of {details['ctx']['expected_tags']}, not {_shown(chosen)}")
-    elif path[-1] == "[key]":  # how pydantic calls the name itself in a mapping from any name
-        yield Problem(
-            node.key or node.span, f"{where}: a name has small letters, digits and _, and begins with a letter"
-        )
-    elif (
-        kind != "too_short" or len(node.plain()) < details["ctx"]["min_length"]
-    ):  # items that are wrong do not count there
-        said = (
-            "must be a mapping of keys"
-            if kind in ("model_type", "dict_type")
-            else details["msg"].replace("Tuple", "List").replace("tuple", "list")
-        )
+    elif path[-1:] == ("[key]",):  # how pydantic calls the name itself in a mapping from any name
+        rule = "a name has small letters, digits and _, and begins with a letter"
+        yield Problem(node.key or node.span, f"{where}: {rule}")
+    elif kind != "too_short" or len(node.plain()) < details["ctx"]["min_length"]:  # wrong items do not count there
+        said = details["msg"].replace("Tuple", "List").replace("tuple", "list")
+        said = "must be a mapping of keys" if kind in ("model_type", "dict_type") else said
         yield Problem(_value_span(node), f"{where}: {said}" + f", not {_shown(node)}" * (", not " not in said))
 
 

@@ -388,14 +388,13 @@ class FactorizedSettings(LooksAheadSettings):
     """Share of a part's sub-particles that is proposed from the prior given the other parts; as published 0."""
 
     def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
-        by_prior, add = self.reweight == "prior", "needs a prior; add a prior section, or write"
+        by_prior = self.reweight == "prior"
         if not by_prior and self.particles > MAX_COMPARED_PARTICLES:
             most = f"give {MAX_COMPARED_PARTICLES:,} at most, not {self.particles:,}"
-            yield Refusal(("filter", "particles"), f"reweight: {self.reweight} compares every two particles; {most}")
-        elif self.reweight != "transition" and whole.prior is None:
-            yield Refusal(("filter", "reweight"), f"filter.reweight: {self.reweight} {add} reweight: transition")
-        elif self.from_prior > 0 and whole.prior is None:
-            yield Refusal(("filter", "from_prior"), f"filter.from_prior above 0 {add} 0")
+            yield Refusal(("filter", "particles"), f"reweight: transition compares every two particles; {most}")
+        elif by_prior and whole.prior is None:
+            what = "needs a prior; add a prior section, or write reweight: transition"
+            yield Refusal(("filter", "reweight"), f"filter.reweight: prior {what}")
         elif self.from_prior > 0 and not by_prior:
             goes = "goes with reweight: prior; eq. 7 knows the motion model alone"
             yield Refusal(("filter", "from_prior"), f"filter.from_prior above 0 {goes}")

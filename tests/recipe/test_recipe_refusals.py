@@ -12,7 +12,6 @@ REGION, HANDS = "contour_histogram_correlation", "head_hands"
 DYNAMICS = "{A: [[1, 0], [0, 0]], B: [[0.1], [0]]}"
 WRONG = [
     ("factorized", "prior=null", "prior needs a prior; add a prior section"),
-    ("factorized", "prior=null filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 needs a prior"),
     ("factorized", "filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 goes with reweight: prior"),
     ("factorized", "filter.reweight=transition filter.particles=2001", "compares every two particles; give 2,000"),
     ("factorized", "target.points=[]", 'unknown key "points"; the keys there are: type, parts, windows'),

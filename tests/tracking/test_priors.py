@@ -329,6 +329,5 @@ def test_commands(tmp_path, monkeypatch, capsys):
     assert main(["prior", "show"]) == 0
     assert "401 shapes of 5 parts" in capsys.readouterr().out
     assert main(["prior", "show", "clip.truth.csv"]) == 3
-    assert main(["prior", "fit", "clip.truth.csv", "-o", "x.csv"]) == 2
     assert main(["prior", "fit", "clip.truth.csv", "-o", "y.npz", "--scale", "nose"]) == 2
     assert {path.name for path in tmp_path.iterdir()} == {"clip.truth.csv", "own.npz"}

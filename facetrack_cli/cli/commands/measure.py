@@ -112,17 +112,14 @@ def eval_command(
     how: dict[str, Any] = {"normalise": normalise, "failure": failure, "size": frame_size_of(ours)}
     evaluation = evaluate(pairs, notes, reference=theirs.parts, people=persons, **how)
 
-    printed = ""
     for text_of, file in ((to_json, json_file), (to_csv, csv_file)):
         if file == "-":
-            printed = text_of(evaluation, ours, theirs)
+            click.echo(text_of(evaluation, ours, theirs), nl=False)
         elif file is not None:
             text = text_of(evaluation, ours, theirs)
             write_new(Path(file), text.encode(errors="backslashreplace"), overwrite=overwrite)
             say(f"{trajectory} -> {file}")
-    if printed:
-        click.echo(printed, nl=False)
-    else:
+    if "-" not in (json_file, csv_file):
         show(evaluation, ours, theirs)
 
 
@@ -186,7 +183,7 @@ def compare_command(
     from facetrack_cli.runs.seeds import labels, load_recipes, variant
     from facetrack_cli.runs.signals import Stop
 
-    extent.check(clip)
+    extent.check()
     refuse((out == Path("-"), "--out '-' names no folder; the table goes to standard output in any case"))
     if rank_by is not None:
         compare.check_measure(rank_by)
@@ -256,9 +253,7 @@ def regress_command(
       facetrack regress clips --config factorized --update
       facetrack regress sample_videos --config sir --set motion.sigma=0.13
 
-    \b
-    Exit codes: 0 all pass, 2 usage, recipe or output, 3 input, or no goldens,
-    5 some could not be recorded, 6 a regression, 130 interrupted, 143 terminated.
+    Exit codes: 0 all pass, 3 no goldens, 5 some could not be recorded, 6 a regression.
     """
     from facetrack_cli.evaluation.goldens import regress, tasks
     from facetrack_cli.recipe.load import gallery_file, load_recipe

@@ -78,8 +78,7 @@ def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     Each error has its file, line and column, and what to do about it. The exit code is 2 if there are any.
 
     \b
-    Examples:
-        facetrack recipes check mine.yaml
+    Example:
         facetrack recipes check factorized --set filter.particles=50
     """
     from facetrack_cli.recipe.load import check_recipe
@@ -247,8 +246,7 @@ def show_gallery(file: Path) -> None:
     It says how much each space keeps, when a patch counts as a face, and who is in it.
 
     \b
-    Examples:
-      facetrack gallery show
+    Example:
       facetrack gallery show people.npz
     """
     from facetrack_cli.trackers.appearance.gallery import load_gallery
@@ -279,10 +277,7 @@ def prior_command() -> None:
 
 
 def _parts(value: str) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in value.split(",") if name.strip())
-    if not names:
-        raise click.BadParameter(f"{value!r}: name the parts with commas, such as nose,mouth_left,mouth_right")
-    return names
+    return tuple(name.strip() for name in value.split(","))
 
 
 _SCALE = words("A,B", "([^,]*),([^,]*)", "name two parts with a comma, such as mouth_left,mouth_right")
@@ -310,9 +305,8 @@ def fit_prior(
     absent or lost are left out.
 
     \b
-    Examples:
+    Example:
       facetrack prior fit anna.truth.csv ben.truth.csv -o mouths.npz
-      facetrack prior fit clip.truth.csv --parts nose,mouth_left,mouth_right
     """
     from facetrack_cli.core.files import check_new
     from facetrack_cli.trackers.points.shape_prior import fit_prior as fit
@@ -336,8 +330,7 @@ def show_prior(file: Path | None) -> None:
     """Summarise a prior; without FILE, the shipped one.
 
     \b
-    Examples:
-      facetrack prior show
+    Example:
       facetrack prior show mouths.npz
     """
     from facetrack_cli.evaluation.summary import Sheet

@@ -183,7 +183,7 @@ def run_command(
 
         cluster = address_of(cluster)
     clips, several = expand(inputs)
-    extent.check(*clips)
+    extent.check()
     several = several or (shard is not None and split is None)
     refuse(
         (split and len(clips) > 1, f"--split cuts one clip, and {len(clips)} are given; split one at a time"),
@@ -221,7 +221,7 @@ def run_command(
                 retry_failed=retry_failed,
                 split=None if split is None else Split(*split),
                 threads=threads or (1 if cluster else min(MOST_THREADS, max(1, cores() // workers))),
-                **vars(extent) | ({"fps": None} if extent.fps and brings_rate(clip) else {}),
+                **vars(extent) | ({"fps": None} if several and brings_rate(clip) else {}),
             )
             for clip, folder in zip(clips, places, strict=True)
         ]

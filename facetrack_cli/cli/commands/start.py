@@ -56,7 +56,6 @@ def status_command(results: Path, as_json: bool) -> None:
 
     \b
     Examples:
-      facetrack status results
       watch -n 60 facetrack status results
       facetrack status results --json | jq .counts
     """
