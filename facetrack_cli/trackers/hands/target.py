@@ -360,13 +360,13 @@ def cues(belief: Belief, face: Face, height: float) -> Array:
     A bare arm that reaches the lower border above where hands hang leads to a hand below, and is thinner than a hand.
     """
     y, seen = belief.at[:, 1], belief.seen
-    low = np.clip(1 - (height - y) / face.size / LOW, 0.0, 1.2) * ((y - face.at[1]) / face.size - HANGS)
+    low = np.minimum(np.maximum(1 - (height - y) / face.size / LOW, 0.0), 1.2) * ((y - face.at[1]) / face.size - HANGS)
     return np.column_stack([np.ones(2), seen, seen * low, seen * belief.skin])
 
 
 def in_picture(cues: Array) -> Array:
     """(2,): the probability that each hand is in the picture."""
-    return np.asarray(1 / (1 + np.exp(-np.clip(cues @ IN_PICTURE, -30, 30))))
+    return np.asarray(1 / (1 + np.exp(-np.minimum(np.maximum(cues @ IN_PICTURE, -30), 30))))
 
 
 def _face(scene: Scene, face: Footprint) -> Face:
