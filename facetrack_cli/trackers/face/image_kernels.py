@@ -50,7 +50,7 @@ def smoothed_channels(image: Image) -> Single:
     return np.asarray(_channels(looks(np.ascontiguousarray(image))), np.float32)
 
 
-@fast
+@fast("f4:3")
 def _channels(seen):
     return _smoothed(seen)
 
