@@ -381,7 +381,7 @@ def of_runs(
 
 def uncalibrated(recipe: Recipe) -> Recipe:
     """The recipe with the confidence that it computes itself. Raises UsageError for a recipe that computes none."""
-    if not any(one.likelihood.judges for one in recipe.filters.values()):
+    if not recipe.judges or not recipe.filters:
         raise UsageError(f"{recipe.name} gives no confidence to calibrate; take a recipe that does")
 
     def raw(one: ParticleFilterSettings) -> ParticleFilterSettings:

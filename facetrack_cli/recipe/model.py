@@ -194,6 +194,11 @@ class Recipe(Section):
         """Whether another seed may give another track."""
         return True
 
+    @property
+    def judges(self) -> bool:
+        """Whether it may call a part lost."""
+        return not self.filters or any(settings.likelihood.judges for settings in self.filters.values())
+
     def lost_below(self, target: str) -> float:
         """A part of this target is lost while its confidence stays below this."""
         settings = self.filters.get(target) or next(iter(self.filters.values()), None)

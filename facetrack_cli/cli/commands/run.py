@@ -167,6 +167,7 @@ def run_command(
     replaced = "--overwrite would replace what the other shards did; remove the folder before them"
     whole = "goes over the whole clip, --split cuts it in chunks; give one of them"
     refuse(
+        (fail_on_lost and not recipe.judges, f"--fail-on-lost: {recipe.name} cannot tell when it is lost; leave it out"),
         (remote and out == "-", "-o - streams one clip from this machine; name a folder, or leave --cluster out"),
         (remote and jobs > 1, "--cluster has workers of its own, -j those of this machine; give one of them"),
         (remote and split, "--split tracks its chunks with -j or --shard; leave --cluster out"),
