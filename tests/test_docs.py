@@ -86,7 +86,7 @@ def test_the_pages_that_the_site_makes_have_all_commands_and_keys():
 
 
 def links():
-    for page in PAGES:
+    for page in (*PAGES, ROOT / "CONTRIBUTING.md"):
         text = FENCE.sub("", page.read_text(encoding="utf-8"))
         yield from ((page, link) for link in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"[a-z]+:", link))
 
@@ -99,6 +99,18 @@ def test_links_and_images_are_there():
         if anchor:
             headings = re.findall(r"^#+ (.*)$", FENCE.sub("", path.read_text(encoding="utf-8")), re.MULTILINE)
             assert anchor in map(slug, headings), f"{page.name}: {link}"
+
+
+def test_what_the_map_names_stands_in_the_file_that_it_names():
+    """A file that stands "beside" another is not looked up."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = re.findall(r"`(\w+)` (?:of|in) `([\w/]+\.py)`", text)
+    named += [(name, file) for file, name in re.findall(r"^\d+\. `([\w/]+\.py)`: `(\w+)`", text, re.MULTILINE)]
+    assert len(named) > 30
+    for name, file in named:
+        paths = [path for path in (ROOT / file, ROOT / "facetrack_cli" / file) if path.exists()]
+        found = [re.search(rf"(?:def|class) {name}\b|^{name}\b.*=", one.read_text("utf-8"), re.M) for one in paths]
+        assert not paths or any(found), f"{name} in {file}"
 
 
 def test_command_lines_are_found():

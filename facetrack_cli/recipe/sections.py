@@ -16,8 +16,18 @@ from functools import partial
 from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, RootModel, Tag, model_validator
-from pydantic_core import PydanticCustomError, core_schema
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    ModelWrapValidatorHandler,
+    RootModel,
+    Tag,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError, core_schema
 
 from facetrack_cli.core.errors import RecipeError
 
@@ -67,16 +77,24 @@ class Section(BaseModel):
         """What is wrong between the fields of this section; paths begin at it."""
         return ()
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _keys(cls, values: Any) -> Any:
-        known = list(cls.model_fields)
-        unknown = [key for key in values if key not in known] if isinstance(values, dict) else []
-        refuse(
-            Refusal((key,), f'unknown key "{key}"; {suggest(str(key), known, "the keys there are")}', at_key=True)
-            for key in unknown
-        )
-        return values
+    def _keys(cls, values: Any, check: ModelWrapValidatorHandler[Self]) -> Self:
+        """What an unknown key may have meant is said beside all other errors of the section."""
+        try:
+            return check(values)
+        except ValidationError as wrong:
+            listed = [cls._told(error) for error in wrong.errors(include_url=False)]
+            raise ValidationError.from_exception_data(wrong.title, listed) from None
+
+    @classmethod
+    def _told(cls, error: ErrorDetails) -> InitErrorDetails:
+        kind, more, at = error["type"], {**error.get("ctx", {}), "said": error["msg"]}, error["loc"]
+        if kind == "extra_forbidden" and len(at) == 1:
+            hint = suggest(str(at[0]), list(cls.model_fields), "the keys there are")
+            refusal = Refusal(at, f'unknown key "{at[0]}"; {hint}', at_key=True)
+            kind, more, at = "refused", {"said": refusal.message, "refusals": [refusal]}, ()
+        return {"type": PydanticCustomError(kind, "{said}", more), "loc": at, "input": error["input"]}  # type: ignore[arg-type, unused-ignore]
 
     @model_validator(mode="after")
     def _check(self) -> Self:
