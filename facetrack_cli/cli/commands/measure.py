@@ -30,7 +30,7 @@ PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
 def _length(value: str) -> str:
     """What `lengths_of` in evaluation/rows.py takes."""
     with contextlib.suppress(ValueError):
-        if value == "size" or re.fullmatch("[^:]+:[^:]+", value) or 0 < float(value) < math.inf:
+        if value == "size" or re.fullmatch(r"([^:]+):(?!\1$)[^:]+", value) or 0 < float(value) < math.inf:
             return value
     raise click.BadParameter(f"{value!r}: give size, two parts as nose:mouth_left, or a number of pixels above 0")
 
