@@ -209,6 +209,7 @@ def test_files_are_written_beside_the_tables(folder, capsys):
         ),
         (["--normalise", "left:chin"], 2, "the ground truth has no chin; it has left, right"),
         (["--failure", "0"], 2, "0.0 is not in the range"),
+        (["--failure", "nan"], 2, "'nan' is no number"),
         (["--truth", "none.csv"], 3, "none.csv: cannot be read: No such file"),
     ],
 )

@@ -9,16 +9,13 @@ import os
 import re
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE_OR_DASH, Command, extent_options, flag, option, refuse, say, truth_options
 from facetrack_cli.core.errors import ExitCode, UsageError, flat
-
-if TYPE_CHECKING:
-    pass
 
 TABLES = ("compare.json", "compare.csv")
 PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
@@ -35,6 +32,13 @@ def _length(value: str) -> str:
     raise click.BadParameter(f"{value!r}: give size, two parts as nose:mouth_left, or a number of pixels above 0")
 
 
+def _share(value: str) -> float:
+    share = click.FloatRange(0, 100, min_open=True).convert(value, None, None)
+    if math.isnan(share):  # is in any range, for Click
+        raise click.BadParameter(f"{value!r} is no number")
+    return share
+
+
 @click.command()
 @click.argument("trajectory", type=options.TRAJECTORY)
 @option(
@@ -49,7 +53,7 @@ def _length(value: str) -> str:
     "box the root of its area), two parts as A:B, or a number of pixels.",
 )  # fmt: skip
 @option(
-    "--failure", type=click.FloatRange(0, 100, min_open=True), metavar="SHARE", default=0.1,
+    "--failure", type=options.Text("SHARE", _share), default=0.1,
     help="A point has failed above this normalised error; 300-W takes 0.08.",
 )  # fmt: skip
 @flag(
