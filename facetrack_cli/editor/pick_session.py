@@ -17,7 +17,15 @@ from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import wants_gallery
 from facetrack_cli.recipe.model import ParticlesRecipe, Recipe
 from facetrack_cli.start.assembly import name_targets, tracker_for
-from facetrack_cli.start.init_file import TARGET, WHAT_PARTS_ARE, check_start, write_init
+from facetrack_cli.start.init_file import (
+    KEYS,
+    OF_CORRECTIONS,
+    OF_FILES,
+    TARGET,
+    WHAT_PARTS_ARE,
+    check_start,
+    write_init,
+)
 from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named, righted
 from facetrack_cli.video.overlay import write_preview
 from facetrack_cli.video.source import Frames
@@ -199,6 +207,8 @@ def start_of(draft: Draft, size: tuple[int, int], frames: int | None, recipe: Re
         needs_box = asked["box"] == "needed"
         if (needs_box and chosen.get(name, TargetStart()).box is None) or (asked["points"] and name not in chosen):
             raise UsageError(f"still to choose: {'the box of ' * needs_box}{name}")
+    if unreadable := {*OF_FILES, *KEYS, *OF_CORRECTIONS}.intersection(chosen):  # the file could not be read again
+        raise UsageError(f"a target cannot be called {min(unreadable)}, a key of init files; rename it")
     targets = {}
     for name, target in chosen.items():
         before = previous.targets.get(name, TargetStart())

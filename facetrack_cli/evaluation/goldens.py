@@ -210,6 +210,9 @@ def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> 
         clips = [path for path in sorted(folder.glob("*")) if (is_clip(path) or path.is_dir()) and find_init(path)]
         if not clips:
             raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
+        stems = [clip.stem for clip in clips]
+        if twice := next((stem for n, stem in enumerate(stems) if stem in stems[:n]), ""):
+            raise InputError(f"{folder}: two clips are called {twice}; rename one, goldens are kept by that name")
         new = [Task(place / f"{clip.stem}.{name}.json", clip, recipes[name]) for clip, name in product(clips, recipes)]
         for i, task in enumerate(new):
             with contextlib.suppress(InputError):  # it may be that there is none yet, or none that can be read

@@ -193,7 +193,9 @@ def _read_json(path: Path) -> Trajectory:
 def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
     """(header, frames) of a JSON or JSON-lines trajectory; InputError, with the line, if it is none."""
     text, header, frames, number = path.read_text(encoding="utf-8-sig"), dict[str, Any](), list[Any](), 1
-    lines = text.split("\n") if text.lstrip().startswith('{"type"') else [text]
+    first, _, rest = text.strip().partition("\n")
+    by_line = first.rstrip().endswith("}") and rest.lstrip().startswith("{")  # in whatever order the keys stand
+    lines = text.split("\n") if by_line else [text]
     try:
         for number, line in enumerate(lines, 1):  # noqa: B007 -- named in the error
             record = json.loads(line) if line.strip() else None
@@ -341,7 +343,8 @@ class Header(BaseModel, defer_build=True):
     def clip_name(self) -> str:
         """The clip's name without its folder; a folder of images with the one above, since many are called `img`."""
         path = Path(self.source.path)
-        return path.name if path.suffix else "/".join(path.parts[-2:])
+        names = [path.name] if path.suffix else [path.parent.name, path.name]
+        return "/".join(filter(None, names)) or self.source.path
 
     @property
     def recipe_name(self) -> str:

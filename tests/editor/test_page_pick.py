@@ -137,6 +137,7 @@ def test_what_a_draft_lacks_is_said_in_one_line(clips, tmp_path):
         (None, {"face": {"box": [112, 79, 98, 98]}}, "no point for nose, mouth_left, mouth_right, lip_upper, lip_"),
         (None, {"face": {"points": {**POINTS, "nose": [400, 20]}}}, "nose of face at [400, 20] is outside the"),
         (None, {"face": {**FACE, "box": [112, 79, 5, 98]}}, "the box of face is smaller than 6x6 pixels; give a"),
+        (None, {"face": FACE, "corrections": FACE}, "a target cannot be called corrections, a key of init files"),
         ("factorized", {"face": {"points": {part: [100, 100] for part in PARTS}}}, "in one place"),
         ("contour_histogram", {"face": {"points": POINTS}}, "still to choose: the box of face"),
         ("contour_histogram", {"face": {"box": [-900, 79, 98, 98]}}, "the centre of the box [-900, 79, 98, 98] of"),

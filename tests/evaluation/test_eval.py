@@ -205,10 +205,10 @@ def test_files_are_written_beside_the_tables(folder, capsys):
         (["--csv", "ours.csv", "--overwrite"], 2, "ours.csv: is read here"),
         *(
             (["--normalise", how], 2, f"{how!r}: give size, two")
-            for how in ("furlong", "a:", "a:b:c", "0", "nan", "3px")
+            for how in ("furlong", "a:", "a:a", "a:b:c", "0", "nan", "3px")
         ),
         (["--normalise", "left:chin"], 2, "the ground truth has no chin; it has left, right"),
-        (["--failure", "0"], 2, "0.0 is not in the range"),
+        *((["--failure", share], 2, f"{share!r}: give a normalised error above 0") for share in ("0", "nan", "x")),
         (["--truth", "none.csv"], 3, "none.csv: cannot be read: No such file"),
     ],
 )

@@ -281,6 +281,13 @@ def test_a_recipe_of_the_user_is_found_from_the_folder_of_clips(facetrack, clips
     assert golden_of(clips).read_bytes() == before, "the same seeds and frames, as far as before, the same golden"
 
 
+def test_clips_of_one_name_are_refused_before_they_share_a_golden(facetrack, tmp_path):
+    for name in ("clip.mp4", "clip.mkv", "clip.init.yaml"):
+        (tmp_path / name).write_text("")
+    code, _, err = facetrack("regress", tmp_path, "--config", "factorized", "--update")
+    assert code == ExitCode.INPUT and "two clips are called clip; rename one" in err
+
+
 @pytest.mark.parametrize("update", [True, False])
 def test_an_interrupt_leaves_the_goldens_as_they_were(update, facetrack, clips, monkeypatch):
     run = goldens.run_plans

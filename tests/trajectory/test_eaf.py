@@ -300,10 +300,12 @@ def test_times_are_those_of_the_file_whose_clip_begins_later(tmp_path):
     ],
 )
 def test_a_file_without_annotations_takes_tiers(tmp_path, order):
-    text = f'<ANNOTATION_DOCUMENT FORMAT="2.8"><HEADER MEDIA_FILE=""/>{order}</ANNOTATION_DOCUMENT>'
+    header = '<HEADER MEDIA_FILE=""><PROPERTY NAME="a">b&#13;c</PROPERTY></HEADER>'
+    text = f'<ANNOTATION_DOCUMENT FORMAT="2.8">{header}{order}</ANNOTATION_DOCUMENT>'
     data, added, linked = add_tiers(session(tmp_path, text), ours(), "clip one.mp4")
     root = check("", data)
     assert added == ["lost@face", "seen@left_hand"] and not linked
+    assert root.findtext("HEADER/PROPERTY") == "b\rc"
     assert tiers(root)["lost@face"] == [(80, 240, "nose"), (320, 360, "nose")]
 
 
@@ -313,6 +315,7 @@ def test_a_file_without_annotations_takes_tiers(tmp_path, order):
         ("<a/>", "not ELAN's: it begins with a"),
         ("<ANNOTATION_DOCUMENT", ":1: is no XML"),
         ('<ANNOTATION_DOCUMENT FORMAT="2.7"><TIME_ORDER/></ANNOTATION_DOCUMENT>', "is of EAF 2.7; save it by ELAN 4.9"),
+        ('<ANNOTATION_DOCUMENT FORMAT="²"><TIME_ORDER/></ANNOTATION_DOCUMENT>', "is of EAF ²; save it by ELAN 4.9"),
         ('<!DOCTYPE a [<!ENTITY b "c">]><ANNOTATION_DOCUMENT/>', "declares a document type"),
     ],
 )

@@ -260,6 +260,18 @@ def test_json_is_one_object_with_a_line_a_frame(tmp_path):
         assert (data["schema"], data["version"], data["seed"]) == ("facetrack-trajectory", 1, 3)
         assert (data["complete"], data["stopped"], data["frames_tracked"]) == (False, "interrupted", len(frames))
         assert (data["warnings"], data["lost_frames"]) == (["cut"], {"face/lip": 2}) and "source_sha256" not in data
+        if frames:  # by another program, with the keys in another order
+            lines = (tmp_path / "t.jsonl").read_text().splitlines()
+            sorted_keys = (json.dumps(json.loads(line), sort_keys=True) + "\n" for line in lines)
+            (tmp_path / "u.jsonl").write_text("".join(sorted_keys))
+            assert len(read_trajectory(tmp_path / "u.jsonl")) == len(read_trajectory(tmp_path / "t.json"))
+
+
+@pytest.mark.parametrize(
+    ("path", "name"), [("/a/b.mp4", "b.mp4"), ("/a/frames", "a/frames"), ("/frames", "frames"), (".", ".")]
+)
+def test_a_clip_has_the_name_of_its_file_or_of_its_folder_and_that_above(path, name):
+    assert reader.Header.clip_name.fget(SimpleNamespace(source=SimpleNamespace(path=path))) == name
 
 
 # --- files ---

@@ -279,6 +279,8 @@ def test_a_plot_of_measures_has_a_panel_each_and_bars_of_events():
     assert np.isnan(line.get_ydata()).sum() == 1, "a line ends where nobody is seen"
     with pytest.raises(UsageError, match="has no ears; choose among mouth_opening"):
         page.measures_figure(face(), ["ears"])
+    with pytest.raises(UsageError, match="has no ''; choose among mouth_opening"):  # as of a comma at the end
+        page.measures_figure(face(), ["mouth_opening", ""])
 
 
 FIVE = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")

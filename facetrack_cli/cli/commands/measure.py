@@ -9,16 +9,13 @@ import os
 import re
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE_OR_DASH, Command, extent_options, flag, option, refuse, say, truth_options
 from facetrack_cli.core.errors import ExitCode, UsageError, flat
-
-if TYPE_CHECKING:
-    pass
 
 TABLES = ("compare.json", "compare.csv")
 PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
@@ -30,9 +27,16 @@ PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
 def _length(value: str) -> str:
     """What `lengths_of` in evaluation/rows.py takes."""
     with contextlib.suppress(ValueError):
-        if value == "size" or re.fullmatch("[^:]+:[^:]+", value) or 0 < float(value) < math.inf:
+        if value == "size" or re.fullmatch(r"([^:]+):(?!\1$)[^:]+", value) or 0 < float(value) < math.inf:
             return value
     raise click.BadParameter(f"{value!r}: give size, two parts as nose:mouth_left, or a number of pixels above 0")
+
+
+def _share(value: str) -> float:
+    with contextlib.suppress(ValueError):
+        if 0 < (share := float(value)) <= 100:  # which nan is not, though Click's own range has it
+            return share
+    raise click.BadParameter(f"{value!r}: give a normalised error above 0, as 0.1 or 0.08")
 
 
 @click.command()
@@ -49,7 +53,7 @@ def _length(value: str) -> str:
     "box the root of its area), two parts as A:B, or a number of pixels.",
 )  # fmt: skip
 @option(
-    "--failure", type=click.FloatRange(0, 100, min_open=True), metavar="SHARE", default=0.1,
+    "--failure", type=options.Text("SHARE", _share), default=0.1,
     help="A point has failed above this normalised error; 300-W takes 0.08.",
 )  # fmt: skip
 @flag(

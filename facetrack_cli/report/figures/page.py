@@ -67,10 +67,11 @@ def measures_figure(table: Trajectory, names: Sequence[str]) -> Figure:
     Raises UsageError for a name that the table has not.
     """
     there = {name: one for measured in table.measures.values() for name, one in measured.items()}
-    by = {word: kind.measures[0] for tier, kind in KINDS.items() for word in (tier, kind.value, kind.longer)}
+    words = ((word, kind) for tier, kind in KINDS.items() for word in (tier, kind.value, kind.longer) if word)
+    by = {word: kind.measures[0] for word, kind in words}
     wanted = list(dict.fromkeys(name if name in there else by.get(name, name) for name in names))
-    if missing := [name for name in wanted if name not in there]:
-        choices = [*there, *(word for word, measure in by.items() if word and measure in there)]
+    if missing := [name or "''" for name in wanted if name not in there]:
+        choices = [*there, *(word for word, measure in by.items() if measure in there)]
         others = f"choose among {', '.join(choices)}" if choices else "it has no measures, which the recipe face gives"
         raise UsageError(f"{table.path}: has no {', '.join(missing)}; {others}")
     with style.style():

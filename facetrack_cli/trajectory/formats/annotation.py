@@ -421,7 +421,8 @@ def _with_tiers(root: ET.Element, table: Trajectory, offset: int = 0) -> tuple[s
     for number in root.iterfind(".//PROPERTY[@NAME='lastUsedAnnotationId']"):
         number.text = str(last)
     ET.indent(root, "    ")
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n", tiers
+    text = ET.tostring(root, encoding="unicode").replace("\r", "&#13;")  # else readers take it for an end of line
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n', tiers
 
 
 def _type(kind: str, name: str) -> dict[str, str]:
@@ -535,6 +536,6 @@ def _read(path: Path) -> ET.Element:
     if root.tag != "ANNOTATION_DOCUMENT" or root.find("TIME_ORDER") is None:
         raise InputError(f"{path}: is XML, but not ELAN's: it begins with {root.tag}; name an .eaf")
     version = root.get("FORMAT") or root.get("VERSION") or ""
-    if not version.replace(".", "", 1).isdigit() or float(version) < LEAST_FORMAT:
+    if not version.replace(".", "", 1).isdecimal() or float(version) < LEAST_FORMAT:
         raise InputError(f"{path}: is of EAF {version or 'without a version'}; save it by ELAN 4.9 or later")
     return root

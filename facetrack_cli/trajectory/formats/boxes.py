@@ -388,7 +388,7 @@ def write_otb(part: Trajectory, unknown: str = "nan,nan,nan,nan") -> str:
     """
     if (gaps := np.flatnonzero(np.diff(part.frame) != 1)).size:
         first, then = part.frame[gaps[0] : gaps[0] + 2]
-        raise InputError(f"{part.name}: no row between frames {first} and {then}, which has no room; export to vot")
+        raise InputError(f"{part.name}: no row between frames {first} and {then}; a line is a frame, so export to vot")
     return "".join(f"{region or unknown}\n" for region in _regions(part, FROM_ONE))
 
 
