@@ -115,6 +115,8 @@ def _check_detector(job: Job, start: Start) -> None:
     if not job.recipe.points and not job.recipe.followed and start.origin not in DETECTORS:
         what = f"{job.recipe.name} follows what is in the box of {start.origin}, which no detector finds again"
         raise UsageError(f"{job.clip}: {what}; begin with --init haar, or leave --split out")
+    if len(start.targets) > 1 and not job.recipe.followed and job.faces != "all":
+        raise UsageError(f"{start.origin}: has {len(start.targets)} targets, and the search takes one; add --faces all")
     check_parts(job.recipe.points)
 
 

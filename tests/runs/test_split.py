@@ -49,6 +49,8 @@ def clips(tmp_path_factory):
         media.ffmpeg("-i", CLIP, "-vf", text, *options, folder / name)
     start = Start(0, {"face": TargetStart(points=POINTS)}, "x", (Correction(60, "face", points=POINTS),))
     write_init(folder / "corrected.yaml", start)
+    both = {name: TargetStart(points=POINTS) for name in ("left", "right")}
+    write_init(folder / "two.yaml", Start(0, both, "x"))
     return folder
 
 
@@ -156,6 +158,7 @@ def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, monkeypat
         ((*SPLIT, "--overwrite", "--shard", "1/2"), "remove the folder before them"),
         ((*SPLIT[4:], "--config", "contour", "--box", "110,80,90,90"), "which no detector finds again"),
         (("--split", "20s", "--init", "IN/corrected.yaml", "--config", "factorized"), "has corrections, which --split"),
+        (("--split", "20s", "--init", "IN/two.yaml", "--config", "factorized"), "has 2 targets, and the search takes"),
     ],
 )
 def test_what_cannot_be_split_is_refused_in_a_line(facetrack, clips, options, said):
