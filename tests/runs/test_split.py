@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.report.make import make_report
 from facetrack_cli.report.story import history_of, key_frames, reasons
 from facetrack_cli.runs import batch, split
-from facetrack_cli.runs.plan import Split
+from facetrack_cli.runs.plan import Job, Split
 from facetrack_cli.runs.split import OVERLAP_S, Seam, agreeing, cut_by_length, renamed, stitch
 from facetrack_cli.start.init_file import write_init
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
@@ -165,6 +167,23 @@ def test_what_cannot_be_split_is_refused_in_a_line(facetrack, clips, options, sa
     code, _, err = facetrack("run", "IN/slow.mp4", *options, *(() if "-o" in options else ("-o", "out")))
     assert code == 2
     assert said in err.replace("\n", " ")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("search", [1, 2])  # before the clip is cut, and before its chunks are joined
+def test_a_search_that_is_stopped_has_not_failed(facetrack, clips, monkeypatch, search):
+    find, searches = Job.find, itertools.count(1)
+
+    def stopped(job, *others, **more):
+        if job.chunk or next(searches) < search:
+            return find(job, *others, **more)
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise InputError("no face found")
+
+    monkeypatch.setattr(Job, "find", stopped)
+    code, _, err = facetrack("run", "IN/slow.mp4", *SPLIT, "--stop", "60", "--no-video", "-o", "out")
+    assert code == 143 and "terminated before the first frame" in err and "no face" not in err
+    assert not Path("out/run.json").exists()
 
 
 @given(st.integers(0, 200), st.integers(1, 3000), st.floats(5, 60), st.floats(10, 60))
