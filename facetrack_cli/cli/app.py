@@ -1,6 +1,8 @@
 """The command line: a group that loads a command only when it is called, so that `facetrack --help` is instant."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -49,18 +51,26 @@ MODULES = {
 }
 """The file in commands/ of a command; others have one of their own name."""
 SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True, "auto_envvar_prefix": "FACETRACK"}
-
-
 READER_GONE = 141
 """Exit code when the reader of standard output is gone, as in `facetrack ... | head`: the shell's, for SIGPIPE."""
 
 
+@contextmanager
+def _quiet_when_reader_gone() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        raise click.exceptions.Exit(READER_GONE) from None  # click itself would exit with 1
+
+
 class LazyGroup(click.Group):
+    def make_context(self, *args: Any, **more: Any) -> click.Context:
+        with _quiet_when_reader_gone():  # it prints the help of the group, and the version
+            return super().make_context(*args, **more)
+
     def invoke(self, ctx: click.Context) -> Any:
-        try:
+        with _quiet_when_reader_gone():
             return super().invoke(ctx)
-        except BrokenPipeError:
-            raise click.exceptions.Exit(READER_GONE) from None  # click itself would exit with 1
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)

@@ -269,7 +269,8 @@ def trajectory_of(run: Path) -> Path:
     check_run(run)
     if not run.is_dir() or (path := reader.table_in(run)).suffix not in (".json", ".jsonl"):
         again = "name the folder of a run, which facetrack run wrote with --format csv,json"
-        raise InputError(f"{run}: has no trajectory.json, with recipe and clip; {again}")
+        lacks = "has no trajectory.json, with recipe and clip" if run.is_dir() else "is no folder"
+        raise InputError(f"{run}: {lacks}; {again}")
     return path
 
 

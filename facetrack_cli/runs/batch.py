@@ -84,10 +84,11 @@ def folders(clips: Sequence[Path], recipe: str) -> list[str]:
         groups[name.casefold()].append(i)
     for group in (group for group in groups.values() if len(group) > 1):
         places = [absolute(clips[i]) for i in group]
-        above, beside = os.path.commonpath([place.parent.parent for place in places]), [each.parent for each in places]
+        levels, beside = zip(*(place.parts[:-2] for place in places), strict=False), [each.parent for each in places]
+        above = len([*itertools.takewhile(lambda level: len({*level}) == 1, levels)])  # none on two drives
         for i, place in zip(group, places, strict=True):
             last = place.name.replace(".", "-") if beside.count(place.parent) > 1 else names[i]
-            names[i] = "-".join([*place.parent.relative_to(above).parts, last])
+            names[i] = "-".join([*place.parts[max(above, 1) : -1], last])
     taken: set[str] = set()
     for i, name in enumerate(names):
         free = (f"{name}-{n}" if n > 1 else name for n in itertools.count(1))

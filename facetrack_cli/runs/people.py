@@ -82,13 +82,14 @@ def looks_in(boxes: Mapping[str, Trajectory], source: Source, looked: Report, st
     for name, box in boxes.items():
         for view in views_of(box):
             wanted[view.frame].append((name, view))
+    last = max(wanted, default=-1)
     for done, frame in enumerate(source if wanted else ()):
         if stop():
             raise StoppedError
         for name, view in wanted.get(frame.index, ()):
             readers[name].see(frame, view)
         looked(done, source.frames_hint, "looking at people")
-        if frame.index >= max(wanted):
+        if frame.index >= last:
             break
     return readers
 

@@ -58,7 +58,11 @@ def run_chunks(
         yield "", ended
         return
     progress.begin(f"{job.clip.name}: looking where it can be cut")
-    chunks = _chunks_of(whole, *_cut(whole, stop, progress.looked))
+    try:
+        chunks = _chunks_of(whole, *_cut(whole, stop, progress.looked))
+    except StoppedError:
+        yield "", Outcome(source=job.clip, stopped=stop.reason)
+        return
     decided, left = check_all(chunks[shard[0] - 1 :: shard[1]])
     yield from ((CHUNKS, outcome) for outcome in chain(decided, run_batch(left, workers, stop, progress)))
     if stop():
@@ -93,13 +97,21 @@ def _chunks_of(whole: Plan, start: Start, cuts: Cuts) -> list[Job]:
 
 
 def _cut(whole: Plan, stop: Stop, looked: Report) -> tuple[Start, Cuts]:
-    """The start of a clip, and the frames [first, stop) of each chunk; the last stop may be None: the end."""
+    """The start of a clip, and the frames [first, stop) of each chunk; the last stop may be None: the end.
+
+    Raises StoppedError once `stop` says so before the start is found.
+    """
     job = whole.job
     assert job.split is not None
     if whole.everyone:
         start = Start(job.first, {}, ORIGIN)
     else:
-        start = job.find(job.recipe, stopped=stop, looked=looked)
+        try:
+            start = job.find(job.recipe, stopped=stop, looked=looked)
+        except InputError:  # no face was found until then
+            if stop():
+                raise StoppedError from None
+            raise
         _check_detector(job, start)
     with job.open(start.frame) as source:
         if source.frames_hint is None:
@@ -115,6 +127,8 @@ def _check_detector(job: Job, start: Start) -> None:
     if not job.recipe.points and not job.recipe.followed and start.origin not in DETECTORS:
         what = f"{job.recipe.name} follows what is in the box of {start.origin}, which no detector finds again"
         raise UsageError(f"{job.clip}: {what}; begin with --init haar, or leave --split out")
+    if len(start.targets) > 1 and not job.recipe.followed and job.faces != "all":
+        raise UsageError(f"{start.origin}: has {len(start.targets)} targets, and the search takes one; add --faces all")
     check_parts(job.recipe.points)
 
 
@@ -300,7 +314,10 @@ def join_chunks(into: Recorder, stop: Stop, report: Report) -> Outcome:
     """
     plan, job = into.plan, into.plan.job
     assert job.out is not None and job.split is not None
-    start, cuts = _cut(plan, stop, silent)
+    try:
+        start, cuts = _cut(plan, stop, silent)
+    except StoppedError:
+        return Outcome(source=job.clip, stopped=stop.reason)
     survey, error = _survey(plan, start.frame, cuts), None
     if survey.failed:
         more = f" (and {len(survey.failed) - 1} more chunks failed)" if len(survey.failed) > 1 else ""

@@ -174,8 +174,10 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
     def approach(self, number: int, stopped: Callable[[], bool]) -> None:
         """Come to a frame or before it, by a jump to a keyframe or from the start, if reading onward takes longer.
 
-        Raises OSError or ValueError.
+        Raises OSError or ValueError where the file cannot be opened again.
         """
+        import av
+
         if 0 <= number - self.next <= MIN_JUMP_FRAMES:
             return
         if (index := self.read_packets(stopped)) is not None:
@@ -183,7 +185,10 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
             if number >= self.next >= index.keys[place] - MIN_JUMP_FRAMES:
                 return
             for entry in index.entries[max(place - _MAX_TRIES + 1, 0) : place + 1][::-1].tolist():
-                self._container.seek(entry, stream=self._video)
+                try:
+                    self._container.seek(entry, stream=self._video)
+                except av.FFmpegError:  # of a damaged file
+                    break
                 self._frames = self._decoded()
                 for raw in self._frames:
                     at = int(np.searchsorted(index.pts, -1 if raw.pts is None else raw.pts))

@@ -192,10 +192,11 @@ def test_usage_errors(arguments, said, capsys):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="pipes break otherwise there")
-def test_a_reader_that_goes_is_no_error():
+@pytest.mark.parametrize("words", [["recipes", "schema"], ["--help"]])
+def test_a_reader_that_goes_is_no_error(words):
     reading, writing = os.pipe()
     os.close(reading)
-    command = [sys.executable, "-m", "facetrack_cli", "recipes", "schema"]
+    command = [sys.executable, "-m", "facetrack_cli", *words]
     done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
     os.close(writing)
     assert (done.returncode, done.stderr) == (cli.READER_GONE, "")

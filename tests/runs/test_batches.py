@@ -297,6 +297,12 @@ def test_inputs(here, inputs, clips, several):
     assert expanded(*inputs) == (clips, several)
 
 
+def test_a_rate_is_of_images_alone(run):
+    code, err = run("clips", "--fps", "50", "-o", "out")
+    assert code == 2 and not Path("out").exists()
+    assert "--fps is for images; a video brings its own rate" in err[-1]
+
+
 def test_images_beside_videos_are_left_out(here):
     assert expanded("day1") == (["day1/b2.MP4", "day1/b10.mp4"], True), "by their numbers"
 

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import cv2
 import numpy as np
@@ -435,7 +435,7 @@ def test_a_part_that_is_lost_at_the_end(run, tmp_path):
     assert run(path, *SMALL, "--no-video", "--fail-on-lost", "-o", "early", "--stop", 8)[0] == 0
 
 
-def test_folder_names_are_told_apart_by_where_the_clips_lie(tmp_path):
+def test_folder_names_are_told_apart_by_where_the_clips_lie(tmp_path, monkeypatch):
     def named(*clips):
         return folders([tmp_path / clip for clip in clips], "r")
 
@@ -446,6 +446,9 @@ def test_folder_names_are_told_apart_by_where_the_clips_lie(tmp_path):
     assert named("a/Clip.mp4", "b/clip.mp4") == ["a-Clip-r", "b-clip-r"]
     both = named("A-clip.mp4", "a/clip.mp4", "b/clip.mp4")
     assert len({one.casefold() for one in both}) == 3 and both == named("A-clip.mp4", "a/clip.mp4", "b/clip.mp4")
+    monkeypatch.setattr("facetrack_cli.runs.batch.title", lambda clip: clip.stem)
+    monkeypatch.setattr("facetrack_cli.runs.batch.absolute", PureWindowsPath)
+    assert folders([Path("C:/a/clip.mp4"), Path("D:/b/clip.mp4")], "r") == ["a-clip-r", "b-clip-r"]
 
 
 def test_runs_of_other_settings_have_folders_of_their_own(run, clip):

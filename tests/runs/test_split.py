@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.report.make import make_report
 from facetrack_cli.report.story import history_of, key_frames, reasons
 from facetrack_cli.runs import batch, split
-from facetrack_cli.runs.plan import Split
+from facetrack_cli.runs.plan import Job, Split
 from facetrack_cli.runs.split import OVERLAP_S, Seam, agreeing, cut_by_length, renamed, stitch
 from facetrack_cli.start.init_file import write_init
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
@@ -49,6 +51,8 @@ def clips(tmp_path_factory):
         media.ffmpeg("-i", CLIP, "-vf", text, *options, folder / name)
     start = Start(0, {"face": TargetStart(points=POINTS)}, "x", (Correction(60, "face", points=POINTS),))
     write_init(folder / "corrected.yaml", start)
+    both = {name: TargetStart(points=POINTS) for name in ("left", "right")}
+    write_init(folder / "two.yaml", Start(0, both, "x"))
     return folder
 
 
@@ -156,12 +160,30 @@ def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, monkeypat
         ((*SPLIT, "--overwrite", "--shard", "1/2"), "remove the folder before them"),
         ((*SPLIT[4:], "--config", "contour", "--box", "110,80,90,90"), "which no detector finds again"),
         (("--split", "20s", "--init", "IN/corrected.yaml", "--config", "factorized"), "has corrections, which --split"),
+        (("--split", "20s", "--init", "IN/two.yaml", "--config", "factorized"), "has 2 targets, and the search takes"),
     ],
 )
 def test_what_cannot_be_split_is_refused_in_a_line(facetrack, clips, options, said):
     code, _, err = facetrack("run", "IN/slow.mp4", *options, *(() if "-o" in options else ("-o", "out")))
     assert code == 2
     assert said in err.replace("\n", " ")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("search", [1, 2])  # before the clip is cut, and before its chunks are joined
+def test_a_search_that_is_stopped_has_not_failed(facetrack, clips, monkeypatch, search):
+    find, searches = Job.find, itertools.count(1)
+
+    def stopped(job, *others, **more):
+        if job.chunk or next(searches) < search:
+            return find(job, *others, **more)
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise InputError("no face found")
+
+    monkeypatch.setattr(Job, "find", stopped)
+    code, _, err = facetrack("run", "IN/slow.mp4", *SPLIT, "--stop", "60", "--no-video", "-o", "out")
+    assert code == 143 and "terminated before the first frame" in err and "no face" not in err
+    assert not Path("out/run.json").exists()
 
 
 @given(st.integers(0, 200), st.integers(1, 3000), st.floats(5, 60), st.floats(10, 60))

@@ -7,12 +7,13 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.video.decode import LostError, _is_hidden, read_index
+from facetrack_cli.video.decode import LostError, _is_hidden, open_container, read_index
 from facetrack_cli.video.source import Frames, VideoSource, open_source
 from tests.support import media
 
@@ -243,6 +244,31 @@ def test_a_frame_that_is_not_where_its_packet_says(folder: Path, monkeypatch: py
             list(got)
     with open_source(path, start=85) as source:  # a difference on the way: it is decoded from the start
         check(next(iter(source)), frames[85])
+
+
+@pytest.mark.parametrize("error", [av.InvalidDataError, av.EOFError])
+def test_a_file_that_cannot_be_sought_is_read_from_its_start(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception]
+) -> None:
+    path, frames = made(folder, "b_frames.mp4")
+    index = read_index(path)
+
+    class Unseekable:
+        def __init__(self, container: Any) -> None:
+            self._container = container
+
+        def seek(self, *_: object, **__: object) -> None:
+            raise error(1, "damaged")
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._container, name)
+
+    monkeypatch.setattr("facetrack_cli.video.decode.open_container", lambda at: Unseekable(open_container(at)))
+    monkeypatch.setattr("facetrack_cli.video.decode.read_index", lambda *_: index)
+    with open_source(path, start=85) as source:
+        check(next(iter(source)), frames[85])
+    with Frames(path) as any_frame:
+        check(any_frame.read(90), frames[90])
 
 
 def test_hidden_packets_of_vp8_and_vp9_are_no_frames() -> None:

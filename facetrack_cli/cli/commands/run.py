@@ -72,7 +72,7 @@ def _formats(value: str) -> tuple[Format, ...]:
     help="`one`, the largest face that stays, or `all`: everybody, over cuts, see docs/film.md [default: one].",
 )  # fmt: skip
 @option("--init-frame", type=FRAME, help="Frame of --init or --box, or where the search for a face begins.")
-@option("--stream", type=FRAME, help="Video stream of a file with several, by FFmpeg's number [default: the largest].")
+@option("--stream", type=FRAME, help="Video stream of a file with several, by FFmpeg's number [default: FFmpeg's own].")
 @options.config
 @options.set_("Override a key of the recipe; repeatable.")
 @option("--seed", type=int, metavar="N", help="Seed of the random numbers, instead of the recipe's.")
@@ -167,7 +167,10 @@ def run_command(
     replaced = "--overwrite would replace what the other shards did; remove the folder before them"
     whole = "goes over the whole clip, --split cuts it in chunks; give one of them"
     refuse(
-        (fail_on_lost and not recipe.judges, f"--fail-on-lost: {recipe.name} cannot tell when it is lost; leave it out"),
+        (
+            fail_on_lost and not recipe.judges,
+            f"--fail-on-lost: {recipe.name} cannot tell when it is lost; leave it out",
+        ),
         (remote and out == "-", "-o - streams one clip from this machine; name a folder, or leave --cluster out"),
         (remote and jobs > 1, "--cluster has workers of its own, -j those of this machine; give one of them"),
         (remote and split, "--split tracks its chunks with -j or --shard; leave --cluster out"),
@@ -186,7 +189,9 @@ def run_command(
     clips, several = expand(inputs)
     extent.check()
     several = several or (shard is not None and split is None)
+    rated = extent.fps is not None and all(clip.is_file() and brings_rate(clip) for clip in clips)
     refuse(
+        (rated, "--fps is for images; a video brings its own rate"),
         (split and len(clips) > 1, f"--split cuts one clip, and {len(clips)} are given; split one at a time"),
         (several and out == "-", "-o - streams one clip; give one INPUT, or a folder with --out"),
     )
