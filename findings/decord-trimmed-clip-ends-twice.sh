@@ -20,8 +20,7 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 python3 -m venv env
-env/bin/pip install --quiet --disable-pip-version-check decord==0.6.0 av==18.1.0 opencv-python-headless==5.0.0.93 \
-    imageio-ffmpeg==0.6.0 numpy==2.4.6
+env/bin/pip install --quiet --disable-pip-version-check decord==0.6.0 av==18.1.0 opencv-python-headless==5.0.0.93 imageio-ffmpeg==0.6.0 numpy==2.4.6
 env/bin/python - <<'PYTHON'
 import subprocess
 import sys

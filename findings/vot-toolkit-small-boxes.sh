@@ -26,8 +26,7 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 python3 -m venv env
-env/bin/pip install --quiet --disable-pip-version-check vot-toolkit==0.9.0 attributee==0.1.9 vot-trax==4.0.2 numba==0.68.1 \
-    numpy==2.4.6 opencv-python==5.0.0.93
+env/bin/pip install --quiet --disable-pip-version-check vot-toolkit==0.9.0 attributee==0.1.9 vot-trax==4.0.2 numba==0.68.1 numpy==2.4.6 opencv-python==5.0.0.93
 env/bin/python - <<'PYTHON'
 import sys
 import warnings
