@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.core import files, npz, yaml_tree
+from facetrack_cli.core import files, npz
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FileSink, check_new, check_readable, publish, write_new
 from facetrack_cli.core.npz import STORED, flatten, restore
@@ -169,15 +169,6 @@ def test_names_and_targets_are_bounded(tmp_path):
     path.write_text("frame: 0\n" + "".join(f"t{i}: {{box: [1, 2, 30, 40]}}\n" for i in range(300)))
     with pytest.raises(InputError, match="300 targets, and at most 100"):
         read_init(path)
-
-
-def test_many_unknown_keys_do_not_take_the_square_of_their_number(tmp_path, capsys):
-    path = tmp_path / "recipe.yaml"
-    path.write_text("filter:\n  type: sir\n" + "".join(f"k{i}: 1\n" for i in range(500)))
-    before = yaml_tree._lines.cache_info().misses
-    assert main(["recipes", "check", str(path)]) == 2
-    assert "k499" in capsys.readouterr().out
-    assert yaml_tree._lines.cache_info().misses - before < 10, "the text is split into lines for each of them"
 
 
 def back(value):

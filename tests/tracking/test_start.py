@@ -185,7 +185,6 @@ def test_init_to_stdout_with_box_frame_and_preview(clip, tmp_path, capsys, face)
         (["--init-frame", "99", "--box", "5,5,60,60"], 3, "99"),
         (["-o", "clip.mp4"], 2, ".yaml"),
         (["-o", "/nowhere/at/all.yaml"], 2, "no folder"),
-        (["--preview", "a.jpg"], 2, ".png"),
     ],
 )
 def test_init_says_what_is_wrong_in_one_line(clip, capsys, arguments, code, said):
