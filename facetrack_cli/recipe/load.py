@@ -290,6 +290,8 @@ def _problems(details: ErrorDetails, root: Node) -> Iterator[Problem]:
     if kind in ("missing", "union_tag_not_found"):
         key = "type" if kind != "missing" else path[-1] if isinstance(path[-1], str) else f"[{path[-1] + 1}]"
         yield Problem(node.key or node.span, f'{where} lacks "{key}"; add it')
+    elif kind == "unknown_key":
+        yield Problem(node.key or node.span, details["msg"])
     elif kind == "extra_forbidden":
         yield Problem(node.key or node.span, f'unknown key "{where}"; correct it, or remove it')
     elif kind == "union_tag_invalid":
@@ -300,7 +302,7 @@ def _problems(details: ErrorDetails, root: Node) -> Iterator[Problem]:
         yield Problem(node.key or node.span, f"{where}: {rule}")
     elif kind != "too_short" or len(node.plain()) < details["ctx"]["min_length"]:  # wrong items do not count there
         said = details["msg"].replace("Tuple", "List").replace("tuple", "list")
-        said = "must be a mapping of keys" if kind in ("model_type", "dict_type") else said
+        said = "must be a mapping of keys" if kind in ("model_type", "model_attributes_type", "dict_type") else said
         yield Problem(_value_span(node), f"{where}: {said}" + f", not {_shown(node)}" * (", not " not in said))
 
 

@@ -16,13 +16,13 @@ from functools import partial
 from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, RootModel, Tag, model_validator
-from pydantic_core import PydanticCustomError, core_schema
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, RootModel, Tag, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 
 from facetrack_cli.core.errors import RecipeError
 
 if TYPE_CHECKING:
-    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ModelWrapValidatorHandler
     from typing_extensions import Self
 
     from facetrack_cli.recipe.model import ParticleFilterSettings
@@ -67,16 +67,22 @@ class Section(BaseModel):
         """What is wrong between the fields of this section; paths begin at it."""
         return ()
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _keys(cls, values: Any) -> Any:
-        known = list(cls.model_fields)
-        unknown = [key for key in values if key not in known] if isinstance(values, dict) else []
-        refuse(
-            Refusal((key,), f'unknown key "{key}"; {suggest(str(key), known, "the keys there are")}', at_key=True)
-            for key in unknown
-        )
-        return values
+    def _keys(cls, values: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Say of unknown keys which were meant, beside whatever else is wrong."""
+        try:
+            return handler(values)
+        except ValidationError as error:
+            listed = []
+            for found in error.errors(include_url=False):
+                kind, path, said, ctx = found["type"], found["loc"], found["msg"], found.get("ctx")
+                if kind == "extra_forbidden" and len(path) == 1:  # else it is a key of a section below
+                    hint = suggest(str(path[0]), list(cls.model_fields), "the keys there are")
+                    kind, said = "unknown_key", f'unknown key "{path[0]}"; {hint}'
+                told = PydanticCustomError(kind, said, ctx)  # type: ignore[arg-type, unused-ignore]
+                listed.append(InitErrorDetails(type=told, loc=path, input=found["input"]))
+        raise ValidationError.from_exception_data(cls.__name__, listed)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
