@@ -290,8 +290,6 @@ def _problems(details: ErrorDetails, root: Node) -> Iterator[Problem]:
     if kind in ("missing", "union_tag_not_found"):
         key = "type" if kind != "missing" else path[-1] if isinstance(path[-1], str) else f"[{path[-1] + 1}]"
         yield Problem(node.key or node.span, f'{where} lacks "{key}"; add it')
-    elif kind == "unknown_key":
-        yield Problem(node.key or node.span, details["msg"])
     elif kind == "extra_forbidden":
         yield Problem(node.key or node.span, f'unknown key "{where}"; correct it, or remove it')
     elif kind == "union_tag_invalid":

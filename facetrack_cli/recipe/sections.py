@@ -16,13 +16,23 @@ from functools import partial
 from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, RootModel, Tag, ValidationError, model_validator
-from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    ModelWrapValidatorHandler,
+    RootModel,
+    Tag,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError, core_schema
 
 from facetrack_cli.core.errors import RecipeError
 
 if TYPE_CHECKING:
-    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ModelWrapValidatorHandler
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from typing_extensions import Self
 
     from facetrack_cli.recipe.model import ParticleFilterSettings
@@ -69,20 +79,22 @@ class Section(BaseModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _keys(cls, values: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """Say of unknown keys which were meant, beside whatever else is wrong."""
+    def _keys(cls, values: Any, check: ModelWrapValidatorHandler[Self]) -> Self:
+        """What an unknown key may have meant is said beside all other errors of the section."""
         try:
-            return handler(values)
-        except ValidationError as error:
-            listed = []
-            for found in error.errors(include_url=False):
-                kind, path, said, ctx = found["type"], found["loc"], found["msg"], found.get("ctx")
-                if kind == "extra_forbidden" and len(path) == 1:  # else it is a key of a section below
-                    hint = suggest(str(path[0]), list(cls.model_fields), "the keys there are")
-                    kind, said = "unknown_key", f'unknown key "{path[0]}"; {hint}'
-                told = PydanticCustomError(kind, said, ctx)  # type: ignore[arg-type, unused-ignore]
-                listed.append(InitErrorDetails(type=told, loc=path, input=found["input"]))
-        raise ValidationError.from_exception_data(cls.__name__, listed)
+            return check(values)
+        except ValidationError as wrong:
+            listed = [cls._told(error) for error in wrong.errors(include_url=False)]
+            raise ValidationError.from_exception_data(wrong.title, listed) from None
+
+    @classmethod
+    def _told(cls, error: ErrorDetails) -> InitErrorDetails:
+        kind, more, at = error["type"], {**error.get("ctx", {}), "said": error["msg"]}, error["loc"]
+        if kind == "extra_forbidden" and len(at) == 1:
+            hint = suggest(str(at[0]), list(cls.model_fields), "the keys there are")
+            refusal = Refusal(at, f'unknown key "{at[0]}"; {hint}', at_key=True)
+            kind, more, at = "refused", {"said": refusal.message, "refusals": [refusal]}, ()
+        return {"type": PydanticCustomError(kind, "{said}", more), "loc": at, "input": error["input"]}  # type: ignore[arg-type, unused-ignore]
 
     @model_validator(mode="after")
     def _check(self) -> Self:
