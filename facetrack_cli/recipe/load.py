@@ -300,7 +300,7 @@ def _problems(details: ErrorDetails, root: Node) -> Iterator[Problem]:
         yield Problem(node.key or node.span, f"{where}: {rule}")
     elif kind != "too_short" or len(node.plain()) < details["ctx"]["min_length"]:  # wrong items do not count there
         said = details["msg"].replace("Tuple", "List").replace("tuple", "list")
-        said = "must be a mapping of keys" if kind in ("model_type", "dict_type") else said
+        said = "must be a mapping of keys" if kind in ("model_type", "model_attributes_type", "dict_type") else said
         yield Problem(_value_span(node), f"{where}: {said}" + f", not {_shown(node)}" * (", not " not in said))
 
 

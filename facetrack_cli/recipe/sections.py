@@ -234,12 +234,16 @@ def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
 
 
 def add(section: type[Kind]) -> None:
-    """Put a section into the registry. TypeError if it is not a section, ValueError if its name is taken."""
+    """Put a section into the registry. TypeError if it is none or builds nothing, ValueError if its name is taken."""
     kind = next((base for base in KINDS if isinstance(section, type) and issubclass(section, base)), None)
     name = type_of(section) if kind is not None else ""
     if kind is None or not name:
         bases = ", ".join(base.__name__ for base in KINDS)
         raise TypeError(f'{section!r} is no section: derive it from one of {bases}, with type: Literal["its_name"]')
+    if kind is not TargetSettings and not section.goes_with:
+        raise TypeError(f'{section.__name__} goes with no type of target: add goes_with = ("points",), as it may be')
+    if kind is not TargetSettings and not hasattr(section, "engine") and section.build is kind.build:
+        raise TypeError(f"{section.__name__} builds nothing: give it a method build(self, context)")
     taken = registered(kind).get(name, section)
     if (taken.__module__, taken.__qualname__) != (section.__module__, section.__qualname__):
         noun = kind.__name__.removesuffix("Settings").lower()

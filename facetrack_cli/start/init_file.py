@@ -22,6 +22,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, NoReturn, TextIO
@@ -185,6 +186,9 @@ def _as_record(root: Node) -> Node:
     alone = not keys or any(key in KEYS for key in keys)
     targets = {TARGET: Node(root.span, keys)} if alone else keys
     known = (*OF_FILES, *KEYS) if alone else KEYS
+    for key, node in ({} if alone else keys).items():
+        if not isinstance(node.value, dict) and get_close_matches(key, (*OF_FILES, *KEYS), n=1, cutoff=0.7):
+            _check_key(node, key, (*OF_FILES, *KEYS))  # no target, but a key that is misspelt
     below = {
         name: Node(node.span, _fields(node, f"the target {name}", "box: or points: below its name", known), node.key)
         for name, node in targets.items()
@@ -215,6 +219,7 @@ def _of_entry(entry: Node, targets: Sequence[str]) -> Iterator[Node]:
     if not keys:
         _refuse(entry, "nothing is corrected here; add points: or box: by hand, or absent: true")
     for name, node in keys.items():
+        _check_key(node, name, (*targets, *HANDS, *OF_CORRECTIONS))  # hands may appear after the start
         fields = _fields(node, f"the correction of {name}", "points: or absent: below the name", OF_CORRECTIONS)
         of = Node(node.span, name, node.key)
         yield Node(node.span, {"target": of, "frame": frame, **fields}, node.key)
@@ -234,8 +239,6 @@ def _check(record: StartRecord, tree: Node) -> None:
     seen: set[tuple[int, str]] = set()
     for number, fix in enumerate(record.corrections):
         at, name = tree.at(("corrections", number))[0], fix.target
-        if name not in (*record.targets, *HANDS):  # these may appear after the start
-            _refuse(at, f'"{name}" is none of the start\'s targets: {", ".join(record.targets)}', at_key=True)
         if fix.frame <= record.frame:
             begins = f"the track begins in frame {record.frame}; corrections come after it"
             _refuse(at.at(("frame",))[0], f"corrects frame {fix.frame}, but {begins}")
@@ -270,9 +273,14 @@ def _check_part(node: Node, key: str, part: str, parts: Sequence[str]) -> None:
 def _fields(node: Node, what: str, example: str, known: Sequence[str]) -> dict[str, Node]:
     """A copy of the mapping that a node is, which has `known` keys alone."""
     fields = _mapping(node, what, example)
-    for key in fields.keys() - {*known}:
-        _refuse(fields[key], f'unknown key "{key}"; {suggest(key, known, "the keys there are")}', at_key=True)
+    for key in fields:
+        _check_key(fields[key], key, known)
     return fields
+
+
+def _check_key(node: Node, key: str, known: Sequence[str]) -> None:
+    if key not in known:
+        _refuse(node, f'unknown key "{key}"; {suggest(key, known, "the keys there are")}', at_key=True)
 
 
 def _mapping(node: Node, what: str, example: str) -> dict[str, Node]:

@@ -275,10 +275,10 @@ def test_wrong_recipe(case, write):
 
 def test_all_errors_are_listed_in_the_order_of_the_text(write):
     text = GOOD.replace("0.05", "0").replace("10", "0").replace("  type: colour_ratio", "  type: colour_ratio\n  a: 1")
-    path = write(text + "seed: x\n")
+    path = write(text + "seed: x\nsed: 1\n")  # an unknown key hides none of the others
     found = check_recipe(path)
-    assert [problem.span.line + 1 for problem in found] == [8, 11, 14, 15]
-    assert refused(path)[2].endswith("(and 3 more: facetrack recipes check lists all)")
+    assert [problem.span.line + 1 for problem in found] == [8, 11, 14, 15, 16]
+    assert refused(path)[2].endswith("(and 4 more: facetrack recipes check lists all)")
     assert len(check_recipe(write(GOOD + "seed: 1\nseed: 2\nmotion: !x 3\nseed: 3\n"))) == 4
 
 

@@ -195,12 +195,19 @@ def likelihood(**changes):
     return type("Another", (LikelihoodSettings,), body)
 
 
+def nothing_built(base):
+    return type("Another", (base,), {"goes_with": ("points",), "__annotations__": {"type": Literal["x"]}})
+
+
 def test_what_is_no_section_is_refused(registry):
     for section, error, why in (
         *(
             (nothing, TypeError, "is no section: derive it from one of")
             for nothing in (int, Section, likelihood(name=""))
         ),
+        (likelihood(goes_with=()), TypeError, r'Another goes with no type of target: add goes_with = \("points",\)'),
+        (nothing_built(LikelihoodSettings), TypeError, "Another builds nothing: give it a method build"),
+        (nothing_built(FilterSettings), TypeError, "Another builds nothing"),
         (likelihood(name="colour_ratio"), ValueError, 'type "colour_ratio" is taken by .*; choose another'),
     ):
         with pytest.raises(error, match=why):

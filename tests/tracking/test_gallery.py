@@ -28,6 +28,7 @@ from facetrack_cli.trackers.appearance.gallery import (
     logistic,
     name_problem,
     stand_in,
+    to_others,
     to_own,
 )
 from tests.support import parts
@@ -318,3 +319,13 @@ def test_a_box_of_other_proportions_than_the_gallerys_is_told(half, proportion, 
     notes = model.init(picture(SHOWN[0]), X0).notes
     assert len(notes) == told
     assert all("16x20 pixels" in note and f"{proportion:.2f} times" in note and "begin with" in note for note in notes)
+
+
+def test_of_many_pairs_everybody_meets_everybody_else():
+    who = np.repeat(np.arange(20), 50)
+    patch, other = to_others(who, 9_000)  # of 19,000
+    met = np.zeros((20, 20), int)
+    np.add.at(met, (who[patch], other), 1)
+    assert met.sum() == 9_000 and not met.diagonal().any()
+    assert met[~np.eye(20, dtype=bool)].min() > 10  # 24 on average
+    assert len(to_others(who[::50])[0]) == 20 * 19

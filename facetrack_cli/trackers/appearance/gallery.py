@@ -63,7 +63,7 @@ FOLDS = 10
 ENERGY = 0.9  # share of the variance that a subspace keeps
 MAX_DIRECTIONS = 256  # of a basis; of ten people's patches what is beyond holds about 1 % of the variance
 MAX_ROWS = 1500  # from which a basis is found
-MAX_PAIRS = 10_000  # patches and faces of others that are compared, evenly chosen
+MAX_PAIRS = 10_000  # patches and faces of others that are compared
 _CHANGES = "how {} with light, expression and pose cannot be learned from it"
 _TITLES: Final = {"frontal": "frontal faces", "intra": "intra-personal", "extra": "extra-personal"}
 _SPACES = (*_TITLES,)
@@ -291,9 +291,7 @@ def fit_gallery(
     intra, intras = fit_subspace(*coordinates(own, basis), held, basis, centred=True)
     # of what a fold holds out, neither patches nor faces are used; without one of two nobody is left to differ from
     apart = len(names) > 2
-    patch, other = np.nonzero(who[:, None] != np.arange(len(names)))
-    some = np.linspace(0, len(patch) - 1, min(len(patch), MAX_PAIRS)).astype(int)
-    patch, other = patch[some], other[some]
+    patch, other = to_others(who)
     held = [mask[patch] | (apart & (np.bincount(who, mask) > 0)[other]) for mask in (folds if apart else by_image)]
     lengths = squares[patch] + face_squares[other] - 2.0 * (x @ faces.T)[patch, other]
     extra, extras = fit_subspace(z[patch] - face_z[other], lengths, held, basis, centred=True)
@@ -406,6 +404,16 @@ def common_basis(x: Array, most: int = MAX_DIRECTIONS) -> Array:
     some = x[np.linspace(0, len(x) - 1, min(len(x), MAX_ROWS)).astype(int)]
     largest = np.linalg.eigh(some @ some.T)[1][:, : -most - 1 : -1]
     return np.asarray(np.linalg.qr(some.T @ largest)[0].T)
+
+
+def to_others(who: Indices, most: int = MAX_PAIRS) -> tuple[Indices, Indices]:
+    """Pairs of a patch, of the persons `who` (n,), and another person: all of them, or `most` of them.
+
+    They are drawn, and the same each time: of evenly spaced ones some persons would never meet some others.
+    """
+    patch, other = np.nonzero(who[:, None] != np.arange(who.max() + 1))
+    some = np.sort(np.random.default_rng(0).permutation(len(patch))[:most])
+    return patch[some], other[some]
 
 
 def coordinates(rows: Array, basis: Array) -> tuple[Array, Array]:
