@@ -21,6 +21,7 @@ from facetrack_cli.runs.plan import Job, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import (
+    AT_ONCE_S,
     SURE,
     UNKNOWN,
     Cast,
@@ -28,6 +29,7 @@ from facetrack_cli.trackers.people.descriptor import (
     TrackSummary,
     cast_of,
     load_people,
+    places,
     save_people,
     still,
     views_of,
@@ -187,10 +189,24 @@ def _named(
         assert best is not None
         for key in keys:
             pictures[key] = max(pictures.get(key, best), best, key=lambda still: still[0])
-    kept = [ShotRecord(first=shot.first, stop=shot.stop) for shot in shots]
+    kept = [ShotRecord(first=shot.first, stop=shot.stop) for shot in _true(shots, tracks, names, clock.fps)]
     stills = {name: paths[name, False] for name in names}
     people = people_of(clock, kept, records, stills, {*names} - moving)
     return NamedFilm(people, records, {paths[key]: _jpeg(image) for key, (_, image) in pictures.items()})
+
+
+def _true(shots: Sequence[Shot], tracks: Sequence[TrackSummary], names: Sequence[str], fps: float) -> list[Shot]:
+    """The shots without cuts after which the same faces go on in the same places, as after a flash."""
+    kept, goes_on = list(shots[:1]), places(tracks, fps)[1]
+    for shot in shots[1:]:
+        before = [i for i, track in enumerate(tracks) if track.stop == shot.first]
+        after = [j for j, track in enumerate(tracks) if shot.first <= track.first <= shot.first + AT_ONCE_S * fps]
+        pairs = [(i, j) for i in before for j in after if goes_on[i, j] and names[i] == names[j]]
+        if before and len(before) == len(after) == len(pairs):
+            kept[-1] = kept[-1]._replace(stop=shot.stop, until=shot.until)
+        else:
+            kept.append(shot)
+    return kept
 
 
 def name_run(job: Job, stop: Stop, looked: Report) -> str:

@@ -481,6 +481,23 @@ def seen(name, first, stop, x=100.0, side=50.0, shot=1):
 SHOTS = [Shot(0, 40, 0, 40), Shot(40, 90, 40, 90)]
 
 
+SHOTS = [Shot(0, 40, 0, 40), Shot(40, 90, 40, 90)]
+
+
+def test_a_cut_after_which_the_same_faces_go_on_in_the_same_places_was_none():
+    before = [seen("a", 0, 40), seen("b", 5, 40, x=300)]
+    after = [seen("c", 40, 90, shot=2), seen("d", 48, 90, 303, shot=2)]
+    assert runs_people._true(SHOTS, [*before, *after], ["Ann", "Bob", "Ann", "Bob"], 25.0) == [Shot(0, 90, 0, 90)]
+    for tracks, names in (
+        ([*before, *after], ["Ann", "Bob", "Cleo", "Bob"]),
+        ([*before, after[0]], ["Ann", "Bob", "Ann"]),
+        ([before[0], after[1]], ["Ann", "Ann"]),
+        ([before[0], seen("c", 60, 90, shot=2)], ["Ann", "Ann"]),
+        ([], []),
+    ):
+        assert runs_people._true(SHOTS, tracks, names, 25.0) == SHOTS
+
+
 def test_faces_that_cannot_be_told_again_are_unknown_and_those_of_one_frame_have_two_names():
     tracks = [seen("a", 0, 40), seen("b", 0, 30, x=300), seen("c", 10, 20, x=500), seen("d", 35, 40, x=300)]
     reader = SimpleNamespace(change=lambda: 9.0, best=(1.0, np.zeros((8, 8, 3), np.uint8)))
