@@ -188,7 +188,7 @@ def test_what_is_allowed_stays_finite_however_far_it_goes(facetrack, overrides):
 def test_correlation_alone_cannot_fail_on_lost(facetrack):
     options = ["--set", "likelihood.histogram=null", "-o", "o"]
     said = refused(run(facetrack, *options, "--fail-on-lost", config="histogram_correlation"), 2)
-    assert "histogram_correlation cannot tell when it is lost; leave --fail-on-lost out" in said
+    assert "histogram_correlation cannot tell when it is lost; leave it out" in said
     assert run(facetrack, *options, config="histogram_correlation")[0] == 0
 
 
