@@ -165,7 +165,7 @@ def test_a_box_is_enough(run):
         (["--box", "1,2,3,4", "--init", "x"], 2, "--init and --box"),
         (["--format", "xml"], 2, "choose among csv, json, jsonl"),
         (["--fps", "0"], 2, "frames per second"),
-        (["--fps", "25"], 2, "give --fps for images only"),
+        (["--fps", "25"], 2, "--fps is for images"),
         (["--start", "9", "--stop", "9"], 2, "leaves no frame"),
         (["--start", "-1"], 2, "--start"),
         (["--config", ""], 2, "--config is empty"),
