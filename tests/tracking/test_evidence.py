@@ -1,6 +1,7 @@
 """Which face of a frame is the target: what looks, places, cuts and company add, of faces that somebody has drawn."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -32,6 +33,8 @@ from facetrack_cli.trackers.face.evidence import (
     probabilities,
 )
 from facetrack_cli.trackers.face.stabilized import Similarity
+from facetrack_cli.trackers.face.state import FaceState
+from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trackers.people import descriptor
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.trajectory import UNSEEN
@@ -195,6 +198,33 @@ def test_views_of_who_walked_by_unnoticed_do_not_count(monkeypatch):
     )
     assert owned((own, True), (dark, False), (dusk, False)) == [(200, True), (203, True)]
     assert owned() == []
+
+
+def test_a_face_that_changes_by_and_by_stays_its_own_when_its_first_views_are_gone(monkeypatch):
+    def near(views, faces, senses):
+        return [4.0 if min(abs(view.picture.side - faces[0].side) for view in views) < 2 else -4.0]
+
+    monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model"))
+    monkeypatch.setattr(evidence, "by_looks", near)
+    views = (View(PICTURE.chip, Picture(PICTURE.chip, PICTURE.wide, 200), sure=True),)
+    for side in range(201, 215):
+        views = kept(views, View(PICTURE.chip, Picture(PICTURE.chip, PICTURE.wide, side)))
+    assert [view.picture.side for view in own_views(views)] == [200, 210, 211, 212, 213, 214]
+
+
+@pytest.mark.parametrize(("odds", "again"), [((0.9, -4.0, -4.0), (0.9, -4.0, -4.0)), ((0.9, -4.0, 1.0), None)])
+def test_looks_at_a_face_in_its_place_are_apart_and_the_last_two_decide(monkeypatch, odds, again):
+    face, each = Similarity(np.array([80.0, 60.0]), 1.5, 0.0), iter(odds)
+    monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model"))
+    monkeypatch.setattr(evidence, "look_of", lambda image: np.zeros(SIDE**2))
+    monkeypatch.setattr(evidence, "by_who", lambda views, picture: next(each))
+    tracker = SimpleNamespace(_laid_out=lambda similarity, detection: face)
+    view = SimpleNamespace(similarity=face, detection=None, image=None)
+    state, said = FaceState(*[None] * 9, views=OWN, last_seen=face, shots=None, again=()), []
+    for time_s in (1.0, 1.1, 1.25, 1.5):
+        state = FaceTarget._looked_again(tracker, state, view, shown(time_s=time_s))
+        said.append(state.again)
+    assert said == [odds[:1], odds[:1], odds[:2], again]
 
 
 def test_a_face_of_the_stabilized_image_is_laid_out_in_the_frame():
