@@ -92,10 +92,10 @@ def test_a_shifted_window_lies_beside_its_part():
     assert model.correlation(model.look(learned, frame(image), x0), x0[None]).min() > 0.999
 
 
-def test_flat_images_and_particles_far_outside_are_survived():
+def test_flat_images_and_particles_far_outside_or_nowhere_are_survived():
     x0 = np.array([[50.0, 40.0], [1.0, 88.0]])
     model = built([[15, 15], [9, 9]], PARTS[:2])
-    far = np.array([[[1e7, -1e7], [-5e5, 3.0]]])
+    far = np.array([[[1e7, -1e7], [-5e5, 3.0]], [[np.nan, np.nan], [3.0, 3.0]]])
     for first, now in (
         (texture(), np.full((90, 120, 3), 128, np.uint8)),
         (np.zeros((90, 120, 3), np.uint8), texture()),

@@ -128,7 +128,7 @@ class WindowNcc(Likelihood):
         """r at x (N, K, 2), in the frame that was looked at last -> (N, K); beyond the reach, r at its border."""
         assert learned.maps is not None and learned.corner is not None
         last = learned.maps.shape[1] - 1
-        at = np.clip(x - learned.corner, 0, last - 1e-6)
+        at = np.clip(np.nan_to_num(x - learned.corner), 0, last - 1e-6)  # a sensor may not place a part
         whole = at.astype(np.int64)
         (u, v), k = np.moveaxis(at - whole, -1, 0), np.arange(x.shape[1])
         i, j, m = whole[..., 1], whole[..., 0], learned.maps
