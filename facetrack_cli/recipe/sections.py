@@ -61,12 +61,6 @@ def suggest(wrong: str, names: Sequence[str], otherwise: str) -> str:
     return f'did you mean "{near[0]}"?' if near else f"{otherwise}: {', '.join(names)}"
 
 
-def refuse(refusals: Iterable[Refusal]) -> None:
-    """PydanticCustomError where there are any."""
-    if listed := list(refusals):
-        raise PydanticCustomError("refused", "{summary}", {"summary": listed[0].message, "refusals": listed})
-
-
 class Section(BaseModel):
     """A part of a recipe: frozen, without unknown keys, its fields described by the docstrings below them."""
 
@@ -98,7 +92,8 @@ class Section(BaseModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        refuse(self.mistakes())
+        if refusals := list(self.mistakes()):
+            raise PydanticCustomError("refused", "{summary}", {"summary": refusals[0].message, "refusals": refusals})
         return self
 
 

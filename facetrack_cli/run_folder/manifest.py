@@ -85,15 +85,13 @@ class Clip(File):
 class Manifest(RunSummary):
     """The contents of run.json. `asked`: a digest of all that was asked for.
 
-    `networks` are those that placed points.
-    `doubts` is what speaks against the track, `look` the first and last frames to look at, the longest span first.
-    `began` and `ended` are UTC; `seconds` is the time between them, in which all but `resumed` frames were tracked. In
-    a batch a clip that failed has its `error`.
+    `networks` are those that placed points. `doubts` is what speaks against the track, `look` the first and last frames
+    to look at, the longest span first. `began` and `ended` are UTC; `seconds` is the time between them, in which all
+    but `resumed` frames were tracked. In a batch a clip that failed has its `error`.
     """
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
-        extra="ignore", defer_build=True
-    )  # another version may say more
+    # another version may say more
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="ignore", defer_build=True)
     format: Literal["facetrack-run"] = "facetrack-run"
     version: Literal[1] = 1
     facetrack: str = __version__

@@ -1,4 +1,4 @@
-"""The dear kernels of a recipe, compiled before they are called, in this process and in a second process beside it.
+"""The kernels of a recipe, compiled before they are called, in this process and in a second process beside it.
 
 This file declares which settings call each kernel; its one signature stands at its decorator. numba holds the
 interpreter's lock while it compiles, so threads gain little. An error here costs time alone: the first call compiles a
