@@ -28,7 +28,7 @@ from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Extent, Frame, Image, Planes
 from facetrack_cli.trackers.face import image_kernels
 from facetrack_cli.trackers.face.cascaded_regression import AROUND, CORNER, GRID, PlacedPoints
-from facetrack_cli.trackers.face.image_kernels import DIRECTIONS, run_stages
+from facetrack_cli.trackers.face.image_kernels import DIRECTIONS
 from facetrack_cli.trackers.face.stabilized import EYES, Similarity, slope
 
 KIND = Kind("facetrack-eyes", 1, "eye descent", "python tools/eye_descent.py")
@@ -40,6 +40,7 @@ CORNERS: Final = [0, 1, 4, 5]
 SIDES: Final = ([0, 1, 2, 3], [5, 4, 6, 7])
 """Of the left and the right eye: outer and inner corner, upper and lower lid."""
 _BOTH: Final = np.array(SIDES)
+_OF_SIDE: Final = np.array([point not in SIDES[0] for point in range(len(POINTS))], np.int64)
 ZOOM: Final = 2.0  # of a patch
 SIDE: Final = 48  # of a patch, pixels
 MIDDLE: Final = (SIDE - 1) / 2
@@ -78,23 +79,19 @@ class EyeRegression(NamedTuple):
         """
         corners = self.corners(seen, parts)
         middles = 0.5 * (corners[::2] + corners[1::2])
-        small = min(STEEP * (head.scale * EYES / SMALL - 1), 0.0)
-        at, odds = np.empty((len(POINTS), 2)), np.empty(len(POINTS))
-        (a, b), _ = Similarity(middles, 1 / ZOOM, -slope(middles)).matrix.tolist()
-        for index, middle, read, way in zip(_BOTH, middles, phi(frame, head, middles), (1, -1), strict=True):
-            output = read @ self.lids
-            off = output[:-1].reshape(-1, 2)
-            narrow = math.dist(*off[:2].tolist()) / (ZOOM * EYES) - NARROW  # turned away
-            odds[index] = float(output[-1]) + min(STEEP * narrow, 0.0) + small
-            at[index] = middle + off @ np.array([[way * a, way * b], [-b, a]])
-        return PlacedPoints(at, odds)
+        lost, angle = min(STEEP * (head.scale * EYES / SMALL - 1), 0.0), slope(middles)
+        turn, wide = (math.cos(angle) / ZOOM, math.sin(angle) / ZOOM), ZOOM * EYES
+        each, odds, at = np.empty((2, 4, 2)), np.empty(2), np.empty((len(POINTS), 2))
+        patches, narrow = _patches(frame, views(head, middles)), (NARROW * wide, STEEP / wide, lost)
+        image_kernels.place_eyes(patches, _GRID, self.lids, middles, turn, narrow, each, odds)
+        at[_BOTH] = each
+        return PlacedPoints(at, odds[_OF_SIDE])
 
     def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
         """The corners (4, 2), as the cascade has them."""
-        follows = np.ones(len(self.first))
-        follows[:-1] = (parts - CORNER - self.rest).ravel()
-        x = self.mean + (follows @ self.first).reshape(-1, 2)
-        return np.asarray(run_stages(seen, x, AROUND, self.scales, self.stages) + CORNER)
+        off = parts - CORNER - self.rest
+        placed = image_kernels.place_corners(seen, off, self.mean, self.first, AROUND, self.scales, self.stages)
+        return np.asarray(placed + CORNER)
 
     def save(self, path: Path) -> None:
         """Raises OutputError."""

@@ -62,19 +62,46 @@ def read_eyes(patches, offsets, out):
     The second patch is mirrored. Channels are as `smoothed_channels` of means over 3 x 3 levels, but without redness,
     and relative to the whole patch.
     """
-    _, height, width = patches.shape
-    sums, seen = np.empty((height, width), np.int32), np.empty((1, height, width), np.float32)
     for eye in range(len(patches)):
-        for y in range(height):
-            above, below = patches[eye, abs(y - 1)], patches[eye, height - 1 - abs(height - 2 - y)]
-            for x in range(width):
-                sums[y, x] = np.int32(above[x]) + np.int32(patches[eye, y, x]) + np.int32(below[x])
-            for x in range(width):
-                left, right = sums[y, abs(x - 1)], sums[y, width - 1 - abs(width - 2 - x)]
-                seen[0, y, width - 1 - x if eye else x] = _OF_NINE[left + sums[y, x] + right]
-        channels = _smoothed(seen)
-        _read(channels, np.zeros((1, 2)), offsets, 1.0, out[eye, :-1].reshape(1, len(offsets), len(channels)))
-        out[eye, -1] = _ONE
+        _read_eye(patches[eye], eye == 1, offsets, out[eye])
+
+
+@fast("u1:3 f8:2 f4:2 f8:2 f8x2 f8x3 f8:3 f8:1")
+def place_eyes(patches, offsets, lids, middles, turn, narrow, at, odds):
+    """Corners and lids `at` (2, 4, 2) of eyes with their `middles` (2, 2), and their log odds `odds` (2,) of being seen.
+
+    `lids` (G C + 1, 9) multiplies what `read_eyes` reads. `turn` are the cosine and the sine of the patches' turn, over
+    their zoom. Of `narrow` are the width below which an eye loses log odds, those that it loses by a pixel, and those
+    that both lose.
+    """
+    read, (a, b), (least, steep, lost) = np.empty(len(lids), np.float32), turn, narrow
+    for eye in range(len(patches)):
+        _read_eye(patches[eye], eye == 1, offsets, read)
+        output = np.zeros(lids.shape[1], np.float32)
+        for f in range(len(read)):
+            for j in range(len(output)):
+                output[j] += read[f] * lids[f, j]
+        for i in range(4):
+            x, y = (-output[2 * i] if eye else output[2 * i]), output[2 * i + 1]
+            at[eye, i, 0], at[eye, i, 1] = middles[eye, 0] + a * x - b * y, middles[eye, 1] + b * x + a * y
+        width = np.sqrt((output[0] - output[2]) ** 2 + (output[1] - output[3]) ** 2)
+        odds[eye] = output[8] + min(steep * (width - least), 0.0) + lost
+
+
+@fast_part
+def _read_eye(patch, mirrored, offsets, out):
+    height, width = patch.shape
+    sums, seen = np.empty(width, np.int32), np.empty((1, height, width), np.float32)
+    for y in range(height):
+        above, below = patch[abs(y - 1)], patch[height - 1 - abs(height - 2 - y)]
+        for x in range(width):
+            sums[x] = np.int32(above[x]) + np.int32(patch[y, x]) + np.int32(below[x])
+        for x in range(width):
+            left, right = sums[abs(x - 1)], sums[width - 1 - abs(width - 2 - x)]
+            seen[0, y, width - 1 - x if mirrored else x] = _OF_NINE[left + sums[x] + right]
+    channels = _smoothed(seen)
+    _read(channels, np.zeros((1, 2)), offsets, 1.0, out[:-1].reshape(1, len(offsets), len(channels)))
+    out[-1] = _ONE
 
 
 @exact("u1:2 f8:2 u1:3")
@@ -278,7 +305,26 @@ def _read(seen, x, offsets, scale, out):
 @fast("f4:3 f8:2 f8:2 f8:1 f4:3")
 def run_stages(seen, x, offsets, scales, stages):
     """x (K, 2) after S stages (S, F + 1, 2 K), which read at `offsets` (G, 2) times the `scales` (S,) around them."""
-    x, move = x.copy(), np.empty(2 * len(x), np.float32)
+    return _descended(seen, x.copy(), offsets, scales, stages)
+
+
+@fast("f4:3 f8:2 f8:2 f8:2 f8:2 f8:1 f4:3")
+def place_corners(seen, off, mean, first, offsets, scales, stages):
+    """As `run_stages` from the `mean` (K, 2), and `first` (2 J + 1, 2 K) times how far J others are `off` (J, 2)."""
+    x, move = mean.copy(), first[-1].copy()
+    for j in range(len(off)):
+        for d in range(2):
+            for k in range(len(move)):
+                move[k] += off[j, d] * first[2 * j + d, k]
+    for k in range(len(x)):
+        x[k, 0] += move[2 * k]
+        x[k, 1] += move[2 * k + 1]
+    return _descended(seen, x, offsets, scales, stages)
+
+
+@fast_part
+def _descended(seen, x, offsets, scales, stages):
+    move = np.empty(2 * len(x), np.float32)
     phi = np.empty((len(x), len(offsets), len(seen)), np.float32)
     flat = phi.ravel()
     for s in range(len(stages)):
