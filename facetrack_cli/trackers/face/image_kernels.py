@@ -68,7 +68,7 @@ def read_eyes(patches, offsets, out):
 
 @fast("u1:3 f8:2 f4:2 f8:2 f8x2 f8x3 f8:3 f8:1")
 def place_eyes(patches, offsets, lids, middles, turn, narrow, at, odds):
-    """Corners and lids `at` (2, 4, 2) of eyes with their `middles` (2, 2), and their log odds `odds` (2,) of being seen.
+    """Corners and lids `at` (2, 4, 2) of eyes with their `middles` (2, 2), and their log odds `odds` (2,).
 
     `lids` (G C + 1, 9) multiplies what `read_eyes` reads. `turn` are the cosine and the sine of the patches' turn, over
     their zoom. Of `narrow` are the width below which an eye loses log odds, those that it loses by a pixel, and those

@@ -24,7 +24,7 @@ from facetrack_cli.trackers.face.landmark_filters import BiasFilter, Facing, Lan
 from facetrack_cli.trackers.face.landmark_sensors import LandmarkReadings, LandmarkSensors
 from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.settings import HeadSettings
-from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, Similarity
+from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, Similarity, mapped
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import SPREAD, TargetResult, of_frame
 from facetrack_cli.video.shots import Passing
@@ -82,11 +82,6 @@ def moved(features: ParticleState, to: Callable[[Array], Array], **others: Any) 
     (x, log_w), (state, cov, side_std) = features.particles, features.estimated
     particles, estimated = Particles(to(x), log_w), Estimate(to(state), cov, side_std)
     return features._replace(particles=particles, estimated=estimated, **others)
-
-
-def mapped(x: Array, turned: complex, shift: complex) -> Array:
-    """Places x (..., 2) as complex numbers, times `turned` plus `shift`: NumPy is slow on axes of two."""
-    return (x.view(np.complex128) * turned + shift).view(np.float64)
 
 
 def head_confidence(head: ParticleState) -> float:
@@ -149,8 +144,7 @@ class FaceParts:
             changed = self.calibration.changed(columns, self._boxes, self.features.size * self.side / FACE)
             columns = {**columns, **changed}
         rows = of_frame(self._names, frame, diagnostics, **columns)
-        turned = complex(*face.matrix[:, 0])
-        cloud = mapped(state.features.particles.x, turned, complex(*face.centre) - turned * complex(MIDDLE, MIDDLE))
+        cloud = face.to_frame(state.features.particles.x)
 
         def beliefs() -> tuple[Belief, ...]:
             return self.beliefs(state, of_frame(self._names, frame, diagnostics, **filtered).unseen)

@@ -40,8 +40,8 @@ from facetrack_cli.trackers.face.evidence import AGAIN, KNOWN, STAYS, Sighting
 from facetrack_cli.trackers.face.landmark_filters import Facing, LandmarkFilter
 from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
 from facetrack_cli.trackers.face.motion import MeasuredWalk, modes
-from facetrack_cli.trackers.face.stabilized import FACE, Similarity
-from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, mapped, moved
+from facetrack_cli.trackers.face.stabilized import FACE, Similarity, mapped
+from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, moved
 from facetrack_cli.trackers.face.window_ncc import WindowNcc, doubted
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.trajectory import TargetResult
@@ -351,9 +351,8 @@ class FaceTarget(FaceParts):
 
     def _restabilized(self, state: FaceState, old: Similarity) -> FaceState:
         """With the points, which are in the stabilized image of the `old` map, in that of the state's own."""
-        matrix, shift = old.into(self.map_to_frame(state.head.estimated.state, state.pose))
-        turned = complex(*matrix[0])
-        to = partial(mapped, turned=turned, shift=complex(*shift))
+        turned, shift = old.into(self.map_to_frame(state.head.estimated.state, state.pose))
+        to = partial(mapped, turned=turned, shift=shift)
         biases = state.bias_filters._replace(bias=mapped(state.bias_filters.bias, turned, 0))
         others, eyes = (landmarks and landmarks.mapped(to) for landmarks in (state.others, state.eyes))
         return state._replace(features=moved(state.features, to), bias_filters=biases, others=others, eyes=eyes)
