@@ -59,10 +59,12 @@ _COLOURS = 2.0  # grey levels by which channels differ on average in a clip with
 
 def spectrum(x: Single) -> Single:
     """The Fourier transform (2, C, F) of x (C, G, G): real and imaginary parts of the F = G (G / 2 + 1) frequencies."""
-    found = np.fft.rfft(x)
-    found = np.fft.fft(found, axis=1, out=found).reshape(len(x), -1)
+    # NumPy transforms in single precision where the factor is no integer, as the 1 of other norms is: in half the time
+    found = np.fft.rfft(x, norm="ortho")
+    found = np.fft.fft(found, axis=1, norm="ortho", out=found).reshape(len(x), -1)
     both = np.empty((2, *found.shape), np.float32)
-    both[0], both[1] = found.real, found.imag
+    np.multiply(found.real, np.float32(x.shape[1]), out=both[0])
+    np.multiply(found.imag, np.float32(x.shape[1]), out=both[1])
     return both
 
 
