@@ -37,7 +37,7 @@ KERNELS: Mapping[str, str] = {
         ("trackers.points.point_kernels", "colour_ratio_distances read_window", "likelihood=colour_ratio"),
         ("trackers.points.point_kernels", "parzen", "prior=parzen"),
         ("trackers.skin.skin_kernels", "moments_direct bilinear", "ncc"),
-        ("trackers.box.box_kernels", "arrive", "motion=visible_walk"),
+        ("trackers.box.box_kernels", "arrive log_mixture", "motion=visible_walk"),
         ("trackers.hands.hand_kernels", "move weigh gather fit_skin learn_head", "hands"),
         ("trackers.box.box_kernels", "remember respond read_cubic", _CELLS),
         ("trackers.regions.region_kernels", "match_boxes", "histogram"),

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from facetrack_cli.engine.kernels.compiled import exact, fast
+from facetrack_cli.engine.kernels.compiled import exact, fast, inline
 
 COLOURS = 1 << 15  # of 5 bits a channel
 CHANNELS = 31  # 18 signed orientations, 9 unsigned ones, 4 of texture
@@ -19,6 +19,12 @@ _LEVELS, _RATIOS = np.arange(256) / 255, np.arange(3072, dtype=np.float32) * np.
 _LINEAR = np.rint(2040 * np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4)).astype(int)
 _ROOTS = np.rint(32768 * np.where(_RATIOS < 216 / 24389, _RATIOS * 841 / 108 + 4 / 29, np.cbrt(_RATIOS))).astype(int)
 _CHROMA = np.float32(60.0)  # levels of a and b that count as much as the whole range of grey
+_WHOLE, _PER_TURN = 1.5 * 2.0**52, math.log2(math.e)  # a number whose neighbours are 1 away; exp(x) = 2^(x _PER_TURN)
+_TURN = (
+    float.fromhex("0x1.62e42feep-1"),
+    float.fromhex("0x1.a39ef35793c76p-33"),
+)  # log 2, the first with zeros at its end
+_TAYLOR = tuple(1 / math.factorial(k) for k in range(13, -1, -1))
 
 
 @exact
@@ -255,45 +261,90 @@ def read_cubic(values, x, y, out):
         out[n] = total
 
 
-@exact("f8:2 f8:2 f8:2 f8 f8:1 f8:1 f8:1 f8:1 f8:1 i8:1")
-def arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which):
-    """log sum_m w_m p(z_n | m) of places and log scales z (N, 3), where the target is visible, and where it is hidden.
-
-    A particle m of the last frame is expected at `mean` (M, 3), with standard deviations `step` (M, 2), visible and
-    hidden, along x and y, and `scale` of the log scale; `log_shown`, `log_hidden` (M,) are the logarithms of its weight
-    times the probability of either. Sums go to `shown`, `hidden` (N,). `which` (N,) is the m from which z_n came, or
-    M + m where it was hidden, drawn by u (N,), uniform in 0..1.
-    """
-    many = len(mean)
-    (logs, factor), parts = np.empty((2, 2, many)), np.empty(2 * many)
-    for m in range(many):
-        for k in range(2):
-            factor[k, m] = -0.5 / step[m, k] ** 2
-            logs[k, m] = -2.0 * math.log(step[m, k]) - math.log(scale) - 1.5 * math.log(2.0 * math.pi)
-        logs[0, m] += log_shown[m]
-        logs[1, m] += log_hidden[m]
+@exact("f8:2 f8:2 f8:2 f8:1 f8:1")
+def log_mixture(z, mean, std, log_w, out):
+    """out (N,): log sum_j exp(log_w_j - |(z - mean_j) / std_j|^2 / 2) of z (N, 3), `mean` and `std` (J, 3)."""
+    parts = np.empty(len(mean))
     for n in range(len(z)):
-        top = -math.inf
+        top, total = -math.inf, 0.0
+        for j in range(len(mean)):
+            parts[j] = log_w[j]
+            for k in range(3):
+                parts[j] -= 0.5 * ((z[n, k] - mean[j, k]) / std[j, k]) ** 2
+            top = max(top, parts[j])
+        for part in parts:
+            total += math.exp(part - top)
+        out[n] = math.log(total) + top
+
+
+@inline
+def _exponentials(x, turns):
+    """exp(x) of x (n,) in place, -700 at least, vectorised as the library's is not; `turns` (n,) is written over.
+
+    x = k log 2 + r, and exp(r) is Taylor's polynomial. A sum with `_WHOLE` has k in its lowest bits.
+    """
+    for i in range(len(x)):
+        turns[i] = x[i] * _PER_TURN + _WHOLE
+        k, p = turns[i] - _WHOLE, 0.0
+        r = x[i] - k * _TURN[0] - k * _TURN[1]
+        for share in _TAYLOR:
+            p = p * r + share
+        x[i] = p
+    bits, k = x.view(np.int64), turns.view(np.int64)
+    for i in range(len(x)):
+        bits[i] += k[i] << 52
+
+
+@exact("f8:2 f8:2 f8:1 f8x2 f8x8 f8:1 f8:2 f8:1 f8:1 f8:2")
+def arrive(z, parents, log_w, sigma, walk, u, e, shown, hidden, x):
+    """log sum_m w_m p(z_n, visible | m) of places and log scales z (N, 3), in `shown` (N,), and of hidden in `hidden`.
+
+    `parents` (M, 6) are the particles of the last frame, log_w (M,) their weights. They move by the `sigma` of a
+    `VisibleWalk` and by `walk`: its scale, velocity, acceleration, P(hides), those to be shown near and to return
+    elsewhere, and the limits of the scale. x (N, 6) are z with velocities drawn of p(velocity | z): u (N,), uniform in
+    0..1, draws the parent, and whether the target was hidden on its way, and e (N, 2), standard normal, the rest.
+
+    Returns the probability of a return elsewhere, which is in neither, and the mean scale of the parents.
+    """
+    scale, a, b, hide, show, leave, least, most = walk
+    many, returns, size = len(parents), 0.0, 0.0
+    mean, (logs, factor), (parts, turns) = np.empty((3, many)), np.empty((2, 2 * many)), np.empty((2, 2 * many))
+    for m in range(many):
+        parent, w = parents[m], math.exp(log_w[m])
+        s, before, away = parent[2], parent[5], (1.0 - parent[5]) * leave
+        mean[0, m], mean[1, m], mean[2, m] = parent[0] + a * parent[3], parent[1] + a * parent[4], math.log(s)
+        near = before * (1.0 - hide) + (1.0 - before) * show
+        returns, size = returns + w * away, size + w * s
+        for k, share in ((m, near), (m + many, max(1.0 - near - away, 0.0))):
+            step = sigma[k // many] * s
+            factor[k] = -0.5 / step**2
+            logs[k] = log_w[m] + np.log(share) - 2.0 * math.log(step) - math.log(scale) - 1.5 * math.log(2.0 * math.pi)
+    for n in range(len(z)):
+        for k in (0, many):
+            for m in range(many):
+                dx, dy, ds = z[n, 0] - mean[0, m], z[n, 1] - mean[1, m], (z[n, 2] - mean[2, m]) / scale
+                parts[k + m] = logs[k + m] + factor[k + m] * (dx * dx + dy * dy) - 0.5 * ds * ds
+        top = other = -1e300
         for m in range(many):
-            dx, dy, ds = z[n, 0] - mean[m, 0], z[n, 1] - mean[m, 1], (z[n, 2] - mean[m, 2]) / scale
-            away = dx * dx + dy * dy
-            for k in range(2):
-                value = logs[k, m] + factor[k, m] * away - 0.5 * ds * ds
-                parts[k * many + m] = value
-                top = max(top, value)
+            top, other = max(top, parts[m]), max(other, parts[many + m])
+        for m in range(many):
+            parts[m], parts[many + m] = max(parts[m] - top, -700.0), max(parts[many + m] - other, -700.0)
+        _exponentials(parts, turns)
         seen = unseen = 0.0
         for m in range(many):
-            parts[m] = math.exp(parts[m] - top)
-            seen += parts[m]
-        for m in range(many, 2 * many):
-            parts[m] = math.exp(parts[m] - top)
-            unseen += parts[m]
-        shown[n] = math.log(seen) + top if seen > 0.0 else -math.inf
-        hidden[n] = math.log(unseen) + top if unseen > 0.0 else -math.inf
-        left, chosen = u[n] * (seen + unseen), 2 * many - 1
-        for i in range(2 * many):
-            left -= parts[i]
-            if left <= 0.0 and parts[i] > 0.0:
-                chosen = i
-                break
-        which[n] = chosen
+            seen, unseen = seen + parts[m], unseen + parts[many + m]
+            parts[m], parts[many + m] = seen, unseen
+        shown[n], hidden[n] = math.log(seen) + top, math.log(unseen) + other
+        share = 1.0 / (1.0 + math.exp(min(hidden[n] - shown[n], 700.0)))
+        left, k = u[n] / share * seen, 0
+        if u[n] > share:
+            left, k = (u[n] - share) / (1.0 - share) * unseen, many
+        while k < 2 * many - 1 and parts[k] < left:
+            k += 1
+        chosen, noise = parents[k % many], math.sqrt(b * (1.0 - b)) * sigma[k // many]
+        for i in range(2):
+            v = a * chosen[3 + i]
+            x[n, i] = z[n, i]
+            x[n, 3 + i] = v + b * (z[n, i] - chosen[i] - v) + noise * chosen[2] * e[n, i]
+        x[n, 2], x[n, 5] = min(max(math.exp(z[n, 2]), least), most), 0.0
+    return returns, size
