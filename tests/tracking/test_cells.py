@@ -41,6 +41,24 @@ def test_colours_are_what_their_plain_twin_says():
         np.testing.assert_allclose(ours, theirs, atol=1e-6)
 
 
+@given(seed=seeds, rate=st.floats(0, 1))
+def test_a_tally_moves_a_histogram_as_its_plain_twin_does(seed, rate):
+    rng = np.random.default_rng(seed)
+    histogram, bins, part = rng.random(9, np.float32), rng.integers(0, 9, 20), rng.permutation(20)[:7]
+    cells.tally(histogram, bins, part, np.float32(rate), out := np.empty(9, np.float32))
+    np.testing.assert_allclose(out, naive.tally(histogram, bins.tolist(), part, rate), atol=1e-6)
+
+
+@given(seed=seeds, most=st.integers(1, 5), levels=st.integers(2, 50))
+def test_the_highest_places_are_those_of_their_plain_twin(seed, most, levels):
+    response = np.random.default_rng(seed).integers(0, levels, (9, 7)).astype(np.float32)
+    count = cells.highest(response, np.float32(1.0), out := np.empty((most, 3)))
+    tops = naive.highest(response, 1.0)[:most]
+    assert count == len(tops)
+    for (column, row, height), (i, j) in zip(out, tops, strict=False):
+        assert abs(column - j) <= 0.5 and abs(row - i) <= 0.5 and height >= response[i, j]
+
+
 def singles(rng, *shape):
     return rng.standard_normal(shape).astype(np.float32)
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.resampling import normalise, uniform
 from facetrack_cli.engine.spaces import Estimate
-from facetrack_cli.trackers.box import box_kernels as walk
+from facetrack_cli.trackers.box import box_kernels as kernels
 from facetrack_cli.trackers.box.hidden_box import VISIBLE, VisibleBoxSpace
 from tests.support.parts import visible_walk
 from tests.twins import walk as naive
@@ -56,15 +56,33 @@ def places(n=50, seed=4):
 @given(seed=st.integers(0, 10_000), many=st.integers(1, 6), n=st.integers(1, 5))
 def test_the_kernel_is_what_its_plain_twin_says(seed, many, n):
     rng = np.random.default_rng(seed)
-    z, mean = rng.normal(0, 1, (n, 3)), rng.normal(0, 1, (many, 3))
-    step, weights, u = rng.uniform(0.5, 2, (many, 2)), rng.random((many, 2)), rng.random(n)
-    shown, hidden, which = np.empty(n), np.empty(n), np.empty(n, np.int64)
-    walk.arrive(z, mean, step, 0.7, *np.log(weights).T.copy(), u, shown, hidden, which)
+    z, parents, w = rng.normal(0, 1, (n, 3)), rng.normal(0, 1, (many, 6)), rng.dirichlet(np.ones(many))
+    parents[:, 2], parents[:, 5] = rng.uniform(0.5, 2, many), rng.random(many)
+    walk, u, e = (0.7, 0.5, 0.3, 0.02, 0.18, 0.02, 0.9, 1.1), rng.random(n), rng.normal(0, 1, (n, 2))
+    shown, hidden, x = np.empty(n), np.empty(n), np.empty((n, 6))
+    returns, size = kernels.arrive(z, parents, np.log(w), (SIGMA, HIDDEN), walk, u, e, shown, hidden, x)
+    assert returns == pytest.approx(w @ (1 - parents[:, 5]) * 0.02) and size == pytest.approx(w @ parents[:, 2])
     for k in range(n):
-        parts = np.array(naive.arrive(z[k], mean, step, 0.7, weights))
+        parts = np.array(naive.arrive(z[k], parents, w, (SIGMA, HIDDEN), walk))
         np.testing.assert_allclose(np.exp([shown[k], hidden[k]]), parts.sum(axis=0), rtol=1e-9)
-        cdf = np.cumsum(parts.T.ravel()) / parts.sum()
-        assert which[k] == np.searchsorted(cdf, u[k])
+        which = np.searchsorted(np.cumsum(parts.T.ravel()) / parts.sum(), u[k])
+        np.testing.assert_allclose(x[k, :2], z[k, :2])
+        assert x[k, 2] == pytest.approx(min(max(np.exp(z[k, 2]), 0.9), 1.1)) and x[k, 5] == 0
+        sigma = (SIGMA, HIDDEN)[which // many]
+        np.testing.assert_allclose(x[k, 3:5], naive.velocity(z[k], parents[which % many], sigma, walk, e[k]))
+
+
+@given(seed=st.integers(0, 10_000), far=st.sampled_from([1.0, 100.0]))
+def test_a_mixture_is_that_of_its_normal_densities(seed, far):
+    rng = np.random.default_rng(seed)
+    z, mean, std, log_w = (
+        rng.normal(0, far, (4, 3)),
+        rng.normal(0, 1, (3, 3)),
+        rng.uniform(0.5, 2, (3, 3)),
+        rng.normal(0, 1, 3),
+    )
+    kernels.log_mixture(z, mean, std, log_w, out := np.empty(4))
+    np.testing.assert_allclose(out, naive.log_mixture(z, mean, std, log_w), rtol=1e-9)
 
 
 def test_who_arrives_is_weighed_over_all_parents():

@@ -65,6 +65,19 @@ def colours(image, target, around):
     return bins, [float(target[k]) / total if total else 0.5 for k, total in zip(bins, both, strict=True)]
 
 
+def tally(histogram, bins, part, rate):
+    """The histogram moved by `rate` towards that of the pixels `part`."""
+    of = [bins[n] for n in part]
+    return [(1 - rate) * before + rate * of.count(k) / len(part) for k, before in enumerate(histogram)]
+
+
+def highest(response, least):
+    """(row, column) of all that are at least `least` and no lower than their eight neighbours, the highest first."""
+    inner = [(i, j) for i in range(1, len(response) - 1) for j in range(1, len(response[0]) - 1)]
+    tops = [(i, j) for i, j in inner if response[i, j] >= max(least, response[i - 1 : i + 2, j - 1 : j + 2].max())]
+    return sorted(tops, key=lambda at: -response[at])
+
+
 def project(components, features, taper):
     """(C, M): each component's sum over the features (L, M), times the taper (M,)."""
     return np.array(

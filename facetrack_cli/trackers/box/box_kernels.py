@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from facetrack_cli.engine.kernels.compiled import exact, fast
+from facetrack_cli.engine.kernels.compiled import exact, fast, inline
 
 COLOURS = 1 << 15  # of 5 bits a channel
 CHANNELS = 31  # 18 signed orientations, 9 unsigned ones, 4 of texture
@@ -19,6 +19,12 @@ _LEVELS, _RATIOS = np.arange(256) / 255, np.arange(3072, dtype=np.float32) * np.
 _LINEAR = np.rint(2040 * np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4)).astype(int)
 _ROOTS = np.rint(32768 * np.where(_RATIOS < 216 / 24389, _RATIOS * 841 / 108 + 4 / 29, np.cbrt(_RATIOS))).astype(int)
 _CHROMA = np.float32(60.0)  # levels of a and b that count as much as the whole range of grey
+_WHOLE, _PER_TURN = 1.5 * 2.0**52, math.log2(math.e)  # a number whose neighbours are 1 away; exp(x) = 2^(x _PER_TURN)
+_TURN = (
+    float.fromhex("0x1.62e42feep-1"),
+    float.fromhex("0x1.a39ef35793c76p-33"),
+)  # log 2, the first with zeros at its end
+_TAYLOR = tuple(1 / math.factorial(k) for k in range(13, -1, -1))
 
 
 @exact
@@ -141,6 +147,16 @@ def colours(image, target, around, bins, p):
             n += 1
 
 
+@exact("f4:1 i8:1 i8:1 f4 f4:1")
+def tally(histogram, bins, part, rate, out):
+    """`out`: the histogram moved by `rate` towards that of the pixels `part`, of which `bins` say the colours."""
+    keep, more = _ONE - rate, rate / np.float32(len(part))
+    for k in range(len(out)):
+        out[k] = keep * histogram[k]
+    for n in part:
+        out[bins[n]] += more
+
+
 @exact("u1:2 f8 f8 f8:2 i8 f4:4")
 def gradients_of_scales(image, x, y, sides, cell, out):
     """The gradients of S windows around (x, y) of grey `image` (H, W) uint8, `sides` (S, 2) pixels wide and high.
@@ -177,7 +193,13 @@ def project(components, features, window, out):
     for c in range(len(out)):
         row = out[c]
         row[:] = _ZERO
-        for k in range(len(features)):
+        many = len(features) // 4 * 4
+        for k in range(0, many, 4):  # four at a time: sums are loaded and stored as often as features are
+            p, q, r, s = components[c, k], components[c, k + 1], components[c, k + 2], components[c, k + 3]
+            first, second, third, fourth = features[k], features[k + 1], features[k + 2], features[k + 3]
+            for m in range(len(row)):
+                row[m] += p * first[m] + q * second[m] + r * third[m] + s * fourth[m]
+        for k in range(many, len(features)):
             weight, feature = components[c, k], features[k]
             for m in range(len(row)):
                 row[m] += weight * feature[m]
@@ -185,8 +207,8 @@ def project(components, features, window, out):
             row[m] *= window[m]
 
 
-@fast("f4:3 f4:3 f4")
-def remember(memory, x, rate):
+@fast("f4:3 f4:3 f4 f4:3")
+def remember(memory, x, rate, out):
     """`memory` (P, 2, F), Hermitian matrices (C, C) of F frequencies, moved by `rate` towards x x^H of x (2, C, F).
 
     P = C (C + 1) / 2 are the entries on and above the diagonal, by rows; real parts before imaginary ones.
@@ -195,22 +217,73 @@ def remember(memory, x, rate):
     for i in range(x.shape[1]):
         ar, ai = x[0, i], x[1, i]
         for j in range(i, x.shape[1]):
-            br, bi, real, imaginary = x[0, j], x[1, j], memory[p, 0], memory[p, 1]
+            br, bi, real, imaginary = x[0, j], x[1, j], out[p, 0], out[p, 1]
             for f in range(len(ar)):
-                real[f] = keep * real[f] + rate * (ar[f] * br[f] + ai[f] * bi[f])
-                imaginary[f] = keep * imaginary[f] + rate * (ai[f] * br[f] - ar[f] * bi[f])
+                real[f] = keep * memory[p, 0, f] + rate * (ar[f] * br[f] + ai[f] * bi[f])
+                imaginary[f] = keep * memory[p, 1, f] + rate * (ai[f] * br[f] - ar[f] * bi[f])
             p += 1
 
 
-@fast("f4:3 f4:3 f4:3")
-def multiply(memory, v, out):
-    """`out` (2, C, F): the matrices of `memory` times v (2, C, F)."""
-    out[:] = _ZERO
-    p = 0
-    for i in range(v.shape[1]):
-        ir, ii, oir, oii = v[0, i], v[1, i], out[0, i], out[1, i]
-        for j in range(i, v.shape[1]):
-            real, imaginary, jr, ji = memory[p, 0], memory[p, 1], v[0, j], v[1, j]
+@fast("f4:3 f4:3 f4:1 f4 f4:3 f4:3 f4:3")
+def renew(x, filters, y, rate, residual, walled, out):
+    """The `residual` (2, C, F) of the normal equations with a window x (2, C, F) more, of weight `rate`, in `out`."""
+    keep, off = _ONE - rate, np.zeros((2, x.shape[2]), np.float32)
+    real, imaginary = off
+    for f in range(len(y)):
+        real[f] = rate * y[f]
+    for c in range(x.shape[1]):
+        xr, xi, fr, fi = x[0, c], x[1, c], filters[0, c], filters[1, c]
+        for f in range(len(y)):
+            real[f] -= rate * (xr[f] * fr[f] + xi[f] * fi[f])
+            imaginary[f] -= rate * (xr[f] * fi[f] - xi[f] * fr[f])
+    for c in range(x.shape[1]):
+        xr, xi, to, also = x[0, c], x[1, c], out[0, c], out[1, c]
+        for f in range(len(y)):
+            to[f] = keep * residual[0, c, f] - rate * walled[0, c, f] + real[f] * xr[f] - imaginary[f] * xi[f]
+            also[f] = keep * residual[1, c, f] - rate * walled[1, c, f] + real[f] * xi[f] + imaginary[f] * xr[f]
+
+
+@fast("f4:3 f4:3 f4 f4:1 f8 f4:3")
+def turn(r, memory, least, counts, last, p):
+    """The next direction p (2, C, F) of conjugate gradients from the residual r (2, C, F).
+
+    It is preconditioned by the diagonal of the matrices of `memory`, half of its mean and `least`. Returns the product
+    of both, and takes that of the step before as `last`, 0 at first; a frequency `counts` (F,) times.
+    """
+    scale, k, mean, total = np.empty(r.shape[1:], np.float32), 0, 0.0, 0.0
+    for c in range(len(scale)):
+        sum_ = _ZERO
+        for f in range(len(counts)):
+            scale[c, f] = memory[k, 0, f]
+            sum_ += scale[c, f]
+        mean, k = mean + sum_ / scale.size, k + len(scale) - c
+    least += np.float32(0.5 * mean)
+    for c in range(len(scale)):
+        of, one, other, sum_ = scale[c], r[0, c], r[1, c], _ZERO
+        for f in range(len(counts)):
+            of[f] = _ONE / (of[f] + least)
+            sum_ += counts[f] * of[f] * (one[f] * one[f] + other[f] * other[f])
+        total += sum_
+    share = np.float32(total / last) if last > 0.0 else _ZERO
+    for part in range(2):
+        for c in range(len(scale)):
+            one, of, to = r[part, c], scale[c], p[part, c]
+            for f in range(len(counts)):
+                to[f] = of[f] * one[f] + share * to[f]
+    return total
+
+
+@fast("f4:3 f4:3 f4:3 f4:1 f8 f4:3 f4:3 f4:3")
+def descend(memory, p, beyond, counts, product, v, r, walled):
+    """A step along p of v, r and `walled`, in place: the matrices of `memory` times p, and `beyond`, are taken from r.
+
+    All are (2, C, F); `product` is that of r and the direction that `turn` returns.
+    """
+    out, k, total = beyond.copy(), 0, 0.0
+    for i in range(p.shape[1]):
+        ir, ii, oir, oii = p[0, i], p[1, i], out[0, i], out[1, i]
+        for j in range(i, p.shape[1]):
+            real, imaginary, jr, ji = memory[k, 0], memory[k, 1], p[0, j], p[1, j]
             for f in range(len(ir)):
                 oir[f] += real[f] * jr[f] - imaginary[f] * ji[f]
                 oii[f] += real[f] * ji[f] + imaginary[f] * jr[f]
@@ -219,7 +292,36 @@ def multiply(memory, v, out):
                 for f in range(len(ir)):
                     ojr[f] += real[f] * ir[f] + imaginary[f] * ii[f]
                     oji[f] += real[f] * ii[f] - imaginary[f] * ir[f]
-            p += 1
+            k += 1
+    for part in range(2):
+        for c in range(p.shape[1]):
+            one, other, sum_ = p[part, c], out[part, c], _ZERO
+            for f in range(len(counts)):
+                sum_ += counts[f] * one[f] * other[f]
+            total += sum_
+    alpha = np.float32(product / max(total, 1e-20))
+    for part in range(2):
+        for c in range(p.shape[1]):
+            one, other, wall = p[part, c], out[part, c], beyond[part, c]
+            for f in range(len(counts)):
+                v[part, c, f] += alpha * one[f]
+                r[part, c, f] -= alpha * other[f]
+                walled[part, c, f] += alpha * wall[f]
+
+
+@fast("f4:3 f4:2 f4:2 f4:3")
+def turned(v, across, down, out):
+    """`out`: v (2, C, F), each frequency turned by the phases `across` (2, W) and `down` (2, H), F = H W."""
+    width, real, imaginary = across.shape[1], np.empty(v.shape[2], np.float32), np.empty(v.shape[2], np.float32)
+    for i in range(down.shape[1]):
+        for j in range(width):
+            real[i * width + j] = down[0, i] * across[0, j] - down[1, i] * across[1, j]
+            imaginary[i * width + j] = down[0, i] * across[1, j] + down[1, i] * across[0, j]
+    for c in range(v.shape[1]):
+        vr, vi, to, also = v[0, c], v[1, c], out[0, c], out[1, c]
+        for f in range(len(real)):
+            to[f] = vr[f] * real[f] - vi[f] * imaginary[f]
+            also[f] = vr[f] * imaginary[f] + vi[f] * real[f]
 
 
 @fast("f4:3 f4:3 f4:2")
@@ -232,6 +334,41 @@ def respond(filters, x, out):
         for f in range(len(real)):
             real[f] += fr[f] * xr[f] + fi[f] * xi[f]
             imaginary[f] += fr[f] * xi[f] - fi[f] * xr[f]
+
+
+@exact("f4:2 f4 f8:2")
+def highest(response, least, out):
+    """Local maxima of a response (H, W) of at least `least`, the highest first: rows (column, row, height) of `out`.
+
+    A parabola through the neighbours gives the place between samples (LMCF looks at several too; Wang et al. 2017).
+    Returns how many there are, of those that are not on the border.
+    """
+    count = 0
+    for i in range(1, len(response) - 1):
+        for j in range(1, response.shape[1] - 1):
+            here = response[i, j]
+            if here < least or (count == len(out) and here <= out[count - 1, 2]):
+                continue
+            top = True
+            for k in range(i - 1, i + 2):
+                for m in range(j - 1, j + 2):
+                    top &= response[k, m] <= here
+            if top:
+                count = min(count + 1, len(out))
+                k = count - 1
+                while k > 0 and out[k - 1, 2] < here:
+                    out[k] = out[k - 1]
+                    k -= 1
+                out[k, 0], out[k, 1], out[k, 2] = j, i, here
+    for k in range(count):
+        j, i, middle = int(out[k, 0]), int(out[k, 1]), out[k, 2]
+        for axis in range(2):
+            a, b = response[i - axis, j - 1 + axis], response[i + axis, j + 1 - axis]
+            bend = np.float64(a) + b - 2.0 * middle
+            off = 0.5 * (np.float64(a) - b) / bend if bend < -1e-12 else 0.0
+            out[k, axis] += off
+            out[k, 2] -= 0.25 * (np.float64(a) - b) * off
+    return count
 
 
 @exact("f4:2 f8:1 f8:1 f8:1")
@@ -255,45 +392,90 @@ def read_cubic(values, x, y, out):
         out[n] = total
 
 
-@exact("f8:2 f8:2 f8:2 f8 f8:1 f8:1 f8:1 f8:1 f8:1 i8:1")
-def arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which):
-    """log sum_m w_m p(z_n | m) of places and log scales z (N, 3), where the target is visible, and where it is hidden.
-
-    A particle m of the last frame is expected at `mean` (M, 3), with standard deviations `step` (M, 2), visible and
-    hidden, along x and y, and `scale` of the log scale; `log_shown`, `log_hidden` (M,) are the logarithms of its weight
-    times the probability of either. Sums go to `shown`, `hidden` (N,). `which` (N,) is the m from which z_n came, or
-    M + m where it was hidden, drawn by u (N,), uniform in 0..1.
-    """
-    many = len(mean)
-    (logs, factor), parts = np.empty((2, 2, many)), np.empty(2 * many)
-    for m in range(many):
-        for k in range(2):
-            factor[k, m] = -0.5 / step[m, k] ** 2
-            logs[k, m] = -2.0 * math.log(step[m, k]) - math.log(scale) - 1.5 * math.log(2.0 * math.pi)
-        logs[0, m] += log_shown[m]
-        logs[1, m] += log_hidden[m]
+@exact("f8:2 f8:2 f8:2 f8:1 f8:1")
+def log_mixture(z, mean, std, log_w, out):
+    """out (N,): log sum_j exp(log_w_j - |(z - mean_j) / std_j|^2 / 2) of z (N, 3), `mean` and `std` (J, 3)."""
+    parts = np.empty(len(mean))
     for n in range(len(z)):
-        top = -math.inf
+        top, total = -math.inf, 0.0
+        for j in range(len(mean)):
+            parts[j] = log_w[j]
+            for k in range(3):
+                parts[j] -= 0.5 * ((z[n, k] - mean[j, k]) / std[j, k]) ** 2
+            top = max(top, parts[j])
+        for part in parts:
+            total += math.exp(part - top)
+        out[n] = math.log(total) + top
+
+
+@inline
+def _exponentials(x, turns):
+    """exp(x) of x (n,) in place, -700 at least, vectorised as the library's is not; `turns` (n,) is written over.
+
+    x = k log 2 + r, and exp(r) is Taylor's polynomial. A sum with `_WHOLE` has k in its lowest bits.
+    """
+    for i in range(len(x)):
+        turns[i] = x[i] * _PER_TURN + _WHOLE
+        k, p = turns[i] - _WHOLE, 0.0
+        r = x[i] - k * _TURN[0] - k * _TURN[1]
+        for share in _TAYLOR:
+            p = p * r + share
+        x[i] = p
+    bits, k = x.view(np.int64), turns.view(np.int64)
+    for i in range(len(x)):
+        bits[i] += k[i] << 52
+
+
+@exact("f8:2 f8:2 f8:1 f8x2 f8x8 f8:1 f8:2 f8:1 f8:1 f8:2")
+def arrive(z, parents, log_w, sigma, walk, u, e, shown, hidden, x):
+    """log sum_m w_m p(z_n, visible | m) of places and log scales z (N, 3), in `shown` (N,), and of hidden in `hidden`.
+
+    `parents` (M, 6) are the particles of the last frame, log_w (M,) their weights. They move by the `sigma` of a
+    `VisibleWalk` and by `walk`: its scale, velocity, acceleration, P(hides), those to be shown near and to return
+    elsewhere, and the limits of the scale. x (N, 6) are z with velocities drawn of p(velocity | z): u (N,), uniform in
+    0..1, draws the parent, and whether the target was hidden on its way, and e (N, 2), standard normal, the rest.
+
+    Returns the probability of a return elsewhere, which is in neither, and the mean scale of the parents.
+    """
+    scale, a, b, hide, show, leave, least, most = walk
+    many, returns, size = len(parents), 0.0, 0.0
+    mean, (logs, factor), (parts, turns) = np.empty((3, many)), np.empty((2, 2 * many)), np.empty((2, 2 * many))
+    for m in range(many):
+        parent, w = parents[m], math.exp(log_w[m])
+        s, before, away = parent[2], parent[5], (1.0 - parent[5]) * leave
+        mean[0, m], mean[1, m], mean[2, m] = parent[0] + a * parent[3], parent[1] + a * parent[4], math.log(s)
+        near = before * (1.0 - hide) + (1.0 - before) * show
+        returns, size = returns + w * away, size + w * s
+        for k, share in ((m, near), (m + many, max(1.0 - near - away, 0.0))):
+            step = sigma[k // many] * s
+            factor[k] = -0.5 / step**2
+            logs[k] = log_w[m] + np.log(share) - 2.0 * math.log(step) - math.log(scale) - 1.5 * math.log(2.0 * math.pi)
+    for n in range(len(z)):
+        for k in (0, many):
+            for m in range(many):
+                dx, dy, ds = z[n, 0] - mean[0, m], z[n, 1] - mean[1, m], (z[n, 2] - mean[2, m]) / scale
+                parts[k + m] = logs[k + m] + factor[k + m] * (dx * dx + dy * dy) - 0.5 * ds * ds
+        top = other = -1e300
         for m in range(many):
-            dx, dy, ds = z[n, 0] - mean[m, 0], z[n, 1] - mean[m, 1], (z[n, 2] - mean[m, 2]) / scale
-            away = dx * dx + dy * dy
-            for k in range(2):
-                value = logs[k, m] + factor[k, m] * away - 0.5 * ds * ds
-                parts[k * many + m] = value
-                top = max(top, value)
+            top, other = max(top, parts[m]), max(other, parts[many + m])
+        for m in range(many):
+            parts[m], parts[many + m] = max(parts[m] - top, -700.0), max(parts[many + m] - other, -700.0)
+        _exponentials(parts, turns)
         seen = unseen = 0.0
         for m in range(many):
-            parts[m] = math.exp(parts[m] - top)
-            seen += parts[m]
-        for m in range(many, 2 * many):
-            parts[m] = math.exp(parts[m] - top)
-            unseen += parts[m]
-        shown[n] = math.log(seen) + top if seen > 0.0 else -math.inf
-        hidden[n] = math.log(unseen) + top if unseen > 0.0 else -math.inf
-        left, chosen = u[n] * (seen + unseen), 2 * many - 1
-        for i in range(2 * many):
-            left -= parts[i]
-            if left <= 0.0 and parts[i] > 0.0:
-                chosen = i
-                break
-        which[n] = chosen
+            seen, unseen = seen + parts[m], unseen + parts[many + m]
+            parts[m], parts[many + m] = seen, unseen
+        shown[n], hidden[n] = math.log(seen) + top, math.log(unseen) + other
+        share = 1.0 / (1.0 + math.exp(min(hidden[n] - shown[n], 700.0)))
+        left, k = u[n] / share * seen, 0
+        if u[n] > share:
+            left, k = (u[n] - share) / (1.0 - share) * unseen, many
+        while k < 2 * many - 1 and parts[k] < left:
+            k += 1
+        chosen, noise = parents[k % many], math.sqrt(b * (1.0 - b)) * sigma[k // many]
+        for i in range(2):
+            v = a * chosen[3 + i]
+            x[n, i] = z[n, i]
+            x[n, 3 + i] = v + b * (z[n, i] - chosen[i] - v) + noise * chosen[2] * e[n, i]
+        x[n, 2], x[n, 5] = min(max(math.exp(z[n, 2]), least), most), 0.0
+    return returns, size

@@ -41,10 +41,9 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.engine.protocols import Likelihood
-from facetrack_cli.engine.resampling import logsumexp
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.box import features as models
-from facetrack_cli.trackers.box.box_kernels import read_cubic
+from facetrack_cli.trackers.box.box_kernels import log_mixture, read_cubic
 from facetrack_cli.trackers.box.features import UPSAMPLED, Features, Single, peaks, shrunk
 from facetrack_cli.trackers.box.hidden_box import VISIBLE, ModeProposal
 from facetrack_cli.trackers.box.settings import CorrelationFilterSettings
@@ -376,11 +375,11 @@ class CorrelationFilter(Likelihood):
         """(N, 1): log L of x (N, 1, D), the Gaussians of the modes; 0 far from all."""
         guides = self.guides(learned)
         z = np.column_stack([x[:, 0, :2], np.log(x[:, 0, 2])])
-        off = np.sum(((z[:, None] - guides.mean) / guides.std) ** 2, axis=2)
         # so that the mean of L over a box and a tenth of log scale is its evidence
         room = 0.1 * self._unit**2 * np.exp(2 * guides.mean[:, 2])
         volume = (2 * math.pi) ** 1.5 * np.prod(guides.std, axis=1) / room
-        return logsumexp(guides.log_w - np.log(volume) - 0.5 * off, axis=1)[:, None]
+        log_mixture(z, guides.mean, guides.std, guides.log_w - np.log(volume), out := np.empty(len(z)))
+        return out[:, None]
 
     def guides(self, learned: CorrelationState) -> ModeProposal:
         assert learned.seen is not None

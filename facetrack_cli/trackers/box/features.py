@@ -59,10 +59,12 @@ _COLOURS = 2.0  # grey levels by which channels differ on average in a clip with
 
 def spectrum(x: Single) -> Single:
     """The Fourier transform (2, C, F) of x (C, G, G): real and imaginary parts of the F = G (G / 2 + 1) frequencies."""
-    found = np.fft.rfft(x)
-    found = np.fft.fft(found, axis=1, out=found).reshape(len(x), -1)
+    # NumPy transforms in single precision where the factor is no integer, as the 1 of other norms is: in half the time
+    found = np.fft.rfft(x, norm="ortho")
+    found = np.fft.fft(found, axis=1, norm="ortho", out=found).reshape(len(x), -1)
     both = np.empty((2, *found.shape), np.float32)
-    both[0], both[1] = found.real, found.imag
+    np.multiply(found.real, np.float32(x.shape[1]), out=both[0])
+    np.multiply(found.imag, np.float32(x.shape[1]), out=both[1])
     return both
 
 
@@ -81,14 +83,13 @@ def joined(v: Single) -> NDArray[np.complex64]:
 
 def moved(v: Single, by: Array, cells: int) -> Single:
     """The spectrum v (2, C, F) of channels as they are at places moved by `by` (x, y) cells."""
-    along = [
-        np.exp(2j * np.pi * k * step)
-        for k, step in zip((np.fft.rfftfreq(cells), np.fft.fftfreq(cells)), by, strict=True)
-    ]
-    for phase, step in zip(along, by, strict=True):  # of the highest frequency only the cosine is there
-        phase[cells // 2] = math.cos(math.pi * step)
-    phase = (along[1][:, None] * along[0]).astype(np.complex64).ravel()
-    return np.stack([v[0] * phase.real - v[1] * phase.imag, v[0] * phase.imag + v[1] * phase.real])
+    phases = []
+    for k, step in zip((np.fft.rfftfreq(cells), np.fft.fftfreq(cells)), by.tolist(), strict=True):
+        phase = np.array([np.cos(turn := 2 * math.pi * step * k), np.sin(turn)], np.float32)
+        phase[:, cells // 2] = math.cos(math.pi * step), 0.0  # of the highest frequency only the cosine is there
+        phases.append(phase)
+    kernel.turned(v, *phases, out := np.empty_like(v))
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,16 +176,11 @@ class ColourModel:
 
     def learn(self, known: Colours | None, window: Image, rate: float) -> Colours:
         """From a shrunk window in whose middle the target is; `rate` 1 as Staple learns, 0 not at all."""
-        share, learned, nothing = (
-            1.0 if known is None else _RATE * rate,
-            list[Single](),
-            np.zeros(kernel.COLOURS, np.float32),
-        )
-        before = known or Colours(nothing, nothing)
+        share, learned = np.float32(1.0 if known is None else _RATE * rate), np.empty((2, kernel.COLOURS), np.float32)
+        before = known or Colours(*np.zeros_like(learned))
         bins, _ = _looked_up(before, window)
-        for part, histogram in zip(self._parts, before[:2], strict=True):
-            counts = np.bincount(bins[part], minlength=len(histogram)).astype(np.float32)
-            learned.append(np.float32(1 - share) * histogram + np.float32(share / len(part)) * counts)
+        for part, histogram, out in zip(self._parts, before[:2], learned, strict=True):
+            kernel.tally(histogram, bins, part, share, out)
         _, p = _looked_up(found := Colours(learned[0], learned[1]), window)
         inside, outside = (float(p[part].mean()) for part in self._parts)
         return found._replace(tells=max(inside - outside, 0.0))
@@ -281,7 +277,7 @@ class ScaleTrainer:
         return np.asarray(np.exp(2j * np.pi * turns)[:, None] * x, np.complex64)
 
     def learn(self, known: TrainedScale | None, x: NDArray[np.complex64], rate: float) -> TrainedScale:
-        a, b = self._y * x, np.sum(np.abs(x) ** 2, axis=1)
+        a, b = self._y * x, np.vecdot(x, x).real
         if known is None:
             return TrainedScale(a, b)
         keep, new = np.float32(1 - rate), np.float32(rate)
@@ -320,6 +316,7 @@ class Trainer:
     y: Single = field(init=False)
     wall: Single = field(init=False)  # w^2 of each cell
     _middle: Single = field(init=False)
+    _counts: Single = field(init=False)  # of how many frequencies of the whole transform each stands for
 
     def __post_init__(self) -> None:
         g = self.cells
@@ -332,6 +329,9 @@ class Trainer:
         # what moves place 0 into the middle
         signs = (-1.0) ** (np.arange(g)[:, None] + np.arange(g // 2 + 1))
         object.__setattr__(self, "_middle", (UPSAMPLED**2 * signs).astype(np.float32))
+        counts = np.full((g, g // 2 + 1), 2, np.float32)
+        counts[:, [0, -1]] = 1
+        object.__setattr__(self, "_counts", counts.ravel())
         object.__setattr__(self, "y", np.fft.rfft2(y).real.ravel().astype(np.float32))  # y is even
         object.__setattr__(self, "wall", (_INSIDE + (_OUTSIDE - _INSIDE) * rise).astype(np.float32))
 
@@ -339,22 +339,16 @@ class Trainer:
         """From the first window's spectrum x (2, C, F)."""
         channels, frequencies = x.shape[1:]
         matrices = np.zeros((channels * (channels + 1) // 2, 2, frequencies), np.float32)
-        kernel.remember(matrices, x, np.float32(1.0))
-        nothing = np.zeros_like(x)
-        return self._solve(Trained(nothing, matrices, self.y * x, nothing), _FIRST_STEPS)
+        kernel.remember(matrices, x, np.float32(1.0), matrices)
+        return self._solve(Trained(np.zeros_like(x), matrices, self.y * x, np.zeros_like(x)), _FIRST_STEPS)
 
     def learn(self, known: Trained, x: Single, rate: float) -> Trained:
         """With a window more, of weight `rate` in the memory."""
-        matrices, share = known.matrices.copy(), np.float32(rate)
-        kernel.remember(matrices, x, share)
-        off = np.empty((2, x.shape[2]), np.float32)
-        kernel.respond(x, known.filters, off)
-        off *= -share
-        off[0] += share * self.y
-        residual = (1 - share) * known.residual - share * known.walled
-        residual[0] += off[0] * x[0] - off[1] * x[1]
-        residual[1] += off[0] * x[1] + off[1] * x[0]
-        return self._solve(Trained(known.filters, matrices, residual, known.walled), self.steps)
+        filters, memory, residual, walled = known
+        matrices, more, share = np.empty_like(memory), np.empty_like(residual), np.float32(rate)
+        kernel.remember(memory, x, share, matrices)
+        kernel.renew(x, filters, self.y, share, residual, walled, more)
+        return self._solve(Trained(filters.copy(), matrices, more, walled.copy()), self.steps)
 
     def respond(self, x: Single, *filters: Single) -> Single:
         """The responses (n, 2 G, 2 G) of n filters, with place 0 in the middle, [G, G]: between the cells by its
@@ -370,48 +364,21 @@ class Trainer:
         return np.fft.irfft(np.fft.ifft(many, axis=1, out=many), UPSAMPLED * g).astype(np.float32, copy=False)
 
     def _solve(self, known: Trained, steps: int) -> Trained:
-        """Conjugate gradients, preconditioned by the diagonal."""
+        """`known` by conjugate gradients, preconditioned by the diagonal; its arrays change."""
         v, matrices, r, walled = known
-        channels = v.shape[1]
-        diagonal = matrices[np.cumsum([0, *range(channels, 1, -1)]), 0]
-        scale = np.float32(1.0) / (diagonal + np.float32(0.5 * float(diagonal.mean()) + _INSIDE))
-        p, last, ap = np.zeros_like(v), 1.0, np.empty_like(v)
+        p, product, least = np.zeros_like(v), 0.0, np.float32(_INSIDE)
         for _ in range(steps):
-            z = scale * r
-            rz = self._dot(r, z)
-            p = z + np.float32(rz / max(last, 1e-20)) * p
+            product = kernel.turn(r, matrices, least, self._counts, product, p)
             cells = inverse(p, self.cells)
             cells *= self.wall
-            beyond = spectrum(cells)
-            kernel.multiply(matrices, p, ap)
-            ap += beyond
-            alpha, last = np.float32(rz / max(self._dot(p, ap), 1e-20)), rz
-            v, r, walled = v + alpha * p, r - alpha * ap, walled + alpha * beyond
-        return Trained(v, matrices, r, walled)
-
-    def _dot(self, a: Single, b: Single) -> float:
-        """The inner product of two real functions by half of their frequencies."""
-        product = np.add.reduce(a * b, axis=(0, 1)).astype(np.float64).reshape(self.cells, -1)
-        return float(2 * product.sum() - product[:, 0].sum() - product[:, -1].sum())
+            kernel.descend(matrices, p, spectrum(cells), self._counts, product, v, r, walled)
+        return known
 
 
 def peaks(response: Single, least: float, most: int) -> Array:
-    """At most `most` local maxima of at least `least` times the highest: rows of (column, row, height), highest first.
-
-    A parabola through the neighbours gives the place between samples (LMCF looks at several too; Wang et al. 2017).
-    """
+    """At most `most` local maxima of at least `least` times the highest, the highest first: (column, row, height)."""
     top = float(response.max())
-    inner, near = response[1:-1, 1:-1], cv2.dilate(response, np.ones((3, 3)))[1:-1, 1:-1]
-    rows, columns = np.nonzero((inner >= max(least * top, 1e-6)) & (inner == near))
-    if not len(rows):  # the highest is on the border
-        row, column = np.unravel_index(int(response.argmax()), response.shape)
-        return np.array([[float(column), float(row), top]])
-    order = np.argsort(-inner[rows, columns], kind="stable")[:most]
-    i, j, values = rows[order] + 1, columns[order] + 1, response.astype(np.float64)
-    middle, height, place = values[i, j], values[i, j], []
-    for at, a, b in ((j, values[i, j - 1], values[i, j + 1]), (i, values[i - 1, j], values[i + 1, j])):
-        bend = a + b - 2 * middle
-        off = 0.5 * (a - b) / np.where(bend < -1e-12, bend, np.inf)
-        height = height - 0.25 * (a - b) * off
-        place.append(at + off)
-    return np.stack([*place, height], axis=1)
+    if count := kernel.highest(response, np.float32(max(least * top, 1e-6)), found := np.empty((most, 3))):
+        return found[:count]
+    row, column = np.unravel_index(int(response.argmax()), response.shape)  # the highest is on the border
+    return np.array([[float(column), float(row), top]])

@@ -16,10 +16,10 @@ from facetrack_cli.core.types import Array, Box, Frame, Info, Mask, Particles
 from facetrack_cli.engine import confidence
 from facetrack_cli.engine.filters import MIN_LOG, Stepped
 from facetrack_cli.engine.protocols import Linear, Motion
-from facetrack_cli.engine.resampling import effective_sample_size, logsumexp, normalise, summed, systematic
+from facetrack_cli.engine.resampling import effective_sample_size, normalise, summed, systematic
 from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate
 from facetrack_cli.engine.target import FrameModel, ParticleState, ParticleTarget
-from facetrack_cli.trackers.box.box_kernels import arrive
+from facetrack_cli.trackers.box.box_kernels import arrive, log_mixture
 from facetrack_cli.trackers.box.settings import GuidedSettings, VisibleWalkSettings
 
 VISIBLE = 5  # the coordinate of a box that may be hidden that is P(visible)
@@ -125,25 +125,14 @@ class VisibleWalk(Motion):
         log_visible, log_hidden : (N,), log p(z, visible or hidden | Y_{t-1}), the sum over all parents, without
         returns, spread : the probability of a return elsewhere, within `spread` (3,) of where it is found.
         """
-        one, parents, visible = self.settings, particles.x, self._visible(particles.x)
-        mean = np.column_stack([self.expect(parents)[:, 0, :2], np.log(parents[:, 0, 2])])
-        step = parents[:, 0, 2:3] * np.array(self.sigma)
-        log_visible, log_hidden, which = np.empty(len(z)), np.empty(len(z)), np.empty(len(z), np.int64)
-        with np.errstate(divide="ignore"):
-            leaves = (1 - parents[:, 0, VISIBLE]) * one.show * one.elsewhere * found
-            each = particles.log_w + np.log(visible), particles.log_w + np.log(np.maximum(1 - visible - leaves, 0.0))
-        arrive(z, mean, step, one.scale, *each, rng.random(len(z)), log_visible, log_hidden, which)
-        # the parent, and whether the target was visible on its way, by which its step is chosen
-        chosen, sigma = parents[which % len(parents), 0], np.where(which < len(parents), *self.sigma)
-        x = np.empty((len(z), 1, parents.shape[2]))
-        x[:, 0, :2], x[:, 0, 2] = z[:, :2], np.clip(np.exp(z[:, 2]), *self.limits)
-        v, b = one.velocity * chosen[:, 3:5], one.acceleration
-        noise = np.sqrt(b * (1 - b)) * (sigma * chosen[:, 2])[:, None] * rng.standard_normal((len(z), 2))
-        x[:, 0, 3:5] = v + b * (z[:, :2] - chosen[:, :2] - v) + noise
-        x[:, 0, VISIBLE] = 0.0
-        w = np.exp(particles.log_w)
-        size = float(w @ parents[:, 0, 2]) * self.unit
-        return x, log_visible, log_hidden, float(w @ leaves), np.array([0.4 * size, 0.4 * size, 0.04])
+        n, one = len(z), self.settings
+        x, log_visible, log_hidden = np.empty((n, 1, 6)), np.empty(n), np.empty(n)
+        show = one.show * (1 - one.elsewhere), one.show * one.elsewhere * found
+        walk = one.scale, one.velocity, one.acceleration, one.hide, *show, *self.limits
+        of, noise = np.ascontiguousarray(particles.x[:, 0]), (rng.random(n), rng.standard_normal((n, 2)))
+        returns, scale = arrive(z, of, particles.log_w, self.sigma, walk, *noise, log_visible, log_hidden, x[:, 0])
+        spread = np.array([0.4 * scale * self.unit, 0.4 * scale * self.unit, 0.04])
+        return x, log_visible, log_hidden, returns, spread
 
     def linear(self, state: Array) -> Linear:
         """The motion around a state (1, 6), without its last coordinate, by whether the target is visible there."""
@@ -197,9 +186,9 @@ class ModeProposal(NamedTuple):
 
     def log_density(self, z: Array) -> Array:
         """(N,): of z (N, 3)."""
-        off = (z[:, None] - self.mean) / self.std
-        each = -0.5 * np.sum(off**2, axis=2) - np.log(self.std).sum(axis=1) - 1.5 * np.log(2 * np.pi)
-        return logsumexp(each + normalise(self.log_w), axis=1)
+        log_w = normalise(self.log_w) - np.log(self.std).sum(axis=1) - 1.5 * math.log(2 * math.pi)
+        log_mixture(z, self.mean, self.std, log_w, out := np.empty(len(z)))
+        return out
 
     def elsewhere(self, spread: Array) -> ModeProposal | None:
         """The modes of re-detection, equally likely, with standard deviations `spread` (3,); None without any."""
@@ -230,9 +219,9 @@ def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model
     x, log_visible, log_hidden, returns, spread = model.motion.arrive(
         rng, z, particles, found=bool(guides.redetected.any())
     )
-    with np.errstate(divide="ignore"):
-        log_g = np.log([drawn / n, 1 - drawn / n])
-    log_q = np.logaddexp(log_g[0] + guides.log_density(z), log_g[1] + np.logaddexp(log_visible, log_hidden))
+    log_q = np.logaddexp(log_visible, log_hidden) + math.log(1 - drawn / n)
+    if drawn:
+        log_q = np.logaddexp(math.log(drawn / n) + guides.log_density(z), log_q)
     if (found := guides.elsewhere(spread)) is not None and returns > 0:
         log_return = np.log(returns) + found.log_density(z)
         log_visible = np.logaddexp(log_visible, log_return)

@@ -45,6 +45,7 @@ ALONG, ACROSS, NOISE = 0.4, 0.12, 1.5  # standard deviations of skin: in saturat
 SKIN_SHARE: Final = 0.03  # of what is not the face
 PASSES: Final = 3  # of the phase correlation
 SHIFT: Final = 0.25  # of a pixel: a camera that moves by less stands still
+STEEP, STEADY, MOST = 1.5, 0.03, 0.4  # mean slopes, of which an edge changes by less, and so many edges by more, if not
 MOVES: Final = 0.6  # of the peak of the phase correlation, from which on it tells a motion of the camera
 RISES: Final = 0.002  # of the background's p in a frame
 CHANGED: Final = 4.0  # grey levels by which the face differs from before, where as much speaks for a hand as against it
@@ -56,6 +57,7 @@ LEAST_GAIN: Final = 0.01  # of a channel: less is left as it is
 AGREES: Final = 0.15  # of a channel, between the quartiles of all pixels at most
 HEAD: Final = (-0.8, -1.3, 0.8, 1.1)  # head and neck about the face's middle, in sizes of the box
 _NOBODY: Final = np.empty((0, 2))
+_BESIDE: Final = np.ones((3, 3), np.uint8)
 _SMOOTHED: Final = np.asarray(cv2.getGaussianKernel(9, 1.0, cv2.CV_32F)[:, 0], np.float32)
 
 
@@ -64,7 +66,7 @@ class Scene(NamedTuple):
 
     chances: Map  # (256, 256), p(skin | c) by [Cb, Cr]
     still: Map  # (H, W), the p of the background
-    grey: Map  # (H, W), the last frame
+    grey: Image  # (H, W), the last frame
     face: Map  # (h, w, 3), the template of the head
     first: Image  # (H, W, 3), the frame in whose light all are seen
     factor: int  # of reduced frames
@@ -190,11 +192,13 @@ def _as_lit(first: Image, now: Image) -> Image:
     return np.asarray(np.clip(np.rint(now / gain), 0, 255), np.uint8)
 
 
-def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
+def _followed(scene: Scene, grey: Image, skin: Map) -> Map:
     """The background where the camera has moved it, by phase correlation; what comes into the picture is background."""
-    # a shift changes an image by as much of its slopes
-    pairs = (scene.grey[:, 1:], scene.grey[:, :-1]), (scene.grey[1:], scene.grey[:-1])
-    if cv2.norm(scene.grey, grey, cv2.NORM_L1) < SHIFT * min(cv2.norm(*one, cv2.NORM_L1) for one in pairs):
+    # a shift changes edges by as much of their slopes
+    slope = cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, _BESIDE)
+    steep = cv2.compare(slope, STEEP * cv2.mean(slope)[0], cv2.CMP_GT)
+    changed = cv2.compare(cv2.absdiff(scene.grey, grey), cv2.convertScaleAbs(slope, alpha=STEADY), cv2.CMP_GT)
+    if cv2.countNonZero(cv2.bitwise_and(steep, changed)) <= MOST * cv2.countNonZero(steep):
         return scene.still
     (x, y), sure = shift_between(scene.grey, grey)
     if sure < MOVES or max(abs(x), abs(y)) < SHIFT or max(abs(x), abs(y)) > scene.side:
@@ -202,14 +206,13 @@ def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
     shift = np.array([[1, 0, x], [0, 1, y]], np.float32)
     size = grey.shape[::-1]
     # what moves before a still camera draws the peak, too: the motion is the camera's if edges fit better by it
-    moved = warp_affine(scene.grey, shift, size)
-    slope = cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-    edges, off, rest = (one[::2, ::2] for one in (slope, grey - moved, grey - scene.grey))
+    before = scene.grey.astype(np.float32)
+    edges, off, rest = (one[::2, ::2] for one in (slope, grey - warp_affine(before, shift, size), grey - before))
     steepest = -(-3 * (edges.size - 1) // 4)
     edges = edges >= np.partition(edges.ravel(), steepest)[steepest]
     if _median(np.abs(off[edges])) >= _median(np.abs(rest[edges])):
         return scene.still
-    there = warp_affine(np.ones_like(grey), shift, size)
+    there = warp_affine(np.ones_like(before), shift, size)
     return np.asarray(warp_affine(scene.still, shift, size) + (1 - there) * skin, np.float32)
 
 
@@ -237,13 +240,13 @@ def _chances(middle: Array, others: Image) -> Map:
     return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
 
 
-def _skin(chances: Map, image: Image) -> tuple[Map, Map]:
+def _skin(chances: Map, image: Image) -> tuple[Map, Image]:
     """p(skin | c) of each pixel, and its grey level."""
     levels = cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)
     both = np.empty((*levels.shape[:2], 2), np.uint8)
     cv2.mixChannels([levels], [both], [1, 0, 2, 1])
     p = chances.ravel().take(both.view("<u2")[..., 0])  # 256 Cb + Cr
-    return np.asarray(cv2.GaussianBlur(p, (0, 0), 0.7), np.float32), levels[..., 0].astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(p, (0, 0), 0.7), np.float32), np.ascontiguousarray(levels[..., 0])
 
 
 def _map(at: Array, side: float, first: float) -> Map:
