@@ -22,6 +22,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     _open_streams()
     if argv is None:
         gc.set_threshold(300_000, 20, 100)  # to look through what is imported, and stays, takes a tenth of a short run
+        # before numpy is imported: the matrices are small, and threads only wait for each other
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # or it looks through all packages for some
     with ending_at_once():  # also while the commands are loaded
         code = _run(argv)
     if argv is None:

@@ -69,7 +69,7 @@ def precompiling(settings: Mapping[str, Any], processes: int) -> Iterator[Callab
     """
     types = set(_settings("", settings))
     called = [name for name, by in KERNELS.items() if not types.isdisjoint(by.split())]  # the dearest first
-    missing = [name for name in called if not _is_cached(name)]
+    missing = [name for name in called if not _load(name)]
     # one begins with the dear ones, the other with the cheap ones; each finds in the cache what the other has compiled
     second: subprocess.Popen[bytes] | None = None
     # a program that embeds Python, or is frozen, has no interpreter to start
@@ -99,7 +99,7 @@ def compile_kernels(
             kernel(name).compile(kernel(name).takes)
 
 
-def _is_cached(name: str) -> bool:
-    """Whether an earlier run has compiled a kernel; also True where numba is switched off."""
+def _load(name: str) -> bool:
+    """Whether an earlier run has compiled a kernel, which is loaded; also True where numba is switched off."""
     cache: Any = getattr(kernel(name), "_cache", None)
-    return not hasattr(cache, "holds") or bool(cache.holds(kernel(name), kernel(name).takes))
+    return not hasattr(cache, "loads") or bool(cache.loads(kernel(name), kernel(name).takes))

@@ -6,6 +6,7 @@ if that fails, there is still the video.
 """
 
 import contextlib
+import os
 import re
 import subprocess
 import tempfile
@@ -45,7 +46,10 @@ def cause(text: str) -> str:
 
 def _ffmpeg(arguments: Sequence[str]) -> list[str]:
     """A command; its child has a session of its own, so that Ctrl-C does not reach it."""
-    return [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", *arguments]
+    brought = [*Path(imageio_ffmpeg.__file__).with_name("binaries").glob("ffmpeg-*")]
+    ours = len(brought) == 1 and "IMAGEIO_FFMPEG_EXE" not in os.environ  # which get_ffmpeg_exe would start, to try it
+    program = brought[0] if ours else imageio_ffmpeg.get_ffmpeg_exe()
+    return [str(program), "-nostdin", "-hide_banner", *arguments]
 
 
 def run_ffmpeg(arguments: Sequence[str]) -> tuple[int, str]:

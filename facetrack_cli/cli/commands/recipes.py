@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -15,8 +14,6 @@ from facetrack_cli.cli.options import FILE, FOLDER, FRAME, RECIPE, Text, option,
 from facetrack_cli.core.errors import ExitCode, InputError, RecipeError, flat
 from facetrack_cli.core.models import BROUGHT, MODELS, WHEEL, fetch_model, model_path, shipped_recipes
 
-# before numpy is imported: the matrices of a fit are small, and threads only wait for each other on a busy machine
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 MIN_SIDE, MAX_SIDE = 6, 128  # of a template, as in recipes
 
 

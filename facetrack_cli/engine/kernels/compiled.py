@@ -7,20 +7,32 @@ That is bilinear reading, where boxes lie, drawing indices by weights, mean and 
 import contextlib
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Any, Final, TypeAlias
 
 import llvmlite.binding as ll
 import numpy as np
 from numba import njit, types
 from numba.core import caching
-from numba.core.runtime.nrt import rtsys
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.runtime import _nrt_python
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import warn
 
 Extent: TypeAlias = tuple[float, float, float, float]
 _NOTHING: Final = ll.parse_assembly("").as_bitcode()
+
+
+@cache
+def _prepare(codegen: Any) -> None:
+    """Enough to load kernels; numba makes the compiler ready too, which takes 0.3 s.
+
+    What kernels call of numba's runtime is named. They bring what counts references, which numba would compile here.
+    """
+    codegen.magic_tuple = cache(codegen.magic_tuple)  # or each kernel asks the system which processor it is
+    for name, address in _nrt_python.c_helpers.items():
+        ll.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 class _Kept(caching.CompileResultCacheImpl):
@@ -53,7 +65,7 @@ class KernelCache(caching.FunctionCache):
     warned = False
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        rtsys.initialize(target_context)  # enough to load; numba makes the compiler ready too, which takes 0.3 s
+        _prepare(target_context.codegen())
         try:
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
@@ -65,13 +77,13 @@ class KernelCache(caching.FunctionCache):
                 self.flush()
         return None
 
-    def holds(self, kernel: Any, sig: Any) -> bool:
-        """Whether `kernel` need not be compiled for `sig`. `load_overload` reports damaged files."""
-        try:
-            index = self._cache_file._load_index()
-            return sig in kernel.overloads or self._index_key(sig, kernel.targetctx.codegen()) in index
-        except Exception:
-            return True
+    def loads(self, kernel: Any, sig: Any) -> bool:
+        """Whether `kernel` need not be compiled for `sig`: it is loaded, faster than by its first call."""
+        with global_compiler_lock:
+            if sig not in kernel.overloads and (found := self.load_overload(sig, kernel.targetctx)) is not None:
+                kernel.targetctx.insert_user_function(found.entry_point, found.fndesc, [found.library])
+                kernel.add_overload(found)
+            return sig in kernel.overloads
 
 
 _SUMS: Any = {"contract", "reassoc", "nsz"}
