@@ -25,6 +25,7 @@ from facetrack_cli.trackers.face.evidence import (
     View,
     by_looks,
     by_place,
+    is_likely,
     kept,
     likeness,
     look_of,
@@ -177,6 +178,19 @@ def test_looks_are_bounded(monkeypatch):
     found = by_looks(known, pictures(shown((BOX, 5), (ELSEWHERE, 1)), BOX, ELSEWHERE))
     np.testing.assert_allclose(found, [-BOUND, BOUND])
     assert len(by_looks(known, [])) == 0
+
+
+@pytest.mark.parametrize(
+    ("rest", "others", "model", "asked"),
+    [(2.0, CUT, True, 0), (1.5, CUT, True, 1), (-4.3, 0.0, True, 1), (-4.5, 0.0, True, 0), (0.1, 0.0, False, 0)],
+)
+def test_the_embedding_looks_only_where_it_may_decide(monkeypatch, rest, others, model, asked):
+    taken = []
+    monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model") if model else None)
+    monkeypatch.setattr(evidence, "by_looks", lambda views, faces: [taken.append(faces) or rest])
+    monkeypatch.setattr(evidence, "same_person", lambda looks: np.array([[0.0, rest]]))
+    picture = Picture.of(shown((BOX, 1)), place(BOX))
+    assert is_likely([View(OWN[0].look, picture)], picture, others) is (rest + others > 0) and len(taken) == asked
 
 
 def test_views_of_who_walked_by_unnoticed_do_not_count(monkeypatch):

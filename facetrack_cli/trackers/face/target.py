@@ -209,8 +209,7 @@ class FaceTarget(FaceParts):
         similarity = self.map_to_frame(state.head.estimated.state, state.pose)
         detection = None if self.sensors.searched else self.sensors.detected(similarity.read(frame))
         picture = _picture(frame, self._laid_out(similarity, detection))
-        looks = evidence.by_looks(evidence.own_views(state.views), [picture])
-        return bool(looks[0] + self._prior(state, frame) > 0)
+        return evidence.is_likely(evidence.own_views(state.views), picture, self._prior(state, frame))
 
     def _prior(self, state: FaceState, frame: Frame) -> float:
         since, company = state.stranger_time, state.crowded >= COMPANY
