@@ -32,6 +32,7 @@ from facetrack_cli.trackers.face.evidence import (
     own_views,
     prior,
     probabilities,
+    sighted,
 )
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.face.state import FaceState
@@ -191,6 +192,28 @@ def test_the_embedding_looks_only_where_it_may_decide(monkeypatch, rest, others,
     monkeypatch.setattr(evidence, "same_person", lambda looks: np.array([[0.0, rest]]))
     picture = Picture.of(shown((BOX, 1)), place(BOX))
     assert is_likely([View(OWN[0].look, picture)], picture, others) is (rest + others > 0) and len(taken) == asked
+
+
+def test_the_embedding_looks_at_a_sighting_where_that_may_now_be_the_target(monkeypatch):
+    picture, face = Picture.of(shown((BOX, 1)), place(BOX)), seen(BOX)
+    said = {"rest": -3.0, "all": -2.5}
+    monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model"))
+    monkeypatch.setattr(evidence, "by_looks", lambda views, faces: np.array([said["all"]]))
+    monkeypatch.setattr(evidence, "same_person", lambda looks: np.array([[0.0, said["rest"]]]))
+
+    def after(before, time_s):
+        [sighting] = sighted([face], [picture], [View(OWN[0].look, picture)], before, shown(time_s=time_s))
+        return sighting
+
+    first = after(None, 1.0)
+    assert (first.by_looks, first.views) == (-3.0, 0) and np.isnan(first.latest), "it cannot be known by now"
+    stays = after(first, 1.0 + STAYS)
+    assert (stays.since, stays.by_looks, stays.latest, stays.views) == (1.0, -2.5, -2.5, 1)
+    said["rest"] = -2.0
+    assert after(first, 1.1)[-3:] == (-2.5, -2.5, 1), "it may be known"
+    monkeypatch.setattr(evidence, "embedding_model", lambda: None)
+    said["rest"] = said["all"] = -3.0
+    assert after(None, 1.0)[-3:] == (-3.0, -3.0, 1), "there is none"
 
 
 def test_views_of_who_walked_by_unnoticed_do_not_count(monkeypatch):

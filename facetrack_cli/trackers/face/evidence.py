@@ -78,7 +78,7 @@ class Sighting(NamedTuple):
     since: float  # time in s since which it is seen
     p: float = 0.0  # probability that it is the target
     by_looks: float = 0.0  # log odds of that by its looks alone, the mean of `views` looks
-    latest: float = 0.0  # the same of the latest look
+    latest: float = 0.0  # the same of the latest look; nan without the embedding, and then it is no view
     views: int = 1
 
     def after(self, before: Sighting | None) -> Sighting:
@@ -88,8 +88,8 @@ class Sighting(NamedTuple):
         old, new = before.face.box, self.face.box
         if math.dist(centre(old), centre(new)) >= SAME * max(old[2], new[2]):
             return self
-        views = before.views + 1
-        mean = before.by_looks + (self.by_looks - before.by_looks) / views
+        views = before.views + self.views
+        mean = before.by_looks + (self.by_looks - before.by_looks) * self.views / max(views, 1)
         return self._replace(since=before.since, by_looks=mean, views=views)
 
     def is_target(self, frame: Frame, views: int = 1) -> bool:
@@ -152,6 +152,22 @@ def is_likely(views: Sequence[View], face: Picture, others: float) -> bool:
     """Whether a face is the person of the `views`, by its looks and the log odds by all `others`."""
     least, _, most = bounds(views, [face])[:, 0] + others > 0
     return bool(least if least == most else by_looks(views, [face])[0] + others > 0)
+
+
+def sighted(
+    faces: Sequence[Detection], shown: Sequence[Picture], views: Sequence[View], before: Sighting | None, frame: Frame
+) -> list[Sighting]:
+    """The sightings of a frame's faces, which pictures have `shown`, after that `before`; `p` comes later.
+
+    The embedding looks where a face may be the target now; else the other senses say how likely each is so far.
+    """
+    _, rest, most = bounds(views, shown)
+    each = [Sighting(face, frame.time_s, 1.0, by, math.nan, 0) for face, by in zip(faces, rest.tolist(), strict=True)]
+    sightings = [one.after(before) for one in each]
+    if embedding_model() is None or most.max() > KNOWN or any(one.is_target(frame) for one in sightings):
+        by_all = zip(each, by_looks(views, shown).tolist(), strict=True)
+        sightings = [one._replace(by_looks=by, latest=by, views=1).after(before) for one, by in by_all]
+    return sightings
 
 
 def weight_of(side: float) -> float:

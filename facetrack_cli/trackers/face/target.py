@@ -389,11 +389,8 @@ class FaceTarget(FaceParts):
         state, sighting = state._replace(crowded=state.crowded + (len(faces) > 1)), None
         if faces:
             maps = [face.similarity for face in faces]
-            looks = evidence.by_looks(evidence.own_views(state.views), [_picture(frame, face) for face in maps])
-            sightings = [
-                Sighting(face, frame.time_s, by_looks=odds, latest=odds).after(state.sighting)
-                for face, odds in zip(faces, looks.tolist(), strict=True)
-            ]
+            own, pictures = evidence.own_views(state.views), [_picture(frame, face) for face in maps]
+            sightings = evidence.sighted(faces, pictures, own, state.sighting, frame)
             in_place = state.cut_time is None and state.stranger_time is None
             place = evidence.by_place(state.last_seen, maps, covered=self._is_covered(state.head)) * in_place
             mean_looks = np.array([sighting.by_looks for sighting in sightings])
