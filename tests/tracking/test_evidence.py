@@ -182,16 +182,33 @@ def test_looks_are_bounded(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("rest", "others", "model", "asked"),
-    [(2.0, CUT, True, 0), (1.5, CUT, True, 1), (-4.3, 0.0, True, 1), (-4.5, 0.0, True, 0), (0.1, 0.0, False, 0)],
+    ("rest", "others", "model", "said", "asked"),
+    [
+        (2.0, CUT, True, (), 0),
+        (1.5, CUT, True, (-4.2, -3.0), 2),
+        (1.5, CUT, True, (-4.2, -4.2), 2),
+        (1.5, CUT, True, (1.0, -4.2), 1),
+        (-4.3, 0.0, True, (4.4, 0.0), 1),
+        (-4.5, 0.0, True, (), 0),
+        (0.1, 0.0, False, (), 0),
+    ],
 )
-def test_the_embedding_looks_only_where_it_may_decide(monkeypatch, rest, others, model, asked):
-    taken = []
+def test_the_embedding_looks_only_where_it_may_decide(monkeypatch, rest, others, model, said, asked):
+    picture, other, face = (Picture.of(shown((BOX, seed)), place(BOX)) for seed in (1, 2, 1))
+    views, by_view = [View(OWN[0].look, one) for one in (other, picture)], dict(zip((1, 2), said, strict=False))
+    each, taken = {one.plain.face.tobytes(): which for one, which in ((picture, 1), (other, 2))}, []
+
+    def same(looks, senses=()):
+        if not senses:
+            return np.array([[0.0, rest]])
+        taken.append(each[looks[0].face.tobytes()])
+        return np.array([[0.0, by_view[taken[-1]]]])
+
     monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model") if model else None)
-    monkeypatch.setattr(evidence, "by_looks", lambda views, faces: [taken.append(faces) or rest])
-    monkeypatch.setattr(evidence, "same_person", lambda looks: np.array([[0.0, rest]]))
-    picture = Picture.of(shown((BOX, 1)), place(BOX))
-    assert is_likely([View(OWN[0].look, picture)], picture, others) is (rest + others > 0) and len(taken) == asked
+    monkeypatch.setattr(descriptor, "embedded", lambda chip: np.zeros(128))
+    monkeypatch.setattr(evidence, "same_person", same)
+    assert is_likely(views, face, others) is (rest + max(said, default=0.0) + others > 0)
+    assert taken == [1, 2][:asked], "that is most alike first"
 
 
 def test_the_embedding_looks_at_a_sighting_where_that_may_now_be_the_target(monkeypatch):

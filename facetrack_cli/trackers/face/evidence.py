@@ -149,9 +149,15 @@ def bounds(views: Sequence[View], faces: Sequence[Picture]) -> Array:
 
 
 def is_likely(views: Sequence[View], face: Picture, others: float) -> bool:
-    """Whether a face is the person of the `views`, by its looks and the log odds by all `others`."""
-    least, _, most = bounds(views, [face])[:, 0] + others > 0
-    return bool(least if least == most else by_looks(views, [face])[0] + others > 0)
+    """Whether a face is the person of the `views`, by its looks and the log odds by all `others`.
+
+    Of embeddings the nearest counts. That is likely of the view that is most alike in grey.
+    """
+    least, rest, most = bounds(views, [face])[:, 0] + others
+    if (least > 0) == (most > 0):
+        return bool(least > 0)
+    alike = sorted(views, key=lambda view: -float(view.picture.plain.face[0] @ face.plain.face[0]))
+    return any(rest + same_person([view.picture.looks, face.looks], WHO)[0, 1] > 0 for view in alike)
 
 
 def sighted(
