@@ -53,7 +53,9 @@ def ordered(files: Iterable[Path]) -> list[Path]:
     """Files by their names if all are numbers, also negative ones and fractions as 0.04; else by digits in them."""
     stems = {file: re.sub(r"\.[^.]*$", "", file.name) for file in files}
     if all(map(_NUMBER.fullmatch, stems.values())):
-        return sorted(stems, key=lambda file: (Fraction(stems[file]), file.name))
+        # comparing fractions takes long
+        numbers = {file: Fraction(stem) if "." in stem else int(stem) for file, stem in stems.items()}
+        return sorted(numbers, key=lambda file: (numbers[file], file.name))
     return sorted(stems, key=lambda file: natural_key(file.name))
 
 

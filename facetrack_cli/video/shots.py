@@ -90,8 +90,10 @@ class Passing(NamedTuple):
             return passing, "cut" if len(last) - _AFTER in _hard(_flat(last), _AFTER) else "none"
         late = passing.frames % _LATE == 0 and len(images) > SPANS[0]
         if late and _alike(*_flat((images[0], images[-1]))) < SAME_SCENE:
-            ends = [last - len(images) for _, _, last in _dissolves(_flat(images))]
-            return passing, "cut" if any(-1.5 * _LATE <= end < -0.5 * _LATE for end in ends) else ""
+            flat, ends = _flat(images), range(len(images) - 3 * _LATE // 2, len(images) - _LATE // 2)
+            # which of all it is matters only where there may be any
+            there = _dissolves(flat, ends) and any(last in ends for _, _, last in _dissolves(flat))
+            return passing, "cut" if there else ""
         return passing, ""
 
 
@@ -190,27 +192,30 @@ def _alike(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32
     return np.asarray(np.sum(a * b, axis=-1) / np.maximum(norm, a.shape[-1]), np.float32)
 
 
-def _dissolves(images: NDArray[np.float32]) -> list[tuple[int, int, int]]:
-    """The frame at the middle, the first and the last of each dissolve."""
+def _dissolves(images: NDArray[np.float32], lasts: range | None = None) -> list[tuple[int, int, int]]:
+    """The frame at the middle, the first and the last of each dissolve; of those alone whose last is in `lasts`."""
+    lasts = lasts or range(len(images) - 1)
     lit = images.reshape(-1, SIDE[1], SIDE[0], 3)[..., 0]
     texture = sum(np.abs(np.diff(lit, axis=axis)).mean(axis=(1, 2)) for axis in (1, 2)) + 1e-6
     candidates: list[tuple[float, int, int]] = []
     for span in (span for span in SPANS if span < len(images)):
-        a, b = images[:-span], images[span:]
-        line = b - a
-        step, alike = np.abs(line).mean(axis=1), np.maximum(_alike(a, b), 0)
-        blended = 2 * texture[span // 2 :][: len(a)] / (texture[:-span] + texture[span:])
+        first, stop = (max(last - span + 1, 0) for last in (lasts.start, lasts.stop))
+        a, b = images[first:stop], images[first + span : stop + span]
+        step, alike = np.abs(b - a).mean(axis=1), np.maximum(_alike(a, b), 0)
+        ends = texture[first:stop] + texture[first + span : stop + span]
+        blended = 2 * texture[first + span // 2 :][: len(a)] / ends
         odds = _AT + _BLENDED * blended + _ALIKE * alike + _STEP * np.log(np.maximum(step, 1))
-        for at in np.flatnonzero((step >= MIN_STEP) & (odds > SURE)).tolist():
-            length = float(np.linalg.norm(line[at]))
-            between = images[at + 1 : at + span] - images[at]
-            share = between @ line[at] / length**2
+        for k in np.flatnonzero((step >= MIN_STEP) & (odds > SURE)).tolist():
+            at, line = first + k, b[k] - a[k]
+            length = float(np.linalg.norm(line))
+            between = images[at + 1 : at + span] - a[k]
+            share = between @ line / length**2
             if np.abs(share - np.arange(1, span) / span).max() > UNEVEN:
                 continue
-            off = float(np.linalg.norm(between - share[:, None] * line[at], axis=1).mean()) / length
-            ends = images[max(at - span // 2 - 1, 0)], images[min(at + span + span // 2 + 1, len(images) - 1)]
-            moves = min(float(np.linalg.norm(x - y)) for x, y in zip(ends, (a[at], b[at]), strict=True)) / length
-            if (whole_odds := odds[at] + _OFF * off + _MOVES * moves) > SURE:
+            off = float(np.linalg.norm(between - share[:, None] * line, axis=1).mean()) / length
+            beyond = images[max(at - span // 2 - 1, 0)], images[min(at + span + span // 2 + 1, len(images) - 1)]
+            moves = min(float(np.linalg.norm(x - y)) for x, y in zip(beyond, (a[k], b[k]), strict=True)) / length
+            if (whole_odds := odds[k] + _OFF * off + _MOVES * moves) > SURE:
                 candidates.append((-float(whole_odds), at + 1, at + span - 1))
     best: list[tuple[int, int]] = []
     for _, first, last in sorted(candidates):

@@ -25,12 +25,14 @@ from facetrack_cli.trackers.face.evidence import (
     View,
     by_looks,
     by_place,
+    is_likely,
     kept,
     likeness,
     look_of,
     own_views,
     prior,
     probabilities,
+    sighted,
 )
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.face.state import FaceState
@@ -177,6 +179,58 @@ def test_looks_are_bounded(monkeypatch):
     found = by_looks(known, pictures(shown((BOX, 5), (ELSEWHERE, 1)), BOX, ELSEWHERE))
     np.testing.assert_allclose(found, [-BOUND, BOUND])
     assert len(by_looks(known, [])) == 0
+
+
+@pytest.mark.parametrize(
+    ("rest", "others", "model", "said", "asked"),
+    [
+        (2.0, CUT, True, (), 0),
+        (1.5, CUT, True, (-4.2, -3.0), 2),
+        (1.5, CUT, True, (-4.2, -4.2), 2),
+        (1.5, CUT, True, (1.0, -4.2), 1),
+        (-4.3, 0.0, True, (4.4, 0.0), 1),
+        (-4.5, 0.0, True, (), 0),
+        (0.1, 0.0, False, (), 0),
+    ],
+)
+def test_the_embedding_looks_only_where_it_may_decide(monkeypatch, rest, others, model, said, asked):
+    picture, other, face = (Picture.of(shown((BOX, seed)), place(BOX)) for seed in (1, 2, 1))
+    views, by_view = [View(OWN[0].look, one) for one in (other, picture)], dict(zip((1, 2), said, strict=False))
+    each, taken = {one.plain.face.tobytes(): which for one, which in ((picture, 1), (other, 2))}, []
+
+    def same(looks, senses=()):
+        if not senses:
+            return np.array([[0.0, rest]])
+        taken.append(each[looks[0].face.tobytes()])
+        return np.array([[0.0, by_view[taken[-1]]]])
+
+    monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model") if model else None)
+    monkeypatch.setattr(descriptor, "embedded", lambda chip: np.zeros(128))
+    monkeypatch.setattr(evidence, "same_person", same)
+    assert is_likely(views, face, others) is (rest + max(said, default=0.0) + others > 0)
+    assert taken == [1, 2][:asked], "that is most alike first"
+
+
+def test_the_embedding_looks_at_a_sighting_where_that_may_now_be_the_target(monkeypatch):
+    picture, face = Picture.of(shown((BOX, 1)), place(BOX)), seen(BOX)
+    said = {"rest": -3.0, "all": -2.5}
+    monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model"))
+    monkeypatch.setattr(evidence, "by_looks", lambda views, faces: np.array([said["all"]]))
+    monkeypatch.setattr(evidence, "same_person", lambda looks: np.array([[0.0, said["rest"]]]))
+
+    def after(before, time_s):
+        [sighting] = sighted([face], [picture], [View(OWN[0].look, picture)], before, shown(time_s=time_s))
+        return sighting
+
+    first = after(None, 1.0)
+    assert (first.by_looks, first.views) == (-3.0, 0) and np.isnan(first.latest), "it cannot be known by now"
+    stays = after(first, 1.0 + STAYS)
+    assert (stays.since, stays.by_looks, stays.latest, stays.views) == (1.0, -2.5, -2.5, 1)
+    said["rest"] = -2.0
+    assert after(first, 1.1)[-3:] == (-2.5, -2.5, 1), "it may be known"
+    monkeypatch.setattr(evidence, "embedding_model", lambda: None)
+    said["rest"] = said["all"] = -3.0
+    assert after(None, 1.0)[-3:] == (-3.0, -3.0, 1), "there is none"
 
 
 def test_views_of_who_walked_by_unnoticed_do_not_count(monkeypatch):

@@ -120,3 +120,15 @@ def test_cuts_are_found_as_they_come_and_confirmed_by_the_frames_after_them():
     assert event == "cut" and 60 < at < 84, "a dissolve, after its end in frame 60"
     wide = np.hstack([scene(1), scene(2)])
     assert passing([wide[:H, 2 * i : 2 * i + W] for i in range(90)]) == [], "a pan"
+
+
+@pytest.mark.parametrize("frames", [8, 16, 30])
+def test_a_dissolve_that_has_ended_in_time_is_seen_among_those_that_end_then(frames):
+    pictures = np.clip(mixed(still(1, 60), still(2, 60), frames)[:84], 0, 255).astype(np.uint8)
+    images = shots._flat([small(Frame(i, 0.0, picture)) for i, picture in enumerate(pictures)])
+    every = shots._dissolves(images)
+    assert len(every) == 1
+    for start in range(-6, len(images) - 12):
+        lasts = range(start, start + 12)
+        there = {last for _, _, last in shots._dissolves(images, lasts)}
+        assert there <= set(lasts) and (there or every[0][2] not in lasts)

@@ -78,7 +78,7 @@ class Sighting(NamedTuple):
     since: float  # time in s since which it is seen
     p: float = 0.0  # probability that it is the target
     by_looks: float = 0.0  # log odds of that by its looks alone, the mean of `views` looks
-    latest: float = 0.0  # the same of the latest look
+    latest: float = 0.0  # the same of the latest look; nan without the embedding, and then it is no view
     views: int = 1
 
     def after(self, before: Sighting | None) -> Sighting:
@@ -88,8 +88,8 @@ class Sighting(NamedTuple):
         old, new = before.face.box, self.face.box
         if math.dist(centre(old), centre(new)) >= SAME * max(old[2], new[2]):
             return self
-        views = before.views + 1
-        mean = before.by_looks + (self.by_looks - before.by_looks) / views
+        views = before.views + self.views
+        mean = before.by_looks + (self.by_looks - before.by_looks) * self.views / max(views, 1)
         return self._replace(since=before.since, by_looks=mean, views=views)
 
     def is_target(self, frame: Frame, views: int = 1) -> bool:
@@ -134,6 +134,46 @@ def by_looks(views: Sequence[View], faces: Sequence[Picture], senses: Collection
         return np.zeros(len(faces))
     looks = [together(view.picture.looks for view in views), *(face.looks for face in faces)]
     return np.clip(same_person(looks, senses)[0, 1:], -BOUND, BOUND)
+
+
+def bounds(views: Sequence[View], faces: Sequence[Picture]) -> Array:
+    """(3, K): the least that `by_looks` may say, what all senses but the embedding say, and the most.
+
+    The embedding takes a hundred times as long as they do.
+    """
+    if not faces or not views:
+        return np.zeros((3, len(faces)))
+    rest = same_person([together(view.picture.plain for view in views), *(face.plain for face in faces)])[0, 1:]
+    _, against, most = SENSES["embedding"] if embedding_model() is not None else ((), 0.0, 0.0)
+    return np.clip([rest - against, rest, rest + most], -BOUND, BOUND)
+
+
+def is_likely(views: Sequence[View], face: Picture, others: float) -> bool:
+    """Whether a face is the person of the `views`, by its looks and the log odds by all `others`.
+
+    Of embeddings the nearest counts. That is likely of the view that is most alike in grey.
+    """
+    least, rest, most = bounds(views, [face])[:, 0] + others
+    if (least > 0) == (most > 0):
+        return bool(least > 0)
+    alike = sorted(views, key=lambda view: -float(view.picture.plain.face[0] @ face.plain.face[0]))
+    return any(rest + same_person([view.picture.looks, face.looks], WHO)[0, 1] > 0 for view in alike)
+
+
+def sighted(
+    faces: Sequence[Detection], shown: Sequence[Picture], views: Sequence[View], before: Sighting | None, frame: Frame
+) -> list[Sighting]:
+    """The sightings of a frame's faces, which pictures have `shown`, after that `before`; `p` comes later.
+
+    The embedding looks where a face may be the target now; else the other senses say how likely each is so far.
+    """
+    _, rest, most = bounds(views, shown)
+    each = [Sighting(face, frame.time_s, 1.0, by, math.nan, 0) for face, by in zip(faces, rest.tolist(), strict=True)]
+    sightings = [one.after(before) for one in each]
+    if embedding_model() is None or most.max() > KNOWN or any(one.is_target(frame) for one in sightings):
+        by_all = zip(each, by_looks(views, shown).tolist(), strict=True)
+        sightings = [one._replace(by_looks=by, latest=by, views=1).after(before) for one, by in by_all]
+    return sightings
 
 
 def weight_of(side: float) -> float:

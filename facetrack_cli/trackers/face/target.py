@@ -209,8 +209,7 @@ class FaceTarget(FaceParts):
         similarity = self.map_to_frame(state.head.estimated.state, state.pose)
         detection = None if self.sensors.searched else self.sensors.detected(similarity.read(frame))
         picture = _picture(frame, self._laid_out(similarity, detection))
-        looks = evidence.by_looks(evidence.own_views(state.views), [picture])
-        return bool(looks[0] + self._prior(state, frame) > 0)
+        return evidence.is_likely(evidence.own_views(state.views), picture, self._prior(state, frame))
 
     def _prior(self, state: FaceState, frame: Frame) -> float:
         since, company = state.stranger_time, state.crowded >= COMPANY
@@ -389,11 +388,8 @@ class FaceTarget(FaceParts):
         state, sighting = state._replace(crowded=state.crowded + (len(faces) > 1)), None
         if faces:
             maps = [face.similarity for face in faces]
-            looks = evidence.by_looks(evidence.own_views(state.views), [_picture(frame, face) for face in maps])
-            sightings = [
-                Sighting(face, frame.time_s, by_looks=odds, latest=odds).after(state.sighting)
-                for face, odds in zip(faces, looks.tolist(), strict=True)
-            ]
+            own, pictures = evidence.own_views(state.views), [_picture(frame, face) for face in maps]
+            sightings = evidence.sighted(faces, pictures, own, state.sighting, frame)
             in_place = state.cut_time is None and state.stranger_time is None
             place = evidence.by_place(state.last_seen, maps, covered=self._is_covered(state.head)) * in_place
             mean_looks = np.array([sighting.by_looks for sighting in sightings])

@@ -77,7 +77,7 @@ class Picture:
         around = _upright(frame, face._replace(angle=0.0), WIDE_SIDES, WIDE_PX)
         return cls(_upright(frame, face, CHIP_SIDES, CHIP_PX), around, face.scale)
 
-    @property
+    @cached_property
     def plain(self) -> FaceDescriptor:
         """Of this one view, without dlib's embedding, which takes a hundred times as long as all else."""
         each = _face(self.chip), *_colours(self.wide), np.zeros(0), np.array([_sharp(self.chip)])
