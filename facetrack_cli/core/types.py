@@ -30,6 +30,7 @@ BOX = "box"  # the one part of a target that is tracked as a box
 # grey levels by Y, which is 16 for black and 235 for white
 _FULL_RANGE = np.clip(np.rint((np.arange(256) - 16) * 255 / 219), 0, 255).astype(np.uint8)
 MAX_NAME = 100
+_MARGIN = 6.0  # pixels around a part
 MAX_REMEMBERED = 8  # a step asks for the particles twice, and for a few single states in between
 
 
@@ -91,8 +92,8 @@ class Planes(NamedTuple):
         return np.asarray(cv2.LUT(self.by_bt601().y, _FULL_RANGE), np.uint8)
 
 
-# a part of an image, the point (left, top) of the whole at which it begins, and the extent that it serves
-_Part: TypeAlias = tuple[Image, int, int, Extent]
+# parts of images, the point (left, top) of the whole at which they begin, and the extent that they serve
+_Part: TypeAlias = tuple[tuple[Image, ...], int, int, Extent]
 
 
 class Frame:
@@ -142,7 +143,8 @@ class Frame:
         Returns it with the point (left, top) of the whole image at which it begins. Blocks are counted from the corner
         of the image, so that a block has the same mean whatever is asked for; an incomplete last block is left out.
         """
-        return self._part("bgr", factor, extent)[:3]
+        (image,), left, top, _ = self._part("bgr", factor, extent, _MARGIN)
+        return image, left, top
 
     def planes(self, factor: int, extent: Extent) -> list[tuple[Image, int, int, int]] | None:
         """Y, U and V, each reduced for itself and with (left, top) and its own factor; None of what has no planes.
@@ -151,68 +153,67 @@ class Frame:
         """
         if self.yuv is None:  # whether colours were computed meanwhile must not matter
             return None
-        lit, x, y, _ = self._part("y", factor, extent)
-        half = extent[0] / 2, extent[1] / 2, extent[2] / 2, extent[3] / 2
-        u, left, top, _ = self._part("u", factor, half)
-        v = self._part("v", factor, half)[0]
+        (lit,), x, y, _ = self._part("y", factor, extent, _MARGIN)
+        (u, v), left, top, _ = self._part(
+            "uv", factor, (extent[0] / 2, extent[1] / 2, extent[2] / 2, extent[3] / 2), _MARGIN
+        )
         own = 2 * left, 2 * top, 2 * factor
         return [(lit, x, y, factor), (u, *own), (v, *own)]
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
-        return self._part("grey", factor, extent)[:3]
+        (image,), left, top, _ = self._part("grey", factor, extent, _MARGIN)
+        return image, left, top
 
-    def _part(self, what: str, factor: int, extent: Extent) -> _Part:
-        """As `reduced`, of the colours ("bgr"), of grey, or of a plane ("y", "u" or "v") in pixels of its own."""
+    def _part(self, what: str, factor: int, extent: Extent, more: float = 0.0) -> _Part:
+        """As `reduced`, of the colours ("bgr"), of grey, of the plane "y", or of "uv" in pixels of their own.
+
+        Made with a margin of `more` pixels, which are reduced, for what this frame is asked for next.
+        """
         kept = self._parts.get((what, factor))
         if kept is None or not _within(extent, kept[3]):
+            x0, y0, x1, y1 = extent
+            more *= factor
             make = self._in_grey if what == "grey" else self._of_whole if factor == 1 else self._smaller
-            kept = self._parts[what, factor] = make(what, factor, extent)
+            kept = self._parts[what, factor] = make(what, factor, (x0 - more, y0 - more, x1 + more, y1 + more))
         return kept
 
-    def _smaller(self, what: str, factor: int, extent: Extent) -> _Part:
-        """A part of the image at half the factor, reduced."""
-        if what == "v" and (twin := self._parts.get(("u", factor))) is not None and _within(extent, twin[3]):
-            image, left, top, asked = twin
-            (height, width), (x, y) = image.shape, (left, top)
-            assert self.yuv is not None
-            image = self.yuv.v[y : y + factor * height, x : x + factor * width]
-            return _halved(image, factor, height, width), left, top, asked
-        # with a margin, since the next call of this frame asks for nearly the same place
-        tint = what == "u" or what == "v"
-        asked, own, first = _widened(extent, 6.0 * factor), factor * (1 + tint), 1 if tint else factor // 2
-        left, right = _blocks(asked[0], asked[2], factor, self.size[0] // own or 1)
-        top, bottom = _blocks(asked[1], asked[3], factor, self.size[1] // own or 1)
+    def _smaller(self, what: str, factor: int, asked: Extent) -> _Part:
+        """Parts of the images at half the factor, reduced: OpenCV halves four times as fast as by other factors."""
+        own, before = 2 * factor if what == "uv" else factor, factor // 2
+        across, down = self.size[0] // own or 1, self.size[1] // own or 1
+        (left, right), (top, bottom) = _blocks(asked[0], asked[2], factor, across), _blocks(*asked[1::2], factor, down)
         wanted = left * factor, top * factor, right * factor - 1, bottom * factor - 1
-        larger, x, y, _ = self._part(what, first, wanted)
-        zoom, x, y = factor // first, x // first, y // first
-        image = larger[zoom * top - y : zoom * bottom - y, zoom * left - x : zoom * right - x]
-        return _halved(image, zoom, bottom - top, right - left), left * factor, top * factor, asked
+        larger, x, y, _ = self._part(what, before, wanted)
+        rows = slice(2 * top - y // before, 2 * bottom - y // before)
+        columns, size = slice(2 * left - x // before, 2 * right - x // before), (right - left, bottom - top)
+        images = [cv2.resize(image[rows, columns], size, interpolation=cv2.INTER_AREA) for image in larger]
+        # what begins at a border serves all beyond it
+        x0, y0 = asked[0] if left else -math.inf, asked[1] if top else -math.inf
+        served = x0, y0, asked[2] if right < across else math.inf, asked[3] if bottom < down else math.inf
+        return tuple(images), left * factor, top * factor, served
 
-    def _of_whole(self, what: str, _: int, extent: Extent) -> _Part:
+    def _of_whole(self, what: str, _: int, asked: Extent) -> _Part:
         """The image itself; a part of it where less than half would have to be converted."""
-        if self.yuv is None or (what == "bgr" and self._bgr is not None):
-            return self.bgr, 0, 0, _ALL
-        if what != "bgr":
-            return getattr(self.yuv, what), 0, 0, _ALL
-        asked, (width, height) = _widened(extent, 6.0), self.size
+        if self.yuv is not None and what != "bgr":
+            return (self.yuv.y,) if what == "y" else (self.yuv.u, self.yuv.v), 0, 0, _ALL
+        if self.yuv is None or self._bgr is not None:
+            return (self.bgr,), 0, 0, _ALL
+        width, height = self.size
         columns = _blocks(asked[0], asked[2], 2, width // 2)
         rows = _blocks(asked[1], asked[3], 2, height // 2)
         if 8 * (columns[1] - columns[0]) * (rows[1] - rows[0]) > width * height:
-            return self.bgr, 0, 0, _ALL
-        return self.yuv.part(columns, rows).bgr, 2 * columns[0], 2 * rows[0], asked
+            return (self.bgr,), 0, 0, _ALL
+        return (self.yuv.part(columns, rows).bgr,), 2 * columns[0], 2 * rows[0], asked
 
-    def _in_grey(self, _: str, factor: int, extent: Extent) -> _Part:
-        asked = _widened(extent, 6.0) if factor == 1 else extent
-        lit, left, top, served = self._part("y" if self.yuv else "bgr", factor, asked)
-        if factor > 1:  # which is widened already
-            asked = served
+    def _in_grey(self, _: str, factor: int, asked: Extent) -> _Part:
+        (lit,), left, top, _ = self._part("y" if self.yuv else "bgr", factor, asked)
         height, width = lit.shape[:2]
         x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
         y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
         part, left, top = lit[y0:y1, x0:x1], left + x0 * factor, top + y0 * factor
         grey = self._grey_of(part, factor, left, top) if self.yuv else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
-        return np.asarray(grey, np.uint8), left, top, asked
+        return (np.asarray(grey, np.uint8),), left, top, asked
 
     def _grey_of(self, lit: Image, factor: int, left: int, top: int) -> Image:
         """The grey of a part of the plane Y, reduced by `factor`, that begins at (left, top)."""
@@ -256,24 +257,12 @@ def _within(inner: Extent, outer: Extent) -> bool:
     return inner[0] >= outer[0] and inner[1] >= outer[1] and inner[2] <= outer[2] and inner[3] <= outer[3]
 
 
-def _widened(extent: Extent, more: float) -> Extent:
-    return extent[0] - more, extent[1] - more, extent[2] + more, extent[3] + more
-
-
 def _blocks(low: float, high: float, factor: int, count: int) -> tuple[int, int]:
     """The half-open range of blocks of `factor` pixels that covers [low, high], within `count` blocks, never empty."""
     most = factor * count
     first = (count - 1 if low >= most else int(low / factor)) if low > 0 else 0
     last = count if high >= most else math.ceil(max(high, -1.0) / factor) + 1
     return min(first, count - 1), min(max(last, first + 1), count)
-
-
-def _halved(image: Image, zoom: int, height: int, width: int) -> Image:
-    """An image reduced by `zoom` to that size: by halves, which OpenCV computes four times as fast as other factors."""
-    while zoom > 1:
-        zoom //= 2
-        image = np.asarray(cv2.resize(image, (zoom * width, zoom * height), interpolation=cv2.INTER_AREA), np.uint8)
-    return image
 
 
 class Particles(NamedTuple):
