@@ -21,6 +21,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from facetrack_cli.core.errors import InputError, OutputError, reason
 
+BLOCK = 1 << 20  # bytes of a file that are read at a time
 _LAST_RECORDS = 2000  # at the end of a file, in which there is space for its end
 MAX_TABLE_BYTES = 1 << 30  # of a table of rows: ten hours of a face and its points
 MAX_FILE_BYTES = 1 << 26  # of any other file that is read whole
@@ -180,7 +181,7 @@ class FileSink(BytesSink):
         """Begin with the contents of a file up to a place. Raises OSError."""
         left = place.bytes
         with file.open("rb") as before:
-            while left and (block := before.read(min(left, 1 << 20))):
+            while left and (block := before.read(min(left, BLOCK))):
                 self._file.write(block)
                 left -= len(block)
         if left:
@@ -269,15 +270,19 @@ def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
                 file.write(data)
 
 
-def digest(files: Iterable[Path], *, names: bool = False) -> str:
-    """SHA-256 of the bytes of these files, with `names` of their names too. Raises OSError."""
-    total = hashlib.sha256()
+def digest(files: Iterable[Path], *, names: bool = False, heard: Callable[[int], None] = lambda _: None) -> str:
+    """SHA-256 of the bytes of these files, with `names` of their names too. Raises OSError.
+
+    `heard` hears how many bytes are read; what it raises ends it.
+    """
+    total, count = hashlib.sha256(), 0
     for path in files:
         if names:
             total.update(path.name.encode(errors="surrogateescape") + b"\0")
         with path.open("rb") as file:
-            while block := file.read(1 << 20):
+            while block := file.read(BLOCK):
                 total.update(block)
+                heard(count := count + len(block))
     return total.hexdigest()
 
 

@@ -393,11 +393,11 @@ def clip_stat(clip: Path) -> Clip | None:
     return Clip(sum(file.st_size for file in stats), "", as_text(str(clip)), changed)
 
 
-def clip_digest(path: Path) -> str:
-    """SHA-256 of a file, or of the images of a folder; "" if it cannot be read."""
+def clip_digest(path: Path, heard: Callable[[int], None] = lambda _: None) -> str:
+    """SHA-256 of a file, or of the images of a folder; "" if it cannot be read. `heard` is as of `digest`."""
     try:
         images = listing(path)
-        return digest([path] if images is None else images, names=images is not None)
+        return digest([path] if images is None else images, names=images is not None, heard=heard)
     except OSError:
         return ""
 

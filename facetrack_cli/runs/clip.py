@@ -58,7 +58,7 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
     if tracked is not None and (plan.names or not job.smooth or POSTERIOR in tracked.files):
         done = replace(Outcome.of(job, tracked), again=False)
     else:
-        with Recorder(plan, stop) as into:
+        with Recorder(plan, stop, looked) as into:
             plan = into.plan
             if (ended := plan.ended()) is not None:  # meanwhile, by another process
                 return ended
@@ -173,7 +173,7 @@ def _follow(into: Recorder, start: Start, shots: list[Shot], stop: Stop, report:
             done.complete, done.warnings, done.variable_fps = source.complete, warnings, source.variable
 
         into.ended = ended
-        done = into.record(clip, start, more, tracked(), stop, report)
+        done = into.record(clip, start, more, tracked(), report)
     if done.verdict and job.fps is None and done.frames > 1 and not brings_rate(job.clip):
         done.verdict += f"; images have no rate: {clip.fps} frames/s is taken, or that of --fps"
     return done

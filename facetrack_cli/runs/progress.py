@@ -26,32 +26,35 @@ class Progress:
     In JSON an object for each message, with the clip, and every second one with how far it is.
     """
 
-    _name = _unit = _doing = ""
+    _name = _unit = ""
+    _doing: str | None = None  # of `name`, as the lines have it; None before anything is heard
 
     def __init__(self, quiet: bool = False) -> None:
         self._quiet = quiet
 
     def begin(self, name: str, unit: str = "frames", total: int | None = None) -> None:
-        self._name, self._unit, self._doing = name, unit, ""
-        self._began = self._last = time.monotonic()
+        self._name, self._unit, self._doing = name, unit, None
+        self._heard = self._last = time.monotonic()
 
     def looked(self, done: int, total: int | None, doing: str = "looking for a face", unit: str = "frames") -> None:
         """As `update`, while something else is done: what is tracked later is counted, and timed, anew."""
-        if self._doing != f", {doing}":
-            self._doing, self._began = f", {doing}", time.monotonic()
-        self._show(done, total, None, unit)
+        self._hear(done, total, None, unit, f", {doing}")
 
     def update(self, done: int, total: int | None, rate: float | None = None) -> None:
         """Called as often as one likes; `total` None or 0 is not known."""
-        if self._doing:
-            self._doing, self._began = "", time.monotonic()
-            return  # there is no rate yet
-        self._show(done, total, rate, self._unit)
+        self._hear(done, total, rate, self._unit, "")
 
-    def _show(self, done: int, total: int | None, rate: float | None, unit: str) -> None:
+    def _hear(self, done: int, total: int | None, rate: float | None, unit: str, doing: str) -> None:
+        if doing != self._doing:  # of a run that goes on, much was done before
+            self._doing, self._before, self._began = doing, done - 1, self._heard
+        self._heard = time.monotonic()
+        if rate is None and unit == "frames":
+            rate = (done - self._before) / max(self._heard - self._began, 1e-6)
+        self._show(done, total, None if rate is None else round(rate, 1), unit)
+
+    def _show(self, done: int, total: int | None, speed: float | None, unit: str) -> None:
         if self._quiet or not self._due(EVERY_JSON_S if as_json() else EVERY_S):
             return
-        speed = self._speed(done, rate, unit)
         if as_json():
             far = {"done": done, "total": total or None, "unit": unit, "frames_per_s": speed}
             write_line(f"progress{self._doing}", clip=self._clip(), **far)
@@ -80,11 +83,6 @@ class Progress:
         self._last = now if due else self._last
         return due
 
-    def _speed(self, done: int, rate: float | None, unit: str) -> float | None:
-        """Frames per second; None of what has none."""
-        own = done / (time.monotonic() - self._began) if rate is None else rate
-        return None if unit == "kernels" else round(own, 1)
-
     def _clip(self) -> str | None:
         name = re.sub(r"^\[\d+/\d+\] ", "", self._name)  # without the count of a batch
         return name if self._unit == "frames" else None
@@ -109,11 +107,10 @@ class Bar(Progress):
         self._bar.add_task(flat(name), total=total, count="", rate="")
         self._bar.start()
 
-    def _show(self, done: int, total: int | None, rate: float | None, unit: str) -> None:
+    def _show(self, done: int, total: int | None, speed: float | None, unit: str) -> None:
         if self._bar.task_ids and self._due(0.1):
             total = total if total and done <= total else None  # a stated length may be wrong
             count = f"{done}{f'/{total}' if total else ''} {unit}"
-            speed = self._speed(done, rate, unit)
             about: Any = {"count": count, "rate": "" if speed is None else f"{speed:.1f} frames/s"}
             description = flat(f"{self._name}{self._doing}")
             self._bar.update(self._bar.task_ids[0], description=description, completed=done, total=total, **about)

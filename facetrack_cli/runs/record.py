@@ -33,7 +33,7 @@ from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.lease import FolderLease, here, utc_now
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
-from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
+from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.workers import Painter
 from facetrack_cli.trajectory.diagnostics import KNOWN
 from facetrack_cli.trajectory.reader import to_record
@@ -127,10 +127,10 @@ class Recorder:
     with a lag rows wait in memory: those runs begin from their first frame.
     """
 
-    def __init__(self, plan: Plan, stopped: Stopped = never) -> None:
+    def __init__(self, plan: Plan, stop: Stop | None = None, looked: Report = silent) -> None:
         self.plan, self.sinks = plan, list[Sink]()
-        job = plan.job
-        self.lease = None if job.out is None else FolderLease(job.out, stopped)
+        self._stop, self._looked, job = stop or Stop(), looked, plan.job
+        self.lease = None if job.out is None else FolderLease(job.out, self._stop)
         self.state = RunState(0, Outcome(source=job.clip, streamed=job.out is None))
         self._checkpoint, self._key = Path(), ""  # the last state, which the key tells from those of other runs
         self._kept_s, self._kept_frames, self._marked = time.monotonic(), 0, dict[str, Any]()
@@ -219,11 +219,9 @@ class Recorder:
             self.state.sinks = tuple(sink.mark() for sink in self.sinks)
             self._marked = {"key": np.array(self._key), **flatten("run", self.state)}
 
-    def record(
-        self, clip: ClipFacts, start: Start, more: Header, results: Results, stop: Stop, report: Report = silent
-    ) -> Outcome:
-        """Write the results until they end, also because `stop` says so, or an error. They raise StoppedError where
-        nothing is to be kept.
+    def record(self, clip: ClipFacts, start: Start, more: Header, results: Results, report: Report = silent) -> Outcome:
+        """Write the results until they end, also because the run is to stop, or by an error. They raise StoppedError
+        where nothing is to be kept.
 
         `report` hears how many frames are written, and how many there are, None if that is not known. An error after
         the first frame is in the outcome, beside what was kept; before it, it is raised, and no file is left.
@@ -239,14 +237,14 @@ class Recorder:
                     report(self.outcome.frames, self.total)
                     del result  # or two frames are in memory while the next one is tracked
             except StoppedError:
-                return Outcome(source=self.plan.job.clip, stopped=stop.reason)
+                return Outcome(source=self.plan.job.clip, stopped=self._stop.reason)
             except Exception as e:  # whatever it is, what was tracked is kept
                 error = e
         if self.outcome.frames > self.outcome.resumed:
-            return self.close(stop.reason if stop() else None, error)
+            return self.close(self._stop.reason if self._stop() else None, error)
         if error is not None:
             raise error
-        self.outcome.stopped = stop.reason
+        self.outcome.stopped = self._stop.reason
         return self.outcome
 
     def close(self, stopped: str | None = None, error: Exception | None = None) -> Outcome:
@@ -258,10 +256,13 @@ class Recorder:
         self.ended(done, stopped is None and error is None)
         error = error or done.failure
         done.stopped = stopped or (None if error is None else str(error))
-        done.complete = done.complete and done.stopped is None
         if done.stopped is None and done.clip is not None and not job.chunk:  # the clip of a chunk is the same for all
-            done.source_sha256 = manifest.clip_digest(job.clip)
+            try:
+                done.source_sha256 = self._digest_of(done.clip)
+            except StoppedError:
+                done.stopped = self._stop.reason
             done.clip = replace(done.clip, sha256=done.source_sha256)
+        done.complete = done.complete and done.stopped is None
         errors: list[Exception] = []
         steps: list[Callable[[Outcome], None]] = [sink.end for sink in reversed(self.sinks)]
         for step in (*steps, *(sink.close for sink in self.sinks)):
@@ -298,6 +299,20 @@ class Recorder:
         done.warnings = tuple(line for line in done.warnings if line != str(done.failure) and line not in done.verdict)
         done.frames_per_s = (done.frames - done.resumed - 1) / max(time.perf_counter() - self._began_s, 1e-9)
         return done
+
+    def _digest_of(self, clip: manifest.Clip) -> str:
+        """The checksum of the clip, whose time is not that of its frames. StoppedError once the run is to stop."""
+        began = time.perf_counter()
+
+        def heard(count: int) -> None:
+            if self._stop():
+                raise StoppedError
+            if count < clip.bytes:
+                self._looked(count // 10**6, clip.bytes // 10**6, "checksum of the clip", "MB")
+
+        digest = manifest.clip_digest(self.plan.job.clip, heard)
+        self._began_s += time.perf_counter() - began
+        return digest
 
     def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
         """Drop what was not closed."""

@@ -348,6 +348,6 @@ def join_chunks(into: Recorder, stop: Stop, report: Report) -> Outcome:
     into.open([*outputs(into), monitor])
     into.outcome.note = start.note
     into.ended = ended
-    done = into.record(clip, start, about, joined(), stop, report)
+    done = into.record(clip, start, about, joined(), report)
     done.frames_per_s = 0.0  # rows were joined, not tracked
     return done

@@ -1,6 +1,7 @@
 """--log-format json: an object a line on standard error; NO_COLOR."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -89,3 +90,22 @@ def test_lines_have_their_level_and_quiet_is_quiet(monkeypatch, capfd):
         shown.error("facetrack: error: bad")
     (said,) = objects(capfd.readouterr().err)
     assert (said["level"], said["clip"]) == ("error", "a.mp4")
+
+
+def test_a_rate_is_of_the_frames_since_a_task_began(monkeypatch, capfd):
+    clock = SimpleNamespace(monotonic=iter(np.arange(0.0, 99.0)).__next__)
+    monkeypatch.setenv(LOG_FORMAT, "json")
+    monkeypatch.setattr(module, "EVERY_JSON_S", 0.0)
+    monkeypatch.setattr(module, "time", clock)
+    with progress(quiet=False) as shown:
+        shown.begin("a.mp4")
+        for done in (5001, 5002):  # it goes on
+            shown.update(done, 6000)
+        shown.looked(1, 90, "painting")
+        shown.looked(1, 2, "checksum of the clip", "MB")
+        shown.begin("3 clips", "clips", 3)
+        shown.update(1, 3)
+    said = [(one["message"], one.get("frames_per_s")) for one in objects(capfd.readouterr().err)]
+    # each line takes a second more, to see whether it is due
+    assert said[:2] == [("progress", 1.0), ("progress", 0.7)] and said[2] == ("progress, painting", 0.5)
+    assert said[3:] == [("progress, checksum of the clip", None), ("progress", None)]

@@ -60,7 +60,7 @@ def tracked(tmp_path_factory):
     """Some frames of the film, tracked, and interrupted before they were named."""
     out, stop = tmp_path_factory.mktemp("tracked") / "out", Stop()
 
-    def looked(done, total, doing=""):
+    def looked(done, total, doing="", unit=""):
         if doing == "looking at people":
             stop.code = ExitCode.TERMINATED
 

@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import errno
+import hashlib
 import json
 import os
 import shutil
@@ -18,11 +19,15 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
+from facetrack_cli.core import files
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.files import FileSink, cannot_write
 from facetrack_cli.core.models import shipped_folder
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.batch import folders, variant_name
 from facetrack_cli.runs.clip import RunMonitor
+from facetrack_cli.runs.clip import run as track_run
+from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import open_source
@@ -539,6 +544,24 @@ def test_a_signal_while_looking_for_a_face(long_clip, tmp_path):
     out = tmp_path / "out"
     got, err = interrupted([long_clip, "--init", "haar", "-o", out], out.exists, INT, group=True)
     assert got == 130 and "nothing was written" in one_line(err) and not out.exists()
+
+
+def test_the_checksum_of_a_clip_says_how_far_it_is_and_can_be_stopped(clip, tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "BLOCK", 1000)
+    size, out, stop, said = clip.stat().st_size, tmp_path / "out", Stop(), []
+
+    def looked(done, total, doing="", unit=""):
+        if doing == "checksum of the clip":
+            said.append((done, total, unit))
+            stop.code = ExitCode.INTERRUPTED
+
+    job = Job(clip, load_recipe(SMALL[1]), out, stop=8)
+    assert track_run(job, stop, looked=looked).stopped == "interrupted"
+    assert said == [(0, size // 10**6, "MB")] and not json.loads((out / "run.json").read_text())["complete"]
+    assert track_run(job, Stop()).stopped is None
+    run = json.loads((out / "run.json").read_text())
+    assert run["complete"] and run["frames"] == 8
+    assert run["clip"]["sha256"] == hashlib.sha256(clip.read_bytes()).hexdigest()
 
 
 @posix
