@@ -111,23 +111,27 @@ def test_a_recovery_that_is_killed_is_made_again(torn, tmp_path, monkeypatch, mo
     assert len(read_run(tmp_path).frames) == read_manifest(tmp_path).frames >= 19
 
 
+def leave_rows(out, form, text, run):
+    """What a run whose run.json would be `run` leaves in its folder if it is killed while it writes a table."""
+    (host, boot), mark = locks.here(), f"999999999-{'5' * 16}"
+    note = {"host": host, "boot": boot, "token": "ab", "process": 999_999_999, "mark": mark, "run": run}
+    leave_here(out, note, 999_999_999)
+    (out / f".trajectory-{mark}.part.{form}").write_bytes(text)
+
+
 @pytest.mark.parametrize("form", ["csv", "json", "jsonl"])
 def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
     whole = tmp_path / "whole"
     assert run(clip, "-o", whole, "--stop", 4, *SMALL, "--no-video", "--format", form, "-q") == 0
     text = (whole / f"trajectory.{form}").read_bytes()
     expected = records(whole, form)
-    host, boot = locks.here()
-    note = {"host": host, "boot": boot, "token": "ab", "process": 999_999_999, "mark": f"999999999-{'5' * 16}"}
-    note["run"] = read_manifest(whole).record()
     seen = set()
     # also where an object inside of a line ends, which looks like the end of a frame
     inside = [one.end() for one in re.finditer(rb'"ess":[0-9.]+\}', text)][-8:]
     for at in {*range(0, len(text), 503), *inside}:
         out = tmp_path / f"{at}"
         out.mkdir()
-        leave_here(out, note, 999_999_999)
-        (out / f".trajectory-{note['mark']}.part.{form}").write_bytes(text[:at])
+        leave_rows(out, form, text[:at], read_manifest(whole).record())
         recover_interrupted(out)
         done = read_manifest(out)
         seen.add(frames := 0 if done is None else done.frames)
@@ -137,6 +141,28 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
         else:
             assert names(out) == []
     assert seen >= {0, 2, 3}
+
+
+def test_rows_that_a_kill_left_do_not_replace_as_many_or_more_of_the_same_job(clip, tmp_path):
+    whole, part = tmp_path / "whole", tmp_path / "part"
+    part.mkdir()
+    assert run(clip, "-o", whole, "--stop", 5, *SMALL, "--no-video", "--format", "csv", "-q") == 0
+    record, lines = read_manifest(whole).record(), (whole / "trajectory.csv").read_bytes().splitlines(keepends=True)
+
+    def recovered(out, frames, **more):
+        """How many frames are there after a kill with so many whole frames; "kept" if nothing was written."""
+        before = {path.name: path.stat().st_ino for path in out.iterdir()}
+        leave_rows(out, "csv", b"".join(lines[: frames * ROWS + 2]), record | more)
+        recover_interrupted(out)
+        if {path.name: path.stat().st_ino for path in out.iterdir()} == before:
+            return "kept"
+        assert names(out) == [NAME, "trajectory.csv"] and read_manifest(out).stopped == "killed"
+        assert len(read_run(out).frames) == read_manifest(out).frames
+        return read_manifest(out).frames
+
+    assert recovered(whole, 3) == "kept" and read_manifest(whole).complete
+    assert [recovered(part, frames) for frames in (3, 2, 3, 4)] == [3, "kept", "kept", 4]
+    assert recovered(part, 2, asked="something else") == 2
 
 
 @posix
@@ -208,7 +234,7 @@ def test_a_kill_between_two_renames_is_finished_by_whoever_reads(clip, tmp_path,
     assert names(tmp_path) == ["annotated.mp4", NAME, "trajectory.csv", "trajectory.json"]
 
 
-def test_a_swapped_clip_is_known(tmp_path, capsys):
+def test_a_swapped_clip_is_known(tmp_path, capsys, no_plot):
     clip, out = make_clip(tmp_path / "one.mp4", 6), str(tmp_path / "out")
     assert run(clip, "-o", out, *SMALL, "-q") == 0
     assert len(read_run(out).header["source_sha256"]) == 64
