@@ -187,11 +187,11 @@ class Frame:
         larger, x, y, _ = self._part(what, before, wanted)
         rows = slice(2 * top - y // before, 2 * bottom - y // before)
         columns, size = slice(2 * left - x // before, 2 * right - x // before), (right - left, bottom - top)
-        images = [cv2.resize(image[rows, columns], size, interpolation=cv2.INTER_AREA) for image in larger]
+        halves = (cv2.resize(image[rows, columns], size, interpolation=cv2.INTER_AREA) for image in larger)
         # what begins at a border serves all beyond it
         x0, y0 = asked[0] if left else -math.inf, asked[1] if top else -math.inf
         served = x0, y0, asked[2] if right < across else math.inf, asked[3] if bottom < down else math.inf
-        return tuple(images), left * factor, top * factor, served
+        return tuple(np.asarray(half, np.uint8) for half in halves), left * factor, top * factor, served
 
     def _of_whole(self, what: str, _: int, asked: Extent) -> _Part:
         """The image itself; a part of it where less than half would have to be converted."""
@@ -207,7 +207,7 @@ class Frame:
         return (self.yuv.part(columns, rows).bgr,), 2 * columns[0], 2 * rows[0], asked
 
     def _in_grey(self, _: str, factor: int, asked: Extent) -> _Part:
-        (lit,), left, top, _ = self._part("y" if self.yuv else "bgr", factor, asked)
+        (lit,), left, top = self._part("y" if self.yuv else "bgr", factor, asked)[:3]
         height, width = lit.shape[:2]
         x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
         y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
