@@ -67,21 +67,26 @@ class Planes(NamedTuple):
         y, u, v = self.y[2 * y0 : 2 * y1, 2 * x0 : 2 * x1], self.u[y0:y1, x0:x1], self.v[y0:y1, x0:x1]
         return Planes(y, u, v, self.ours)
 
-    def by_bt601(self) -> "Planes":
-        y, u, v, _ = self
+    @property
+    def lit(self) -> Image:
+        """Y by BT.601: grey stays grey, it changes by U and V alone."""
         if self.ours is None:
-            return self
-        # grey stays grey: Y changes by U and V alone, each about its middle
-        more, u, v = (
-            np.asarray(cv2.addWeighted(u, a, v, b, 128 - 128 * (a + b)), np.uint8) for _, a, b in self.ours.tolist()
-        )
-        if more.shape != y.shape:
-            more = np.asarray(cv2.resize(more, y.shape[::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
-        return Planes(np.asarray(cv2.addWeighted(y, 1, more, 1, -128), np.uint8), u, v)
+            return self.y
+        more = self._mixed(0)
+        if more.shape != self.y.shape:  # a pair of the same bytes for each, and each row twice
+            more = np.repeat(np.multiply(more, 257, dtype=np.uint16).view(np.uint8), 2, axis=0)
+        return np.asarray(cv2.addWeighted(self.y, 1, more, 1, -128), np.uint8)
+
+    def _mixed(self, row: int) -> Image:
+        """U and V by a row of `ours`, each about its middle."""
+        assert self.ours is not None
+        _, a, b = self.ours[row].tolist()
+        return np.asarray(cv2.addWeighted(self.u, a, self.v, b, 128 - 128 * (a + b)), np.uint8)
 
     def joined(self) -> Image:
         """By BT.601 in one array (H * 3 / 2, W)."""
-        return np.concatenate([plane.ravel() for plane in self.by_bt601()[:3]]).reshape(-1, self.y.shape[1])
+        tints = (self.u, self.v) if self.ours is None else (self._mixed(1), self._mixed(2))
+        return np.concatenate([plane.ravel() for plane in (self.lit, *tints)]).reshape(-1, self.y.shape[1])
 
     @property
     def bgr(self) -> Image:
@@ -89,7 +94,7 @@ class Planes(NamedTuple):
 
     @property
     def grey(self) -> Image:
-        return np.asarray(cv2.LUT(self.by_bt601().y, _FULL_RANGE), np.uint8)
+        return np.asarray(cv2.LUT(self.lit, _FULL_RANGE), np.uint8)
 
 
 # parts of images, the point (left, top) of the whole at which they begin, and the extent that they serve
@@ -187,11 +192,11 @@ class Frame:
         larger, x, y, _ = self._part(what, before, wanted)
         rows = slice(2 * top - y // before, 2 * bottom - y // before)
         columns, size = slice(2 * left - x // before, 2 * right - x // before), (right - left, bottom - top)
-        images = [cv2.resize(image[rows, columns], size, interpolation=cv2.INTER_AREA) for image in larger]
+        halves = (cv2.resize(image[rows, columns], size, interpolation=cv2.INTER_AREA) for image in larger)
         # what begins at a border serves all beyond it
         x0, y0 = asked[0] if left else -math.inf, asked[1] if top else -math.inf
         served = x0, y0, asked[2] if right < across else math.inf, asked[3] if bottom < down else math.inf
-        return tuple(images), left * factor, top * factor, served
+        return tuple(np.asarray(half, np.uint8) for half in halves), left * factor, top * factor, served
 
     def _of_whole(self, what: str, _: int, asked: Extent) -> _Part:
         """The image itself; a part of it where less than half would have to be converted."""
@@ -207,7 +212,7 @@ class Frame:
         return (self.yuv.part(columns, rows).bgr,), 2 * columns[0], 2 * rows[0], asked
 
     def _in_grey(self, _: str, factor: int, asked: Extent) -> _Part:
-        (lit,), left, top, _ = self._part("y" if self.yuv else "bgr", factor, asked)
+        (lit,), left, top = self._part("y" if self.yuv else "bgr", factor, asked)[:3]
         height, width = lit.shape[:2]
         x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
         y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import lru_cache
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Frame, Image
+from facetrack_cli.core.types import Frame, Image, Whole
 
 SIDE: Final = (32, 18)  # pixels of the small images
 MIN_STEP: Final = 5.0  # grey levels, mean over the image, that two shots differ by at least
@@ -156,8 +157,16 @@ def _shrunk(image: Image, rows: int = _READ) -> Image:
     """(18, 32, ...): means of so many rows and of five columns; what costs are rows that the processor has to fetch."""
     few = SIDE[0] * _READ, SIDE[1] * rows
     if image.shape[1] > few[0] and image.shape[0] > few[1]:
+        # whole rows are fetched in half the time of their pixels
+        image = image[_nearest(len(image), few[1])]
         image = np.asarray(cv2.resize(image, few, interpolation=cv2.INTER_NEAREST), np.uint8)
     return np.asarray(cv2.resize(image, SIDE, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+@lru_cache
+def _nearest(height: int, rows: int) -> Whole:
+    """Which of so many rows OpenCV takes as the nearest ones of a smaller image."""
+    return (np.arange(rows) * (1 / (rows / height))).astype(np.int64)
 
 
 def _cuts(images: NDArray[np.float32], first: int, flash: int) -> list[Cut]:

@@ -45,6 +45,16 @@ def test_patches_are_read_as_opencv_reads_them_and_their_channels_are_what_the_p
         np.testing.assert_allclose(phi, plain, atol=1e-3)
 
 
+@pytest.mark.parametrize("height, width", [(1, 1), (1, 9), (9, 1), (2, 2), (9, 11)])
+def test_patches_beyond_a_small_image_are_read_as_opencv_reads_them(height, width):
+    rng = np.random.default_rng(height * width)
+    image, (a, b, u, v) = rng.integers(0, 256, (height, width), dtype=np.uint8), rng.normal(0, 2, 4)
+    image_kernels.warp(image, np.array([[a, b, u, v]]), out := np.empty((1, 12, 12), np.uint8))
+    matrix = np.array([[a, -b, u], [b, a, v]])
+    there = warp_affine(image, matrix, (12, 12), cv2.BORDER_REPLICATE, inverse=True)
+    np.testing.assert_array_equal(out[0], there)
+
+
 def squeezed(picture, to_frame, to=0.15):
     """Both eyes with what is between their lids that much lower: skin is pulled down."""
     height, width = picture.shape[:2]

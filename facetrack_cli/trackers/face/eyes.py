@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.types import Array, Extent, Frame, Image, Planes
+from facetrack_cli.core.types import Array, Frame, Image, Planes
 from facetrack_cli.trackers.face import image_kernels
 from facetrack_cli.trackers.face.cascaded_regression import AROUND, CORNER, GRID, PlacedPoints
 from facetrack_cli.trackers.face.image_kernels import DIRECTIONS
-from facetrack_cli.trackers.face.stabilized import EYES, Similarity, slope
+from facetrack_cli.trackers.face.stabilized import EYES, Similarity, in_one_piece, slope
 
 KIND = Kind("facetrack-eyes", 1, "eye descent", "python tools/eye_descent.py")
 DEFAULT = "eye_descent.npz"
@@ -125,7 +125,7 @@ def _patches(frame: Frame, both: list[Similarity]) -> Image:
     extent = min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
     if frame.yuv is None or frame.yuv.ours is None:
         return _read((*frame.grey(factor, extent), factor), both, SIDE, MIDDLE)
-    y, *tints = (_in_one_piece(*plane, extent) for plane in frame.planes(factor, extent) or [])
+    y, *tints = (in_one_piece(*plane, extent) for plane in frame.planes(factor, extent) or [])
     lit = _read(y, both, SIDE, MIDDLE)
     u, v = (_read(tint, both, SIDE // 2, MIDDLE / 2 - 0.25, 2).reshape(SIDE, -1) for tint in tints)
     return Planes(lit.reshape(-1, SIDE), u, v, frame.yuv.ours).grey.reshape(lit.shape)
@@ -137,16 +137,6 @@ def _read(part: tuple[Image, int, int, int], both: list[Similarity], side: int, 
     maps = np.array([view.map_of(left, top, factor, half, step) for view in both])
     image_kernels.warp(image, maps, out := np.empty((2, side, side), np.uint8))
     return out
-
-
-def _in_one_piece(image: Image, left: int, top: int, factor: int, extent: Extent) -> tuple[Image, int, int, int]:
-    """An image of the frame as `map_of` has it, as one piece of memory: all of it, or what lies in the extent."""
-    if image.flags.c_contiguous:
-        return image, left, top, factor
-    x0, y0, x1, y1 = (int(at - begin) // factor for at, begin in zip(extent, (left, top, left, top), strict=True))
-    x0, y0 = min(max(x0, 0), image.shape[1] - 1), min(max(y0, 0), image.shape[0] - 1)
-    part = image[y0 : max(y1, y0) + 2, x0 : max(x1, x0) + 2]
-    return np.ascontiguousarray(part), left + x0 * factor, top + y0 * factor, factor
 
 
 @lru_cache(maxsize=8)

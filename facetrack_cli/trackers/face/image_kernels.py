@@ -10,12 +10,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.engine.kernels.compiled import exact, fast, fast_part
+from facetrack_cli.engine.kernels.compiled import between, exact, fast, fast_part
 
 Single: TypeAlias = NDArray[np.float32]
 Image: TypeAlias = NDArray[np.uint8]
 _ZERO, _ONE, _TWO, _THREE, _FOUR, _FIVE = (np.float32(k) for k in range(6))
-_ALL = np.float32(1 / 625)
+_ALL, _HALF, _FINE = np.float32(1 / 625), np.float32(0.5), np.float32(1 / 32)
+_BITS, _BYTE = np.uint32(8), np.uint32(255)
 _FLAT, _EVEN, _TINY = np.float32(0.02), np.float32(0.05), np.float32(1e-6)
 _REACH = 4  # pixels that smoothing reads on either side
 _NEAR, _AROUND = 13, 23  # pixels on either side of a mean
@@ -112,36 +113,34 @@ def warp(image, maps, out):
     """
     (height, width), side, flat = image.shape, out.shape[1], image.reshape(image.size)
     across, down, at = np.empty(side, np.int32), np.empty(side, np.int32), np.empty(side, np.int32)
-    fx, fy = np.empty(side, np.int32), np.empty(side, np.int32)
+    fx, fy, four = np.empty(side, np.float32), np.empty(side, np.float32), np.empty(side, np.uint32)
+    if min(width, height) < 2:  # neighbours that are read, and count for nothing
+        flat = np.append(flat, np.zeros(width + 1, np.uint8))
+    # the last places in 1/32 pixel, and the last pixels that have a neighbour
+    none, right, bottom, wide = np.int32(0), np.int32(32 * (width - 1)), np.int32(32 * (height - 1)), np.int32(width)
+    before, above, one, below = np.int32(max(width - 2, 0)), np.int32(max(height - 2, 0)), np.uint64(1), np.uint64(wide)
     for m in range(len(maps)):
         a, b, u, v = maps[m]
         for x in range(side):
             across[x], down[x] = np.int32(np.rint(a * x * 1024.0)), np.int32(np.rint(b * x * 1024.0))
         for y in range(side):
             left, top = np.int32(np.rint((-b * y + u) * 1024.0) + 16), np.int32(np.rint((a * y + v) * 1024.0) + 16)
-            inside = True
-            for x in (0, side - 1):
-                i, j = (top + down[x]) >> 10, (left + across[x]) >> 10
-                inside &= 0 <= i < height - 1 and 0 <= j < width - 1
-            if inside:
-                # loads from anywhere do not vectorise, all else does
-                for x in range(side):
-                    i, j = np.int32((top + down[x]) >> 5), np.int32((left + across[x]) >> 5)
-                    fx[x], fy[x], at[x] = j & 31, i & 31, (i >> 5) * np.int32(width) + (j >> 5)
-                for x in range(side):
-                    k = np.uint64(at[x])
-                    p, q = np.int32(flat[k]), np.int32(flat[k + np.uint64(1)])
-                    r, s = np.int32(flat[k + np.uint64(width)]), np.int32(flat[k + np.uint64(width + 1)])
-                    upper, lower = (p << 5) + fx[x] * (q - p), (r << 5) + fx[x] * (s - r)
-                    out[m, y, x] = ((upper << 5) + fy[x] * (lower - upper) + 512) >> 10
-                continue
+            for x in range(side):  # what is not cast is int64, which takes half as long again
+                j = min(max(np.int32(np.int32(left + across[x]) >> 5), none), right)
+                i = min(max(np.int32(np.int32(top + down[x]) >> 5), none), bottom)
+                p, q = min(np.int32(j >> 5), before), min(np.int32(i >> 5), above)
+                fx[x] = np.float32(np.int32(j - np.int32(p << 5))) * _FINE
+                fy[x] = np.float32(np.int32(i - np.int32(q << 5))) * _FINE
+                at[x] = np.int32(np.int32(q * wide) + p)
+            # a loop of its own: loads from anywhere do not vectorise, all else does
             for x in range(side):
-                i, j = (top + down[x]) >> 5, (left + across[x]) >> 5
-                above, below = min(max(i >> 5, 0), height - 1), min(max((i >> 5) + 1, 0), height - 1)
-                one, two = min(max(j >> 5, 0), width - 1), min(max((j >> 5) + 1, 0), width - 1)
-                p, r = (32 - (j & 31)) * image[above, one], (32 - (j & 31)) * image[below, one]
-                p, r = p + (j & 31) * image[above, two], r + (j & 31) * image[below, two]
-                out[m, y, x] = ((p << 5) + (i & 31) * (r - p) + 512) >> 10
+                k = np.uint64(at[x])
+                upper = np.uint32(flat[k]) | np.uint32(flat[k + one]) << _BITS
+                lower = np.uint32(flat[k + below]) | np.uint32(flat[k + below + one]) << _BITS
+                four[x] = upper | lower << (_BITS + _BITS)
+            row = out[m, y]
+            for x in range(side):
+                row[x] = np.int32(between(four[x], _BITS, _BYTE, fx[x], fy[x]) + _HALF)
 
 
 @fast_part

@@ -85,8 +85,9 @@ class Similarity(NamedTuple):
         if frame.yuv is None or (planes := frame.planes(factor, extent)) is None:
             return None
         even, middle = side + side % 2, (side - 1) / 2
-        u, v = (self._warped(*tint, even // 2, middle / 2 - 0.25, 2) for tint in planes[1:])
-        return Planes(self._warped(*planes[0], even, middle), u, v, frame.yuv.ours)
+        y, *tints = (in_one_piece(*plane, extent) for plane in planes)
+        u, v = (self._warped(*tint, even // 2, middle / 2 - 0.25, 2) for tint in tints)
+        return Planes(self._warped(*y, even, middle), u, v, frame.yuv.ours)
 
     def extent(self, side: int) -> tuple[int, Extent]:
         """By which factor the frame is reduced that is read, and where."""
@@ -100,7 +101,7 @@ class Similarity(NamedTuple):
     def _warped(self, image: Image, left: int, top: int, factor: int, side: int, half: float, step: int = 1) -> Image:
         """What `map_of` maps, (side, side)."""
         a, b, u, v = self.map_of(left, top, factor, half, step)
-        if image.ndim == 2 and image.flags.c_contiguous:  # OpenCV takes longer
+        if image.ndim == 2:  # OpenCV takes longer
             out = np.empty((side, side), np.uint8)
             warp(image, np.array([[a, b, u, v]]), out[None])
             return out
@@ -121,6 +122,16 @@ class Similarity(NamedTuple):
 def mapped(x: Array, turned: complex, shift: complex) -> Array:
     """Places x (..., 2) as complex numbers, times `turned` plus `shift`: NumPy is slow on axes of two."""
     return (np.ascontiguousarray(x, np.float64).view(np.complex128) * turned + shift).view(np.float64)
+
+
+def in_one_piece(image: Image, left: int, top: int, factor: int, extent: Extent) -> tuple[Image, int, int, int]:
+    """An image of the frame as `map_of` has it, as one piece of memory: all of it, or what lies in the extent."""
+    if image.flags.c_contiguous:
+        return image, left, top, factor
+    x0, y0, x1, y1 = (int(at - begin) // factor for at, begin in zip(extent, (left, top, left, top), strict=True))
+    x0, y0 = min(max(x0, 0), image.shape[1] - 1), min(max(y0, 0), image.shape[0] - 1)
+    part = image[y0 : max(y1, y0) + 2, x0 : max(x1, x0) + 2]
+    return np.ascontiguousarray(part), left + x0 * factor, top + y0 * factor, factor
 
 
 def change_between(x: Array, rest: Array) -> tuple[float, float]:
