@@ -28,6 +28,7 @@ from facetrack_cli.trackers.face.evidence import (
     kept,
     likeness,
     look_of,
+    nearest,
     own_views,
     prior,
     probabilities,
@@ -36,7 +37,7 @@ from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.face.state import FaceState
 from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trackers.people import descriptor
-from facetrack_cli.trackers.people.descriptor import Picture
+from facetrack_cli.trackers.people.descriptor import SENSES, FaceDescriptor, Picture
 from facetrack_cli.trajectory.trajectory import UNSEEN
 from tests.support.samples import FOLDER
 
@@ -179,6 +180,16 @@ def test_looks_are_bounded(monkeypatch):
     assert len(by_looks(known, [])) == 0
 
 
+def test_a_skin_between_those_of_two_lights_is_of_somebody_else():
+    def of(light, hair=150.0, worn=(0,)):
+        each = np.eye(576)[:1], np.array([[light, 137.0, 144]]), np.array([[hair, 129, 135]]), np.eye(36)[[*worn]]
+        return FaceDescriptor(*each, np.zeros((1, 0)), np.ones((1, 1)))
+
+    bright, dark, other = of(176), of(142), of(159, hair=60, worn=(1,))
+    both, first, last = (nearest(views, [other], SENSES)[0] for views in ([bright, dark], [bright], [dark]))
+    assert both == max(first, last) < nearest([bright, dark], [bright, dark], SENSES).min() - 4
+
+
 def test_views_of_who_walked_by_unnoticed_do_not_count(monkeypatch):
     own, other, small, dark, dusk = (Picture(PICTURE.chip, PICTURE.wide, side) for side in (200, 201, 40, 202, 203))
     alike = {(200, 200), (202, 202), (200, 203), (203, 202)}
@@ -255,3 +266,16 @@ def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch, ini
         back = box.row(108)
         assert abs(box.x[back] - 184) < 8 and box.status[back] == "tracked"
     assert by_walk[True] < 0.5 < 0.7 < by_walk[False]
+
+
+@pytest.mark.skipif(yunet_model() is None, reason="needs the extra detect")
+def test_somebody_else_after_a_cut_whose_points_are_not_seen_is_no_blurred_head(monkeypatch):
+    seen, cut = FaceTarget._view, 45
+
+    def view(self, state, head, frame, *, due):
+        view = seen(self, state, head, frame, due=due)
+        return view._replace(log_odds=0.0) if frame.index >= cut else view
+
+    monkeypatch.setattr(FaceTarget, "_view", view)
+    box = track_video(FOLDER / "film.mp4", "face", init="yunet", start=25, stop=47).find("face", "box")
+    assert not np.isin(box.status[box.row(cut - 1)], UNSEEN) and np.isin(box.status[box.row(cut)], UNSEEN)
