@@ -133,9 +133,17 @@ Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 class Option(click.Option):
     """An option whose variable is named after its flag, as FACETRACK_RUN_SET, whatever its parameter is called."""
 
+    def _variable(self, ctx: click.Context) -> str:
+        return f"{ctx.auto_envvar_prefix}_{max(self.opts, key=len).lstrip('-').replace('-', '_').upper()}"
+
     def resolve_envvar_value(self, ctx: click.Context) -> str | None:
-        name = max(self.opts, key=len).lstrip("-").replace("-", "_").upper()
-        return os.environ.get(f"{ctx.auto_envvar_prefix}_{name}") or None
+        return os.environ.get(self._variable(ctx)) or None
+
+    def get_error_hint(self, ctx: click.Context | None) -> str:
+        """What an error names: the variable, if the value is its."""
+        if ctx and ctx.get_parameter_source(str(self.name)) is click.core.ParameterSource.ENVIRONMENT:
+            return self._variable(ctx)
+        return super().get_error_hint(ctx)
 
 
 say = write_line  # on standard error

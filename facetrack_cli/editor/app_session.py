@@ -31,13 +31,14 @@ from facetrack_cli.core.errors import (
     flat,
     reading,
 )
-from facetrack_cli.core.files import absolute, make_folder, read_bounded, write_new, writing
+from facetrack_cli.core.files import TABLES, absolute, make_folder, read_bounded, write_new, writing
 from facetrack_cli.core.types import Array, checked_name
 from facetrack_cli.editor.fix_session import CastSession, FixSession
 from facetrack_cli.editor.pick_session import NOTHING, PickSession, Proposer
 from facetrack_cli.editor.save import open_track
 from facetrack_cli.editor.session import Answer, Json, Page, jpeg
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import VIDEO, read_run
 from facetrack_cli.run_folder.status import ClipStatus, clip_status
@@ -130,6 +131,7 @@ class AppSession(Page):
         self.running: Clip | None = None
         self._progress: dict[str, Any] = {}  # of what runs, as its lines say
         self._child: subprocess.Popen[str] | None = None
+        self._last_look: tuple[object, Json] = None, {}  # of `get_look`, and what it was made of
         self._looks = ThreadPoolExecutor(1, "looks")  # at clips, as they come
         self._look_at([clip for clip in listed.clips if not clip.frames])
         self._work = threading.Condition(self.lock)
@@ -428,7 +430,11 @@ class AppSession(Page):
         return Answer(self.run_of(self.find(clip)) / VIDEO, kind="video/mp4")
 
     def get_look(self, clip: int) -> Json:
-        return looked(read_run(self.run_of(self.find(clip))))
+        folder = self.run_of(self.find(clip))
+        key = folder, *(stamp(folder / name) for name in (manifest.NAME, *TABLES))
+        if self._last_look[0] != key:
+            self._last_look = key, looked(read_run(folder))
+        return self._last_look[1]
 
     # correcting
 

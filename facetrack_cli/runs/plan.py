@@ -287,6 +287,7 @@ class Job(ClipRequest):
     retry_failed: bool = False
     split: Split | None = None
     gallery: Path | None = None  # people that a film may show
+    found: Start | None = None  # where the search has found the start of what is split
 
 
 @dataclass(frozen=True)
@@ -342,7 +343,7 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
     searched = job.box is None and (job.init is None or job.init in DETECTORS)
     everyone = job.faces == "all" and searched and follows_everyone(job.recipe)
     _check_options(job, everyone, kept)
-    how = {"clip", "recipe", "out", "overwrite", "threads", "resume", "batch", "retry_failed"}
+    how = {"clip", "recipe", "out", "overwrite", "threads", "resume", "batch", "retry_failed", "found"}
     values: dict[str, object] = {each.name: getattr(job, each.name) for each in fields(job) if each.name not in how}
     if isinstance(job.init, Path):
         values["init"] = manifest.clip_digest(job.init)

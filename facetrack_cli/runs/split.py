@@ -59,7 +59,8 @@ def run_chunks(
         return
     progress.begin(f"{job.clip.name}: looking where it can be cut")
     try:
-        chunks = _chunks_of(whole, *_cut(whole, stop, progress.looked))
+        start, cuts = _cut(whole, stop, progress.looked)
+        chunks = _chunks_of(whole, start, cuts)
     except StoppedError:
         yield "", Outcome(source=job.clip, stopped=stop.reason)
         return
@@ -73,7 +74,7 @@ def run_chunks(
             others = f"{len(waiting)} of {len(chunks)} chunks are not done"
             progress.say(f"{job.clip}: {others}; who ends the last one joins them")
             return
-    yield from (("", outcome) for outcome in run_batch([job], 1, stop, progress))
+    yield from (("", outcome) for outcome in run_batch([replace(job, found=start)], 1, stop, progress))
 
 
 def _chunks_of(whole: Plan, start: Start, cuts: Cuts) -> list[Job]:
@@ -107,7 +108,7 @@ def _cut(whole: Plan, stop: Stop, looked: Report) -> tuple[Start, Cuts]:
         start = Start(job.first, {}, ORIGIN)
     else:
         try:
-            start = job.find(job.recipe, stopped=stop, looked=looked)
+            start = job.found or job.find(job.recipe, stopped=stop, looked=looked)
         except InputError:  # no face was found until then
             if stop():
                 raise StoppedError from None
@@ -314,10 +315,7 @@ def join_chunks(into: Recorder, stop: Stop, report: Report) -> Outcome:
     """
     plan, job = into.plan, into.plan.job
     assert job.out is not None and job.split is not None
-    try:
-        start, cuts = _cut(plan, stop, silent)
-    except StoppedError:
-        return Outcome(source=job.clip, stopped=stop.reason)
+    start, cuts = _cut(plan, stop, silent)
     survey, error = _survey(plan, start.frame, cuts), None
     if survey.failed:
         more = f" (and {len(survey.failed) - 1} more chunks failed)" if len(survey.failed) > 1 else ""

@@ -120,6 +120,8 @@ def _read_csv(path: Path) -> Trajectory:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file)
             header = [name.strip() for name in next(lines, [])]
+            if "hidden" in header:
+                raise InputError(f"{path}:1: column hidden is not read; write hidden in its column status")
             if wrong := ", ".join(name for name in COLUMNS if not (name in REQUIRED) <= header.count(name) <= 1):
                 why = f"the header has no column, or two, called {wrong}"
                 raise InputError(f"{path}:1: {why}; it should read {','.join(COLUMNS)}")

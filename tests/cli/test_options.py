@@ -100,4 +100,4 @@ def test_the_order_is_command_line_environment_ours(given, words, variables, opt
 )
 def test_a_wrong_variable_is_one_line(given, name, value, said):
     line = refusal(given("run", "a.mp4", **{name: value}), 2)
-    assert line.startswith("facetrack: error: Invalid value for ") and said in line
+    assert line.startswith(f"facetrack: error: Invalid value for FACETRACK_{name}: {said}")

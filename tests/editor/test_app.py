@@ -138,7 +138,7 @@ def test_a_project_is_open_once_and_not_of_another_program(app, tmp_path, capsys
 # --- runs ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_clip_is_run_looked_at_and_exported(app, clips):
+def test_a_clip_is_run_looked_at_and_exported(app, clips, monkeypatch):
     one = app()
     [clip] = one.add(clips / "smile.mp4")
     assert one.post("want", clips=[clip["id"]], wanted=True).status == 200
@@ -156,7 +156,12 @@ def test_a_clip_is_run_looked_at_and_exported(app, clips):
     assert one.get("api/video?clip=1", Range=f"bytes={len(whole)}-").status == 416
     assert one.get("api/video?clip=1", Range="lines=1-2").status == 200
 
+    read, read_run = [], app_module.read_run
+    monkeypatch.setattr(app_module, "read_run", lambda folder: read.append(folder) or read_run(folder))
     look = one.get("api/look?clip=1").json
+    assert one.get("api/look?clip=1").json == look and read == [folder], "once"
+    os.utime(folder / "trajectory.json")
+    assert one.get("api/look?clip=1").json == look and len(read) == 2, "and again when it changes"
     [face] = look["targets"]
     assert face["name"] == "face" and "mouth_opening" in [curve["name"] for curve in face["curves"]]
     assert len(face["curves"][0]["values"]) == 30 and 0 <= face["curves"][0]["values"][3] <= 1

@@ -258,6 +258,11 @@ def test_many_parts_are_drawn_as_bands():
     values = np.stack([s.confidence for s in table.parts])
     assert np.allclose(drawn(found["confidence"])[0][:, 1], np.median(values, axis=0))
     assert said(figure)[1] == ["face: 20 parts, their median, middle 80 % and range"]
+    assert "status" not in found, "no part is lost"
+    gone = (table.which == 3) | ((table.which == 7) & (table.frame < 9)) | (table.which == 5) & (table.frame < 20)
+    figure = page.page_figure(replace(table, status=np.where(gone, "lost", table.status)))
+    named = [label.get_text() for label in panels(figure)["status"].get_yticklabels()]
+    assert named == [lines_of(table, [])[k].name for k in (3, 5, 7)], "the parts that are seen least"
     crowd = page.page_figure(track(9, 1, [f"person{n}" for n in range(20)]))
     assert said(crowd)[1][:2] == ["person0", "person1"]
 

@@ -15,7 +15,7 @@ from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.report.make import make_report
 from facetrack_cli.report.story import history_of, key_frames, reasons
-from facetrack_cli.runs import batch, split
+from facetrack_cli.runs import batch, plan, split
 from facetrack_cli.runs.plan import Job, Split
 from facetrack_cli.runs.split import OVERLAP_S, Seam, agreeing, cut_by_length, renamed, stitch
 from facetrack_cli.start.init_file import write_init
@@ -65,11 +65,13 @@ def header_of(folder):
     return json.loads((folder / "trajectory.json").read_text())
 
 
-def test_chunks_are_tracked_and_joined(facetrack, clips):
+def test_chunks_are_tracked_and_joined(facetrack, clips, monkeypatch):
+    searched, search = [], plan.search_start
+    monkeypatch.setattr(plan, "search_start", lambda *args, **how: searched.append(1) or search(*args, **how))
     command, out, whole = ("run", "IN/slow.mp4", "--stop", "200", "--no-video", "-o"), Path("out"), Path("whole")
     assert facetrack(*command, "whole", *SPLIT[:4])[0] == 0
     code, _, err = facetrack(*command, "out", *SPLIT)
-    assert code == 0, err
+    assert code == 0 and len(searched) == 4, "for the whole clip, and once for each chunk"
     header = header_of(out)
     assert [chunk["first"] for chunk in header["chunks"]] == [0, 60, 120]
     assert [seam["agrees"] for seam in header["seams"]] == [True] * 2
@@ -170,13 +172,8 @@ def test_what_cannot_be_split_is_refused_in_a_line(facetrack, clips, options, sa
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize("search", [1, 2])  # before the clip is cut, and before its chunks are joined
-def test_a_search_that_is_stopped_has_not_failed(facetrack, clips, monkeypatch, search):
-    find, searches = Job.find, itertools.count(1)
-
+def test_a_search_that_is_stopped_has_not_failed(facetrack, clips, monkeypatch):
     def stopped(job, *others, **more):
-        if job.chunk or next(searches) < search:
-            return find(job, *others, **more)
         os.kill(os.getpid(), signal.SIGTERM)
         raise InputError("no face found")
 

@@ -29,6 +29,7 @@ from facetrack_cli.trackers.face.evidence import (
     kept,
     likeness,
     look_of,
+    nearest,
     own_views,
     prior,
     probabilities,
@@ -38,7 +39,7 @@ from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.face.state import FaceState
 from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trackers.people import descriptor
-from facetrack_cli.trackers.people.descriptor import Picture
+from facetrack_cli.trackers.people.descriptor import SENSES, FaceDescriptor, Picture
 from facetrack_cli.trajectory.trajectory import UNSEEN
 from tests.support.samples import FOLDER
 
@@ -198,14 +199,13 @@ def test_the_embedding_looks_only_where_it_may_decide(monkeypatch, rest, others,
     views, by_view = [View(OWN[0].look, one) for one in (other, picture)], dict(zip((1, 2), said, strict=False))
     each, taken = {one.plain.face.tobytes(): which for one, which in ((picture, 1), (other, 2))}, []
 
-    def same(looks, senses=()):
-        if not senses:
-            return np.array([[0.0, rest]])
+    def same(looks, senses):
         taken.append(each[looks[0].face.tobytes()])
         return np.array([[0.0, by_view[taken[-1]]]])
 
     monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model") if model else None)
     monkeypatch.setattr(descriptor, "embedded", lambda chip: np.zeros(128))
+    monkeypatch.setattr(evidence, "nearest", lambda views, faces, senses: np.array([rest]))
     monkeypatch.setattr(evidence, "same_person", same)
     assert is_likely(views, face, others) is (rest + max(said, default=0.0) + others > 0)
     assert taken == [1, 2][:asked], "that is most alike first"
@@ -216,7 +216,7 @@ def test_the_embedding_looks_at_a_sighting_where_that_may_now_be_the_target(monk
     said = {"rest": -3.0, "all": -2.5}
     monkeypatch.setattr(evidence, "embedding_model", lambda: Path("a model"))
     monkeypatch.setattr(evidence, "by_looks", lambda views, faces: np.array([said["all"]]))
-    monkeypatch.setattr(evidence, "same_person", lambda looks: np.array([[0.0, said["rest"]]]))
+    monkeypatch.setattr(evidence, "nearest", lambda views, faces, senses: np.array([said["rest"]]))
 
     def after(before, time_s):
         [sighting] = sighted([face], [picture], [View(OWN[0].look, picture)], before, shown(time_s=time_s))
@@ -231,6 +231,16 @@ def test_the_embedding_looks_at_a_sighting_where_that_may_now_be_the_target(monk
     monkeypatch.setattr(evidence, "embedding_model", lambda: None)
     said["rest"] = said["all"] = -3.0
     assert after(None, 1.0)[-3:] == (-3.0, -3.0, 1), "there is none"
+
+
+def test_a_skin_between_those_of_two_lights_is_of_somebody_else():
+    def of(light, hair=150.0, worn=(0,)):
+        each = np.eye(576)[:1], np.array([[light, 137.0, 144]]), np.array([[hair, 129, 135]]), np.eye(36)[[*worn]]
+        return FaceDescriptor(*each, np.zeros((1, 0)), np.ones((1, 1)))
+
+    bright, dark, other = of(176), of(142), of(159, hair=60, worn=(1,))
+    both, first, last = (nearest(views, [other], SENSES)[0] for views in ([bright, dark], [bright], [dark]))
+    assert both == max(first, last) < nearest([bright, dark], [bright, dark], SENSES).min() - 4
 
 
 def test_views_of_who_walked_by_unnoticed_do_not_count(monkeypatch):
@@ -309,3 +319,16 @@ def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch, ini
         back = box.row(108)
         assert abs(box.x[back] - 184) < 8 and box.status[back] == "tracked"
     assert by_walk[True] < 0.5 < 0.7 < by_walk[False]
+
+
+@pytest.mark.skipif(yunet_model() is None, reason="needs the extra detect")
+def test_somebody_else_after_a_cut_whose_points_are_not_seen_is_no_blurred_head(monkeypatch):
+    seen, cut = FaceTarget._view, 45
+
+    def view(self, state, head, frame, *, due):
+        view = seen(self, state, head, frame, due=due)
+        return view._replace(log_odds=0.0) if frame.index >= cut else view
+
+    monkeypatch.setattr(FaceTarget, "_view", view)
+    box = track_video(FOLDER / "film.mp4", "face", init="yunet", start=25, stop=47).find("face", "box")
+    assert not np.isin(box.status[box.row(cut - 1)], UNSEEN) and np.isin(box.status[box.row(cut)], UNSEEN)

@@ -86,6 +86,12 @@ def test_tracks_of_one_person_are_told_from_those_of_others(embedded):
     assert few[0, 1] > 0 > few[0, 2]
 
 
+def test_senses_that_are_not_asked_do_not_look():
+    both, alone = (descriptor.distances([looks(1), looks(2)], senses) for senses in (SENSES, ("embedding",)))
+    assert [*both] == [*SENSES] and [*alone] == ["embedding"]
+    assert np.array_equal(both["embedding"], alone["embedding"])
+
+
 def test_a_face_that_cannot_be_told_again_is_nobody_unless_it_goes_on_in_its_place():
     clear, blurred = track("a", 1, 0, 40), track("b", 2, 60, 90, at=(300.0, 0.0), worth=0.02)
     cast = cast_of([clear, blurred, track("c", 3, 100, 140, at=(600.0, 0.0))])

@@ -60,6 +60,7 @@ HEAD = "frame,target,part,x,y"
     ("text", "message"),
     [
         ("\n", r":1: the header has no column, or two, called frame, target, part, x, y; it should read frame,"),
+        (f"{HEAD},hidden\n", ":1: column hidden is not read; write hidden in its column status"),
         (f"{HEAD},w,w\n", ":1: the header has no column, or two, called w; it"),
         (f"{HEAD}\n0,f,p,1\n", r":2: 4 values under 5 columns; .*cut short"),
         (f"{HEAD}\n0,f,p,1_0,2\n", r":2: column x: '1_0' is no finite number; "),

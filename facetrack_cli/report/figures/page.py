@@ -27,6 +27,7 @@ USUAL = (
 )  # fmt: skip
 """The measures of a face on the page."""
 MAX_LINES: Final = 12  # parts with a line of their own in every panel
+MAX_UNSEEN: Final = 6  # of many parts those whose status is shown
 MAX_NAMES: Final = 5  # people with a colour and a name, of more the most likely
 MAX_IDENTITY_PANELS: Final = 6  # panels of identities, one for each target
 SHARE: Final[dict[str, Any]] = {"ylim": (-0.03, 1.06), "yticks": [0, 0.5, 1]}  # the axis of what is from 0 to 1
@@ -235,9 +236,12 @@ class _Page:
             yield Panel("angle (°)", "", 0.85, partial(self._places, of=_angle))
         if is_known(table.confidence):
             yield Panel("confidence", "", 0.95, self._confidence)
-        if (table.status != "").any():
-            note = "below each row: ground truth" if self.paired and not self.many else ""
-            yield Panel("status", note, max(0.2, min(0.165 * len(self.lines), 1.5)), self._status)
+        lines, note = self.lines, "below each row: ground truth" if self.paired else ""
+        if self.many:
+            lines = sorted(filter(self._unseen, lines), key=self._unseen, reverse=True)[:MAX_UNSEEN]
+            note = f"of {len(self.lines)} parts those that are seen least{'; ' * bool(note)}{note}"
+        if lines and (table.status != "").any():
+            yield Panel("status", note, max(0.2, 0.165 * len(lines)), partial(self._status, lines=lines))
         if is_known(table.ess):
             yield Panel("effective sample size", "log scale", 0.95, partial(self._strokes, of=_ess, log=True))
         if particles.size and (np.ptp(particles) or not is_known(table.ess)):
@@ -307,27 +311,31 @@ class _Page:
         for mask, alpha in levels[-1:] if len(parts) == 1 else levels:
             style.shade(axes, frame, mask, status, alpha, self.least)
 
-    def _status(self, axes: Axes) -> None:
-        """A bar a part, a diamond where it was given; below it the status in the ground truth. Many are bars alone."""
-        truth = bool(self.paired) and not self.many
-        tall = 1.0 if self.many else 0.44 if truth else 0.76
-        for row, line in enumerate(self.lines):
+    def _unseen(self, line: Line) -> float:
+        """The share of frames in which a part is not seen."""
+        return float(np.isin(line.ours.status, self.gone).mean())
+
+    def _status(self, axes: Axes, lines: Sequence[Line]) -> None:
+        """A bar a part, a diamond where it was given; below it the status in the ground truth."""
+        truth = bool(self.paired)
+        tall = 0.44 if truth else 0.76
+        for row, line in enumerate(lines):
             top = row - 0.4 if truth else row - tall / 2
             bars = [(line.ours, status, (top, tall)) for status in style.STATUS]
-            if line.pair is not None and truth:
+            if line.pair is not None:
                 bars += [(line.pair.truth, status, (row + 0.1, 0.3)) for status in NOT_SEEN]
             for part, status, place in bars:
                 mask = np.isin(part.status, (status, "init") if status == "tracked" else status)
                 if across := [(a, b - a) for a, b in style.frame_spans(part.frame, mask, self.least)]:
                     axes.broken_barh(across, place, facecolors=style.STATUS[status], linewidth=0, antialiased=False)
             starts = line.ours.frame[line.ours.status == "init"]
-            if starts.size and not self.many:
+            if starts.size:
                 middle = np.full(len(starts), top + tall / 2)
                 axes.plot(starts, middle, "D", color=style.INK, markersize=3, clip_on=False)
-        axes.set_ylim(len(self.lines) - 0.45, -0.55)
+        axes.set_ylim(len(lines) - 0.45, -0.55)
         axes.grid(False, axis="y")
         axes.spines["left"].set_visible(False)
-        names = [] if self.many else [style.clean(line.name, 16) for line in self.lines]
+        names = [style.clean(line.name, 24) for line in lines]
         axes.set_yticks(np.arange(len(names)) + (tall / 2 - 0.4 if truth else 0), names, fontsize=7.5)
 
     def measure(self, name: str, unit: str, height: float, events: Sequence[str] = ()) -> Panel:

@@ -41,7 +41,14 @@ from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
-from facetrack_cli.trackers.people.descriptor import SENSES, Picture, embedding_model, same_person, together
+from facetrack_cli.trackers.people.descriptor import (
+    SENSES,
+    FaceDescriptor,
+    Picture,
+    embedding_model,
+    same_person,
+    together,
+)
 
 SHOT, CUT = 5.0, 2.3  # log odds that the one face of a frame is the target, in one shot and after a cut
 BOUND: Final = 4.0  # of the log odds by looks
@@ -132,8 +139,19 @@ def by_looks(views: Sequence[View], faces: Sequence[Picture], senses: Collection
     """Bounded log odds (K,) that the person in the pictures of K faces is that of the `views`; 0 without views."""
     if not faces or not views:
         return np.zeros(len(faces))
-    looks = [together(view.picture.looks for view in views), *(face.looks for face in faces)]
-    return np.clip(same_person(looks, senses)[0, 1:], -BOUND, BOUND)
+    odds = nearest([view.picture.looks for view in views], [face.looks for face in faces], senses)
+    return np.clip(odds, -BOUND, BOUND)
+
+
+def nearest(views: Sequence[FaceDescriptor], faces: Sequence[FaceDescriptor], senses: Collection[str]) -> Array:
+    """Log odds (K,) that K faces are the person of some views: each sense goes by the view that is nearest.
+
+    The median colour of views in two lights, as it is taken of a track, may be that of somebody else.
+    """
+    odds, v = same_person([together(views), *faces], {*senses} - {"colour"})[0, 1:], len(views)
+    if "colour" in senses:
+        odds = odds + same_person([*views, *faces], ("colour",))[:v, v:].max(axis=0)
+    return np.asarray(odds)
 
 
 def bounds(views: Sequence[View], faces: Sequence[Picture]) -> Array:
@@ -143,7 +161,7 @@ def bounds(views: Sequence[View], faces: Sequence[Picture]) -> Array:
     """
     if not faces or not views:
         return np.zeros((3, len(faces)))
-    rest = same_person([together(view.picture.plain for view in views), *(face.plain for face in faces)])[0, 1:]
+    rest = nearest([view.picture.plain for view in views], [face.plain for face in faces], SENSES)
     _, against, most = SENSES["embedding"] if embedding_model() is not None else ((), 0.0, 0.0)
     return np.clip([rest - against, rest, rest + most], -BOUND, BOUND)
 

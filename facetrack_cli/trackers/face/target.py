@@ -141,10 +141,9 @@ class FaceTarget(FaceParts):
         just_cut = cut_time is not None and frame.time_s - cut_time <= STAYS
         if just_cut and not stranger:
             after, result = self._step(rng, state, frame, footprints)
-            if after.cut_time is None or self._stays(after, frame):
-                return after._replace(cut_time=None), result
-            if head_confidence(after.head) >= SETTLED and after.log_odds <= 0:  # a head that is blurred or covered
-                return after, result
+            stays = after.cut_time is None or self._stays(after, frame)
+            if stays is not False:
+                return after._replace(cut_time=None if stays else after.cut_time), result
         once = stranger and state.sighting is not None and state.sighting.latest > KNOWN  # and asked for a second look
         if just_cut or event or once or self._is_due(state):
             state = self._searched(state, frame)
@@ -202,13 +201,20 @@ class FaceTarget(FaceParts):
         detections = self.settings.detections
         return detections is not None and state.frames % detections.every == 0
 
-    def _stays(self, state: FaceState, frame: Frame) -> bool:
-        """Whether what is followed after a possible cut looks like the face of before."""
-        if head_confidence(state.head) < self.settings.lost_below or state.log_odds <= 0:
+    def _stays(self, state: FaceState, frame: Frame) -> bool | None:
+        """Whether what is followed after a possible cut looks like the face of before; None: its head is hidden.
+
+        A head that is blurred or covered is seen without its points. Where sensors contradict each other, with log
+        odds of 0, there is a face.
+        """
+        if head_confidence(state.head) < (self.settings.lost_below if state.log_odds > 0 else SETTLED):
             return False
+        if state.log_odds < 0:
+            return None
         similarity = self.map_to_frame(state.head.estimated.state, state.pose)
-        detection = None if self.sensors.searched else self.sensors.detected(similarity.read(frame))
-        picture = _picture(frame, self._laid_out(similarity, detection))
+        detection = self.sensors.detected(similarity.read(frame))
+        # as the detector lays it out: the pose is of the face before the cut
+        picture = _picture(frame, similarity if detection is None else detection.similarity.within(similarity))
         return evidence.is_likely(evidence.own_views(state.views), picture, self._prior(state, frame))
 
     def _prior(self, state: FaceState, frame: Frame) -> float:

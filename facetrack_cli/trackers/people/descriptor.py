@@ -363,12 +363,12 @@ def worth_of(looks: FaceDescriptor) -> float:
 
 def _senses(looks: Sequence[FaceDescriptor], senses: Collection[str] = SENSES) -> Array:
     """(S, T, T) the log odds by each sense."""
-    each = [(*SENSES[name], far) for name, far in distances(looks).items() if name in senses]
+    each = [(*SENSES[name], far) for name, far in distances(looks, senses).items()]
     return np.array([np.clip(np.tensordot(by, far, 1), -against, most) for by, against, most, far in each])
 
 
-def distances(looks: Sequence[FaceDescriptor]) -> dict[str, Array]:
-    """(D, T, T) what SENSES weigh of each pair of tracks: its worth, and that times its worth and its distance.
+def distances(looks: Sequence[FaceDescriptor], senses: Collection[str] = SENSES) -> dict[str, Array]:
+    """(D, T, T) what some SENSES weigh of each pair of tracks: its worth, and that times its worth and its distance.
 
     A face that is blurred, small, covered or turned away says less, whatever it looks like; its colours say as much.
     Colours that are far apart say little: the light may be another one, and so may the clothes.
@@ -377,9 +377,11 @@ def distances(looks: Sequence[FaceDescriptor]) -> dict[str, Array]:
     worth = np.array([one.worth.mean() for one in best])
     worth = np.minimum(worth[:, None], worth)
     for key in ("face", "embedding"):  # known people may have been saved without
-        if all(getattr(one, key).shape[1] for one in looks):
+        if key in senses and all(getattr(one, key).shape[1] for one in looks):
             x = np.concatenate([getattr(one, key) for one in best])
             found[key] = worth * np.array([np.ones_like(worth), worth, _nearest(x)])
+    if "colour" not in senses:
+        return found
     skin, hair, worn = (
         np.array([np.median(getattr(one, key), axis=0) for one in best]) for key in ("skin", "hair", "worn")
     )
