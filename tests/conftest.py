@@ -5,6 +5,7 @@ import gc
 import os
 import signal
 from collections import Counter
+from functools import wraps
 from pathlib import Path
 
 import cv2
@@ -133,6 +134,7 @@ def embedded_once():
     """A face is embedded once: dlib takes a hundred times as long as all else, and many runs are of the same frames."""
     embedded, known = descriptor.embedded, {}
 
+    @wraps(embedded)
     def remembered(chip):
         key = descriptor.embedding_model(), chip.tobytes()
         if key not in known:
