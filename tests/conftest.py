@@ -1,8 +1,11 @@
 """What holds for every test."""
 
+import base64
+import gc
 import os
 import signal
 from collections import Counter
+from functools import wraps
 from pathlib import Path
 
 import cv2
@@ -12,9 +15,13 @@ from hypothesis import HealthCheck, settings
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.models import VARIABLE, fetch_model, model_path
+from facetrack_cli.report import make
+from facetrack_cli.report.make import Image
 from facetrack_cli.trackers.face import detectors
+from facetrack_cli.trackers.people import descriptor
 from tests.support.samples import FOLDER
 
+PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII="
 GIVEN = "FACETRACK_TEST_MODELS"  # what the variable was, also for the processes that share the tests
 
 
@@ -116,6 +123,29 @@ def pytest_collection_modifyitems(items):
             seen[of] += 1
 
 
+def pytest_collection_finish():
+    """What the collection made lives to the end: the collector of garbage need not go through it again and again."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def embedded_once():
+    """A face is embedded once: dlib takes a hundred times as long as all else, and many runs are of the same frames."""
+    embedded, known = descriptor.embedded, {}
+
+    @wraps(embedded)
+    def remembered(chip):
+        key = descriptor.embedding_model(), chip.tobytes()
+        if key not in known:
+            known[key] = embedded(chip)
+        return known[key].copy()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(descriptor, "embedded", remembered)
+        yield
+
+
 @pytest.fixture(scope="module")
 def clips():
     """What `IN` stands for in command lines, where a module has no clips of its own."""
@@ -137,6 +167,13 @@ def facetrack(clips, tmp_path, monkeypatch, capfd):
 
     yield call
     cv2.setNumThreads(threads)
+
+
+@pytest.fixture
+def no_plot(monkeypatch):
+    """Reports have a pixel in the place of their plot. Plots have their own tests, and take most of the time."""
+    pixel = Image(base64.b64decode(PIXEL), (1, 1), "image/png")
+    monkeypatch.setattr(make, "_plot", lambda *_: pixel)
 
 
 @pytest.fixture(scope="session")

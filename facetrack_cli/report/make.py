@@ -18,6 +18,7 @@ import shlex
 import urllib.parse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -319,8 +320,14 @@ def encoded(document: str) -> bytes:
 def page_template(name: str) -> Any:
     """A page's jinja2.Template, which escapes whatever is put into it. UsageError without Jinja2."""
     with needed("reports", "jinja2"):
-        import jinja2
-        from markupsafe import Markup
+        return _templates().get_template(name)
+
+
+@cache
+def _templates() -> Any:
+    """A jinja2.Environment: it keeps the pages that it has compiled, which takes longer than to fill one."""
+    import jinja2
+    from markupsafe import Markup
 
     folder = Path(__file__).parent
     loader, strict = jinja2.FileSystemLoader(folder), jinja2.StrictUndefined
@@ -332,7 +339,7 @@ def page_template(name: str) -> Any:
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
     environment.globals |= {"bins": _BINS, "max_spans": MAX_SPANS, "sure": SURE}
-    return environment.get_template(name)
+    return environment
 
 
 def _measured(

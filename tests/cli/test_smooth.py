@@ -61,7 +61,7 @@ def run(kept, tmp_path):
     return Path(shutil.copytree(kept, tmp_path / "run"))
 
 
-def test_the_same_command_again_smooths_what_was_not_and_leaves_what_was(run, tmp_path):
+def test_the_same_command_again_smooths_what_was_not_and_leaves_what_was(run, tmp_path, no_plot):
     done(*RUN, "--smooth", "-o", tmp_path / "once", "--threads", "1")
     names = {path.name for path in (tmp_path / "once").iterdir()}
     assert names == {"annotated.mp4", "run.json", "trajectory.csv", "trajectory.json", "trajectory.filtered.csv"}

@@ -229,19 +229,28 @@ def test_a_run_that_fails_says_so_in_one_line_and_the_queue_lives_on(app, clips,
 
 
 OFTEN = """
+import time
 from facetrack_cli.runs import progress, record
-record.EVERY_FRAMES, progress.EVERY_JSON_S = 40, 0.05
+record.EVERY_FRAMES, progress.EVERY_JSON_S = 10, 0.05
+write = record.Recorder.write
+
+def wait_and_write(*given):  # so that a short clip takes long enough to be stopped
+    time.sleep(0.015)
+    write(*given)
+
+record.Recorder.write = wait_and_write
 """
+FRAMES, FEW = 140, 20
 
 
 def running(one):
     """Until it tracks, and has a checkpoint."""
-    found = lambda: [c for c in one.state()["clips"] if c["state"] == "running" and c["done"] > 60]  # noqa: E731
+    found = lambda: [c for c in one.state()["clips"] if c["state"] == "running" and c["done"] > FEW]  # noqa: E731
     return wait_for(found, "a run", 240)
 
 
 def test_after_a_kill_the_queue_goes_on_and_is_paused_and_stopped(app, clips, command, tmp_path, monkeypatch):
-    folder, long = tmp_path / "project", cut("expressions", 400, tmp_path / "long.mp4")
+    folder, long = tmp_path / "project", cut("expressions", FRAMES, tmp_path / "long.mp4")
     (tmp_path / "sitecustomize.py").write_text(OFTEN)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(FOLDER.parent)]))
     one = app(folder)
@@ -270,12 +279,12 @@ def test_after_a_kill_the_queue_goes_on_and_is_paused_and_stopped(app, clips, co
     running(one)
     one.post("want", clips=[1], wanted=False)
     stopped, done = one.rest()
-    assert (stopped["state"], done["state"]) == ("interrupted", "done") and 40 <= stopped["done"] < 400
+    assert (stopped["state"], done["state"]) == ("interrupted", "done") and FEW <= stopped["done"] < FRAMES
     assert one.get("api/look?clip=1").status == 200, "what was tracked may be looked at"
     one.post("want", clips=[1], wanted=True)
     assert one.rest()[0]["state"] == "done"
     manifest = read_manifest(one.session.run_of(one.session.find(1)))
-    assert manifest.complete and manifest.frames == 400 and manifest.resumed >= 40
+    assert manifest.complete and manifest.frames == FRAMES and manifest.resumed >= FEW
 
 
 # --- who may use it --------------------------------------------------------------------------------------------------

@@ -20,8 +20,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.geometry import corners
-from facetrack_cli.report import make as report
-from facetrack_cli.report.make import Image, key_images, make_report
+from facetrack_cli.report.make import key_images, make_report
 from facetrack_cli.report.story import identities
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
@@ -29,15 +28,6 @@ from facetrack_cli.trajectory.writers import RunSummary
 from tests.support.media import number, write_pictures, write_video
 from tests.support.report_run import KEYS, LOST, write_run
 from tests.support.sway import SMALL, make_clip
-
-PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII=")
-
-
-@pytest.fixture
-def no_plot(monkeypatch):
-    """The plots have their own tests, and take most of the time."""
-    dot = Image(PIXEL, (1, 1), "image/png")
-    monkeypatch.setattr(report, "_plot", lambda *_: dot)
 
 
 @pytest.fixture(scope="module")

@@ -90,7 +90,7 @@ def test_the_recipe_shown_is_the_recipe(tmp_path):
         ["--config", "factorized", "--lag", "3"],
     ],
 )
-def test_the_command_repeats_the_run(options, tmp_path, monkeypatch):
+def test_the_command_repeats_the_run(options, tmp_path, monkeypatch, no_plot):
     monkeypatch.chdir(tmp_path)
     own = to_dict(load_recipe("independent")) | {"description": "mine"}
     Path("mine.yaml").write_text(recipe_yaml(own))

@@ -36,7 +36,7 @@ READY = "open this page: "
 PREPARE = """
 document.addEventListener('securitypolicyviolation', (e) => console.error('CSP: ' + e.violatedDirective));
 const wait = window.setTimeout.bind(window);
-const sooner = {250: 30, 300: 50, 1000: 150};
+const sooner = {250: 80, 300: 80, 1000: 250};
 window.setTimeout = (call, ms, ...given) => wait(call, sooner[ms] ?? ms, ...given);
 performance.setResourceTimingBufferSize(10_000);
 """
@@ -192,11 +192,12 @@ class Window:
 
 
 def until(look, what, pause=lambda ms: time.sleep(ms / 1000)):
-    """The first true value that `look` gives."""
-    ends = time.monotonic() + AT_MOST_S
+    """The first true value that `look` gives, which is asked less and less often: what it asks takes the processor."""
+    ends, ms = time.monotonic() + AT_MOST_S, 20.0
     while not (found := look()):
         assert time.monotonic() < ends, f"waited in vain for {what}"
-        pause(25)
+        pause(ms)
+        ms = min(1.2 * ms, 100.0)
     return found
 
 

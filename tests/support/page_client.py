@@ -86,11 +86,12 @@ class Client:
 
 
 def wait_for(look, what: str, at_most_s: float = 60.0) -> Any:
-    """The first true value that `look` gives."""
-    ends = time.monotonic() + at_most_s
+    """The first true value that `look` gives, which is asked less and less often: what it asks takes the processor."""
+    ends, pause = time.monotonic() + at_most_s, 0.01
     while not (found := look()):
         assert time.monotonic() < ends, f"waited in vain for {what}"
-        time.sleep(0.01)
+        time.sleep(pause)
+        pause = min(1.2 * pause, 0.1)
     return found
 
 

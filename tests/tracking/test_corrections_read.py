@@ -13,10 +13,9 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.evaluation.accuracy import measure_confidence, measure_coverage, measure_lost, measure_points
 from facetrack_cli.evaluation.rows import match
 from facetrack_cli.evaluation.summary import evaluate
-from facetrack_cli.report import make
 from facetrack_cli.report.figures import page
 from facetrack_cli.report.figures import style as plot_style
-from facetrack_cli.report.make import Image, command, recipe_yaml
+from facetrack_cli.report.make import command, recipe_yaml
 from facetrack_cli.report.story import history_of, key_frames, reasons
 from facetrack_cli.start.init_file import as_yaml
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
@@ -185,10 +184,8 @@ corrections:
 """
 
 
-def test_a_run_with_corrections_is_reported_and_repeated(tmp_path, monkeypatch):
+def test_a_run_with_corrections_is_reported_and_repeated(tmp_path, monkeypatch, no_plot):
     monkeypatch.chdir(tmp_path)
-    dot = Image(b"", (1, 1), "image/png")
-    monkeypatch.setattr(make, "_plot", lambda *_: dot)  # plots take long
     Path("start.yaml").write_text(START)
     options = ["--config", "factorized", "--set", "filter.particles=15", "--no-video", "-q"]
     assert main(["run", str(SAMPLE), "--init", "start.yaml", *options, "--stop", "10", "-o", "run"]) == 0

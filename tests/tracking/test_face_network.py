@@ -191,7 +191,7 @@ def test_a_network_that_takes_something_else_for_a_lip_does_not_move_it_and_is_s
     assert (column(results, "status", PARTS)[1:] == "tracked").all()
 
 
-def test_a_smoothed_run_of_a_clip_and_its_report_name_the_network(tmp_path, monkeypatch):
+def test_a_smoothed_run_of_a_clip_and_its_report_name_the_network(tmp_path, monkeypatch, no_plot):
     monkeypatch.setattr(targets, "model_path", lambda name: name)
     monkeypatch.setattr(targets, "Mesh", lambda path: FakeMesh([IN_CLIP] * 9, noise=0.6))
     sets = ("--set", "head.landmarks.network=mesh", "--set", "filter.particles=100", "--stop", "9", "--no-video")

@@ -218,6 +218,15 @@ def test_a_blurred_view_and_one_that_the_detector_is_unsure_of_are_worth_less():
     assert reader_of(0.95, blur=4.0).looks().worth.item() < 0.5 * whole
 
 
+def test_a_face_is_embedded_the_same_each_time_and_another_otherwise():
+    one, other = np.random.default_rng(0).integers(0, 256, (2, descriptor.CHIP_PX, descriptor.CHIP_PX, 3), np.uint8)
+    embedded = descriptor.embedded.__wrapped__  # which the other tests ask once for each face
+    found = [embedded(chip) for chip in (one, one, other)]
+    np.testing.assert_array_equal(found[0], found[1])
+    assert found[0].shape == ((0,) if descriptor.embedding_model() is None else (128,))
+    assert not found[0].size or np.abs(found[0] - found[2]).max() > 0.01
+
+
 def test_the_better_view_of_two_is_embedded_once_and_stands_for_both(monkeypatch):
     seen = []
     monkeypatch.setattr(descriptor, "embedded", lambda chip: seen.append(0) or np.full(128, len(seen), float))
