@@ -21,7 +21,7 @@ _ROOTS = np.rint(32768 * np.where(_RATIOS < 216 / 24389, _RATIOS * 841 / 108 + 4
 _CHROMA = np.float32(60.0)  # levels of a and b that count as much as the whole range of grey
 
 
-@exact
+@exact("f4:2 i8 f4:3")
 def gradients(grey, cell, out):
     """Histograms of oriented gradients (Felzenszwalb et al. 2010, section 6.1) of grey (H, W) float32, 0..1.
 
