@@ -16,7 +16,7 @@ from numba import njit, types
 from numba.core import caching
 from numba.core.codegen import CodeLibrary, JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.runtime import _nrt_python
+from numba.core.runtime import nrt
 from numba.core.typing.typeof import typeof_impl
 from numba.np.numpy_support import from_dtype, map_layout
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ def _prepare(codegen: Any) -> None:
     """
     codegen._library_class = _Library
     codegen.magic_tuple = cache(codegen.magic_tuple)  # or each kernel asks the system which processor it is
-    for name, address in _nrt_python.c_helpers.items():
+    for name, address in nrt._nrt.c_helpers.items():  # type: ignore[attr-defined, unused-ignore]
         ll.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
@@ -48,7 +48,7 @@ class _Library(JITCodeLibrary):
         if kind != _KEPT:
             return super()._unserialize(codegen, state)
         (code, bitcode), symbol = data
-        library = cls.__new__(cls)
+        library: Any = cls.__new__(cls)
         CodeLibrary.__init__(library, codegen, name)
         library._finalized = True
         # not read before a kernel that calls this one is compiled
