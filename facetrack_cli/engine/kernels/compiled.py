@@ -85,8 +85,8 @@ class KernelCache(caching.FunctionCache):
     warned = False
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        _prepare(target_context.codegen())
         try:
+            _prepare(target_context.codegen())
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
         except Exception as error:
