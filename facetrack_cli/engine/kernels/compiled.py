@@ -136,16 +136,18 @@ def exact(function: Any, **more: Any) -> Any:
 
 
 def _declared(words: str, more: Any, function: Any) -> Any:
-    def type_of(word: str) -> Any:
-        word, _, many = word.partition("x")
-        word, _, axes = word.partition(":")
-        kind = getattr(types, word)
-        kind = types.Array(kind, int(axes[0]), "C", readonly=axes.endswith("r")) if axes else kind
-        return types.UniTuple(kind, int(many)) if many else kind
-
     kernel = exact(function, **more)
-    kernel.takes = tuple(map(type_of, words.split()))
+    kernel.takes = tuple(map(_named, words.split()))
     return kernel
+
+
+@cache
+def _named(word: str) -> Any:
+    word, _, many = word.partition("x")
+    word, _, axes = word.partition(":")
+    kind = getattr(types, word)
+    kind = types.Array(kind, int(axes[0]), "C", readonly=axes.endswith("r")) if axes else kind
+    return types.UniTuple(kind, int(many)) if many else kind
 
 
 def fast(function: Any) -> Any:
