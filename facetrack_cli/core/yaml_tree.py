@@ -81,18 +81,16 @@ class Node:
     def at(self, path: Sequence[str | int]) -> tuple[Node, list[str]]:
         """The value at a path, or the nearest above it, and the keys that lead there.
 
-        pydantic's paths also name the chosen member of a union (`filter`, `sir`, `particles`), which has no place.
+        pydantic's paths also name the chosen member of a union (`sigma`, `for each`, `nose`), which has no place.
         """
-        node, keys, may_be_member = self, list[str](), False
+        node, keys = self, list[str]()
         for step in path:
             value = node.value
-            if may_be_member and isinstance(value, dict) and "type" in value and value["type"].value == step:
-                may_be_member = False  # a key of the section may have the same name
-            elif isinstance(value, dict) and isinstance(step, str) and step in value:
-                node, may_be_member = value[step], True
+            if isinstance(value, dict) and isinstance(step, str) and step in value:
+                node = value[step]
                 keys.append(step)
             elif isinstance(value, list) and isinstance(step, int) and step < len(value):
-                node, may_be_member = value[step], True
+                node = value[step]
                 keys.append(f"[{step + 1}]")
         return node, keys
 

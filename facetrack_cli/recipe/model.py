@@ -334,14 +334,7 @@ def register(section: type[S]) -> type[S]:
         For a `type` that is taken.
     """
     sections.add(section)
-    rebuild()
     return section
-
-
-def rebuild() -> None:
-    """Build the models of recipes again, with the sections that the registry has now."""
-    for model in (ParticleFilterSettings, ParticleRecipe, ParticlesRecipe):
-        model.model_rebuild(force=True)
 
 
 def above(name: str) -> str:

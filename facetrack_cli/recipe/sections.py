@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import pkgutil
 import re
+import sys
 import typing
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import partial
+from functools import cache, partial
 from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, NamedTuple, TypeAlias, TypeVar, get_args
 
@@ -24,7 +25,9 @@ from pydantic import (
     ModelWrapValidatorHandler,
     RootModel,
     Tag,
+    TypeAdapter,
     ValidationError,
+    ValidationInfo,
     model_validator,
 )
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError, core_schema
@@ -64,7 +67,7 @@ def suggest(wrong: str, names: Sequence[str], otherwise: str) -> str:
 class Section(BaseModel):
     """A part of a recipe: frozen, without unknown keys, its fields described by the docstrings below them."""
 
-    # built when the first recipe is read, when all types of sections are known
+    # built when the first recipe is read
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
     def mistakes(self) -> Iterable[Refusal]:
@@ -135,12 +138,23 @@ class Kind(Component):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        """The schema of a kind, as in the field `filter: Filter`, is the union of all its types."""
-        if cls not in KINDS:
-            return handler(source)
-        types = tuple(registered(cls).values())
-        union = Annotated[typing.Union[types], Field(discriminator="type")] if len(types) > 1 else types[0]  # noqa: UP007
-        return handler.generate_schema(union)
+        """A kind, as in the field `filter: Filter`, is read as the type that it names: a recipe has few of them."""
+        return core_schema.with_info_plain_validator_function(cls._named) if cls in KINDS else handler(source)
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """That of a kind is the union of all its types."""
+        return handler(TypeAdapter(_union(cls)).core_schema if cls in KINDS else schema)
+
+    @classmethod
+    def _named(cls, given: Any, info: ValidationInfo) -> Any:
+        name = given.get("type") if isinstance(given, dict) else None
+        section = _find(cls, name) if isinstance(name, str) else type(given)
+        if section is None or not issubclass(section, cls):  # pydantic says what is wrong
+            return TypeAdapter(_union(cls)).validate_python(given)
+        return section.model_validate(given, context=info.context)
 
 
 class TargetSettings(Kind):
@@ -208,6 +222,12 @@ KINDS: tuple[type[Kind], ...] = (TargetSettings, MotionSettings, LikelihoodSetti
 _types: dict[type[Kind], dict[str, type[Kind]]] = {}
 
 
+@cache
+def _brought() -> tuple[metadata.EntryPoint, ...]:
+    """What other packages bring."""
+    return tuple(metadata.entry_points(group=GROUP))
+
+
 def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
     """The types of a kind, as `FilterSettings`, by name. Raises RecipeError for an entry point that fails."""
     if _types:
@@ -217,7 +237,7 @@ def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
         for section in vars(import_module(f"facetrack_cli.{family}")).values():
             if isinstance(section, type) and issubclass(section, Kind) and type_of(section):
                 add(section)
-    for point in metadata.entry_points(group=GROUP):
+    for point in _brought():
         try:
             add(point.load())
         except Exception as e:
@@ -226,6 +246,22 @@ def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
             why = " ".join(str(e).split()) or type(e).__name__
             raise RecipeError(f"{where} brings no section: {why}; correct or uninstall that package") from e
     return _types[kind]
+
+
+def _find(kind: type[Kind], name: str) -> type[Kind] | None:
+    """The type of a kind by its name, without the families that nothing has imported yet, if it is in another."""
+    if not _types and not _brought():
+        for family in sorted(FAMILIES, key=lambda family: f"facetrack_cli.{family}" not in sys.modules):
+            for section in vars(import_module(f"facetrack_cli.{family}")).values():
+                if isinstance(section, type) and issubclass(section, kind) and type_of(section) == name:
+                    return section
+    return registered(kind).get(name)
+
+
+def _union(kind: type[Kind]) -> Any:
+    """All types of a kind, as pydantic takes them."""
+    types = tuple(registered(kind).values())
+    return Annotated[typing.Union[types], Field(discriminator="type")] if len(types) > 1 else types[0]  # noqa: UP007
 
 
 def add(section: type[Kind]) -> None:

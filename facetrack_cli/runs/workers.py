@@ -25,11 +25,8 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from itertools import takewhile
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import BaseContext
-from multiprocessing.process import BaseProcess
 from queue import Empty, SimpleQueue
-from typing import Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import cv2
 
@@ -37,6 +34,11 @@ from facetrack_cli.core.errors import ExitCode, FacetrackError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.trajectory.trajectory import FrameResult
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+    from multiprocessing.context import BaseContext
+    from multiprocessing.process import BaseProcess
 
 T = TypeVar("T")
 MAX_QUEUE = 4  # frames in each queue
@@ -184,6 +186,8 @@ def side_by_side(
                 return
             yield index, _result(work, task, stop, partial(add, index))
         return
+    from multiprocessing.connection import wait
+
     waiting = deque((index, True) for index in range(len(tasks)))
     running: dict[Any, tuple[int, bool, BaseProcess]] = {}
     idle: list[tuple[Any, BaseProcess]] = []

@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
@@ -48,15 +49,17 @@ _Number: TypeAlias = Annotated[float, Field(strict=True)] | None
 _Word: TypeAlias = Annotated[str, Field(min_length=1)]
 _OWN: dict[str, Any] = {**dict.fromkeys(OF_PART, (_Number, None)), "part": (_Word, ...), "status": (str, "")}
 _OWN["by_hand"] = (pydantic.StrictBool, False)
-_PART: Any = pydantic.create_model("_PART", __config__=ConfigDict(extra="forbid", defer_build=True), **_OWN)
-_TARGET: Any = pydantic.create_model(
-    "_TARGET", __config__=ConfigDict(extra="allow", defer_build=True), target=(_Word, ...), particles=(_Number, None),
-    identity=(str | None, None), identity_prob=(_Number, None), parts=(list[_PART], ...),
-)  # fmt: skip
-_FRAME: Any = pydantic.create_model(
-    "_FRAME", __config__=ConfigDict(defer_build=True), frame=(FrameNumber, ...), time_s=(_Number, None),
-    targets=(list[_TARGET], ...),
-)  # fmt: skip
+
+
+@cache
+def _frame() -> Any:
+    part: Any = pydantic.create_model("_PART", __config__=ConfigDict(extra="forbid"), **_OWN)
+    target: Any = pydantic.create_model(
+        "_TARGET", __config__=ConfigDict(extra="allow"), target=(_Word, ...), particles=(_Number, None),
+        identity=(str | None, None), identity_prob=(_Number, None), parts=(list[part], ...),
+    )  # fmt: skip
+    more: dict[str, Any] = {"time_s": (_Number, None), "targets": (list[target], ...)}
+    return pydantic.create_model("_FRAME", frame=(FrameNumber, ...), **more)
 
 
 def read_trajectory(path: Path | str) -> Trajectory:
@@ -167,7 +170,7 @@ def _read_json(path: Path) -> Trajectory:
         declared = {**KNOWN, **{each.name: each for each in listed}, **KNOWN}  # a known name keeps its meaning
         for at, record in enumerate(records):
             where = "frames", at
-            frame = _FRAME.model_validate(record)
+            frame = _frame().model_validate(record)
             for target in frame.targets:
                 for part in target.parts:
                     columns["which"].append(names.setdefault((target.target, part.part), len(names)))

@@ -75,9 +75,11 @@ def test_a_run_imports_nothing_that_it_does_not_use(tmp_path):
     run = "run", str(FOLDER / "occlusion.mp4"), "--stop", "3", "--no-video", "-o", str(tmp_path / "out"), "--overwrite"
     unused = (
         "runs.people runs.finished runs.live runs.api start.presence trackers.smoothed trackers.opencv video.overlay "
-        "trackers.hands.target trackers.skin.likelihoods trackers.appearance.appearance trajectory.people video.writer"
+        "trackers.hands.target trackers.skin.likelihoods trackers.appearance.appearance trajectory.people video.writer "
+        "trackers.regions.settings run_folder.status"
     )
-    others = {"PIL", "imageio", "scipy.linalg", *(f"facetrack_cli.{name}" for name in unused.split())}
+    modules = {"PIL", "imageio", "scipy.linalg", "numpy.ma", "multiprocessing.connection"}
+    others = {*modules, *(f"facetrack_cli.{name}" for name in unused.split())}
     for _ in range(2):  # the first one may compile kernels, which takes more
         lines = facetrack(*run, flags=["-X", "importtime"]).stderr.splitlines()
         imported = {line.rpartition("|")[2].strip() for line in lines if line.startswith("import time:")}

@@ -17,7 +17,7 @@ from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.protocols import Motion
 from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.model import completed, json_schema, rebuild, register, to_dict
+from facetrack_cli.recipe.model import completed, json_schema, register, to_dict
 from facetrack_cli.recipe.sections import FilterSettings, LikelihoodSettings, Refusal, Section
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
@@ -55,7 +55,6 @@ def registry(folder):
     before = {kind: dict(types) for kind, types in sections._types.items()}
     yield
     sections._types.update(before)
-    rebuild()
 
 
 @pytest.fixture
@@ -273,7 +272,7 @@ def test_an_installed_package_brings_its_sections(folder, tmp_path):
 def test_a_package_whose_section_fails_is_named(folder, monkeypatch, value, why):
     monkeypatch.setattr(sections, "_types", {})
     point = metadata.EntryPoint("grey_difference", value, sections.GROUP)
-    monkeypatch.setattr(sections.metadata, "entry_points", lambda group: [point])
+    monkeypatch.setattr(sections, "_brought", lambda: [point])
     with pytest.raises(RecipeError) as refused:
         sections.registered(LikelihoodSettings)
     said = str(refused.value)

@@ -148,7 +148,6 @@ def run_command(
     """
     from facetrack_cli.recipe.load import default_recipe, load_recipe
     from facetrack_cli.recipe.model import seeded
-    from facetrack_cli.run_folder.status import write_batch
     from facetrack_cli.runs.batch import expand, folders, run_batch, variant_name
     from facetrack_cli.runs.clip import run
     from facetrack_cli.runs.plan import Job, Split, check_smoothing, follows_everyone
@@ -202,6 +201,8 @@ def run_command(
         names = [""] if out and not several else folders(clips, variant_name(recipe.name, overrides))
         places = [Path(out or ".") / name for name in names]
         if several and out:
+            from facetrack_cli.run_folder.status import write_batch
+
             write_batch(Path(out), recipe.name, clips, names)
     first, step = (1, 1) if split else shard or (1, 1)
     clips, places = clips[first - 1 :: step], places[first - 1 :: step]

@@ -14,14 +14,17 @@ import llvmlite.binding as ll
 import numpy as np
 from numba import njit, types
 from numba.core import caching
+from numba.core.codegen import CodeLibrary, JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.runtime import _nrt_python
+from numba.core.runtime import nrt
+from numba.core.typing.typeof import typeof_impl
+from numba.np.numpy_support import from_dtype, map_layout
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import warn
 
 Extent: TypeAlias = tuple[float, float, float, float]
-_NOTHING: Final = ll.parse_assembly("").as_bitcode()
+_KEPT: Final = "kept"
 
 
 @cache
@@ -30,15 +33,34 @@ def _prepare(codegen: Any) -> None:
 
     What kernels call of numba's runtime is named. They bring what counts references, which numba would compile here.
     """
+    codegen._library_class = _Library
     codegen.magic_tuple = cache(codegen.magic_tuple)  # or each kernel asks the system which processor it is
-    for name, address in _nrt_python.c_helpers.items():
+    for name, address in nrt._nrt.c_helpers.items():  # type: ignore[attr-defined, unused-ignore]
         ll.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
+class _Library(JITCodeLibrary):
+    """As numba's, and the code of a kernel from the cache without a module of its own, which took two thirds."""
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: Any) -> Any:
+        name, kind, data = state
+        if kind != _KEPT:
+            return super()._unserialize(codegen, state)
+        (code, bitcode), symbol = data
+        library: Any = cls.__new__(cls)
+        CodeLibrary.__init__(library, codegen, name)
+        library._finalized = True
+        # not read before a kernel that calls this one is compiled
+        library._get_module_for_linking = partial(ll.parse_bitcode, bitcode)
+        codegen._engine._ee.add_object_file(ll.ObjectFileRef.from_data(code))
+        codegen._engine.finalize_object()
+        codegen._engine._defined_symbols.add(symbol)
+        return library
+
+
 class _Kept(caching.CompileResultCacheImpl):
-    """What is kept of a kernel: not the modules of its parts. Nor is its bitcode read before a kernel that calls it is
-    compiled. Both took three quarters of the time.
-    """
+    """What is kept of a kernel: not the modules of its parts, which took most of the time."""
 
     def reduce(self, cres: Any) -> Any:
         *kept, environments = super().reduce(cres)
@@ -46,13 +68,11 @@ class _Kept(caching.CompileResultCacheImpl):
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         try:
-            (name, kind, (code, bitcode)), described, *rest = payload
-            target_context.codegen()._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
-            kernel = super().rebuild(target_context, ((name, kind, (code, _NOTHING)), described, *rest))
-            kernel.library._get_module_for_linking = partial(ll.parse_bitcode, bitcode)
+            (name, _, (code, bitcode)), described, *rest = payload
+            state = name, _KEPT, ((code, bitcode), described.llvm_cpython_wrapper_name)
+            return super().rebuild(target_context, (state, described, *rest))
         except (AttributeError, TypeError, ValueError):  # a numba that keeps kernels otherwise: as it does
             return super().rebuild(target_context, payload)
-        return kernel
 
 
 class KernelCache(caching.FunctionCache):
@@ -65,8 +85,8 @@ class KernelCache(caching.FunctionCache):
     warned = False
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        _prepare(target_context.codegen())
         try:
+            _prepare(target_context.codegen())
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
         except Exception as error:
@@ -84,6 +104,17 @@ class KernelCache(caching.FunctionCache):
                 kernel.targetctx.insert_user_function(found.entry_point, found.fndesc, [found.library])
                 kernel.add_overload(found)
             return sig in kernel.overloads
+
+
+_numba_type = typeof_impl.dispatch(np.ndarray)
+
+
+@typeof_impl.register(np.ndarray)
+def _type_of(array: Any, purpose: Any) -> Any:
+    """As numba's, which asks whether each array is one of `numpy.ma`: to import that takes as long as ten kernels."""
+    if type(array) is not np.ndarray or array.dtype.kind not in "biufc":
+        return _numba_type(array, purpose)
+    return types.Array(from_dtype(array.dtype), array.ndim, map_layout(array), readonly=not array.flags.writeable)
 
 
 _SUMS: Any = {"contract", "reassoc", "nsz"}
@@ -105,16 +136,18 @@ def exact(function: Any, **more: Any) -> Any:
 
 
 def _declared(words: str, more: Any, function: Any) -> Any:
-    def type_of(word: str) -> Any:
-        word, _, many = word.partition("x")
-        word, _, axes = word.partition(":")
-        kind = getattr(types, word)
-        kind = types.Array(kind, int(axes[0]), "C", readonly=axes.endswith("r")) if axes else kind
-        return types.UniTuple(kind, int(many)) if many else kind
-
     kernel = exact(function, **more)
-    kernel.takes = tuple(map(type_of, words.split()))
+    kernel.takes = tuple(map(_named, words.split()))
     return kernel
+
+
+@cache
+def _named(word: str) -> Any:
+    word, _, many = word.partition("x")
+    word, _, axes = word.partition(":")
+    kind = getattr(types, word)
+    kind = types.Array(kind, int(axes[0]), "C", readonly=axes.endswith("r")) if axes else kind
+    return types.UniTuple(kind, int(many)) if many else kind
 
 
 def fast(function: Any) -> Any:

@@ -27,7 +27,7 @@ _TURN = (
 _TAYLOR = tuple(1 / math.factorial(k) for k in range(13, -1, -1))
 
 
-@exact
+@exact("f4:2 i8 f4:3")
 def gradients(grey, cell, out):
     """Histograms of oriented gradients (Felzenszwalb et al. 2010, section 6.1) of grey (H, W) float32, 0..1.
 
