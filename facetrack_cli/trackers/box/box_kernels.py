@@ -224,25 +224,6 @@ def remember(memory, x, rate, out):
             p += 1
 
 
-@fast("f4:3 f4:3 f4:1 f4 f4:3 f4:3 f4:3")
-def renew(x, filters, y, rate, residual, walled, out):
-    """The `residual` (2, C, F) of the normal equations with a window x (2, C, F) more, of weight `rate`, in `out`."""
-    keep, off = _ONE - rate, np.zeros((2, x.shape[2]), np.float32)
-    real, imaginary = off
-    for f in range(len(y)):
-        real[f] = rate * y[f]
-    for c in range(x.shape[1]):
-        xr, xi, fr, fi = x[0, c], x[1, c], filters[0, c], filters[1, c]
-        for f in range(len(y)):
-            real[f] -= rate * (xr[f] * fr[f] + xi[f] * fi[f])
-            imaginary[f] -= rate * (xr[f] * fi[f] - xi[f] * fr[f])
-    for c in range(x.shape[1]):
-        xr, xi, to, also = x[0, c], x[1, c], out[0, c], out[1, c]
-        for f in range(len(y)):
-            to[f] = keep * residual[0, c, f] - rate * walled[0, c, f] + real[f] * xr[f] - imaginary[f] * xi[f]
-            also[f] = keep * residual[1, c, f] - rate * walled[1, c, f] + real[f] * xi[f] + imaginary[f] * xr[f]
-
-
 @fast("f4:3 f4:3 f4 f4:1 f8 f4:3")
 def turn(r, memory, least, counts, last, p):
     """The next direction p (2, C, F) of conjugate gradients from the residual r (2, C, F).
@@ -250,26 +231,22 @@ def turn(r, memory, least, counts, last, p):
     It is preconditioned by the diagonal of the matrices of `memory`, half of its mean and `least`. Returns the product
     of both, and takes that of the step before as `last`, 0 at first; a frequency `counts` (F,) times.
     """
-    scale, k, mean, total = np.empty(r.shape[1:], np.float32), 0, 0.0, 0.0
-    for c in range(len(scale)):
-        sum_ = _ZERO
-        for f in range(len(counts)):
-            scale[c, f] = memory[k, 0, f]
-            sum_ += scale[c, f]
-        mean, k = mean + sum_ / scale.size, k + len(scale) - c
-    least += np.float32(0.5 * mean)
-    for c in range(len(scale)):
-        of, one, other, sum_ = scale[c], r[0, c], r[1, c], _ZERO
-        for f in range(len(counts)):
-            of[f] = _ONE / (of[f] + least)
-            sum_ += counts[f] * of[f] * (one[f] * one[f] + other[f] * other[f])
-        total += sum_
+    z, k, total = np.empty_like(r), 0, 0.0
+    for c in range(r.shape[1]):
+        z[0, c], z[1, c], k = memory[k, 0], memory[k, 0], k + r.shape[1] - c
+    least += np.float32(0.5 * z.mean())
+    for part in range(2):
+        for c in range(r.shape[1]):
+            product = _ZERO
+            for f in range(len(counts)):
+                z[part, c, f] = r[part, c, f] / (z[part, c, f] + least)
+                product += counts[f] * z[part, c, f] * r[part, c, f]
+            total += product
     share = np.float32(total / last) if last > 0.0 else _ZERO
     for part in range(2):
-        for c in range(len(scale)):
-            one, of, to = r[part, c], scale[c], p[part, c]
+        for c in range(r.shape[1]):
             for f in range(len(counts)):
-                to[f] = of[f] * one[f] + share * to[f]
+                p[part, c, f] = z[part, c, f] + share * p[part, c, f]
     return total
 
 
@@ -295,33 +272,17 @@ def descend(memory, p, beyond, counts, product, v, r, walled):
             k += 1
     for part in range(2):
         for c in range(p.shape[1]):
-            one, other, sum_ = p[part, c], out[part, c], _ZERO
+            along = _ZERO
             for f in range(len(counts)):
-                sum_ += counts[f] * one[f] * other[f]
-            total += sum_
+                along += counts[f] * p[part, c, f] * out[part, c, f]
+            total += along
     alpha = np.float32(product / max(total, 1e-20))
     for part in range(2):
         for c in range(p.shape[1]):
-            one, other, wall = p[part, c], out[part, c], beyond[part, c]
             for f in range(len(counts)):
-                v[part, c, f] += alpha * one[f]
-                r[part, c, f] -= alpha * other[f]
-                walled[part, c, f] += alpha * wall[f]
-
-
-@fast("f4:3 f4:2 f4:2 f4:3")
-def turned(v, across, down, out):
-    """`out`: v (2, C, F), each frequency turned by the phases `across` (2, W) and `down` (2, H), F = H W."""
-    width, real, imaginary = across.shape[1], np.empty(v.shape[2], np.float32), np.empty(v.shape[2], np.float32)
-    for i in range(down.shape[1]):
-        for j in range(width):
-            real[i * width + j] = down[0, i] * across[0, j] - down[1, i] * across[1, j]
-            imaginary[i * width + j] = down[0, i] * across[1, j] + down[1, i] * across[0, j]
-    for c in range(v.shape[1]):
-        vr, vi, to, also = v[0, c], v[1, c], out[0, c], out[1, c]
-        for f in range(len(real)):
-            to[f] = vr[f] * real[f] - vi[f] * imaginary[f]
-            also[f] = vr[f] * imaginary[f] + vi[f] * real[f]
+                v[part, c, f] += alpha * p[part, c, f]
+                r[part, c, f] -= alpha * out[part, c, f]
+                walled[part, c, f] += alpha * beyond[part, c, f]
 
 
 @fast("f4:3 f4:3 f4:2")

@@ -242,7 +242,8 @@ class CorrelationFilter(Likelihood):
 
     def look(self, learned: CorrelationState, frame: Frame, expected: Array) -> CorrelationState:
         """With what the frame shows around the place (1, D) where the target is `expected`."""
-        one, centre, scale = self.settings, expected[0, :2], float(np.clip(expected[0, 2], *self.context.placed.scale))
+        least, most = self.context.placed.scale
+        one, centre, scale = self.settings, expected[0, :2], min(max(float(expected[0, 2]), least), most)
         view = self._view(learned, frame, centre, scale)
         found = peaks(view.response, 0.5, one.modes)
         off = (found[0, :2] - len(view.response) // 2) * self._sample(scale)
@@ -318,23 +319,21 @@ class CorrelationFilter(Likelihood):
         self, view: ResponseView, scale: float, found: Array, log_l: Array, *, redetected: bool = False
     ) -> ModeProposal:
         """The peaks `found` (J, 3) of a response as Gaussians of place and log scale, which is left open."""
-        n, sharpness, sample, response = len(view.response), self.settings.sharpness, self._sample(scale), view.response
-        usual = UPSAMPLED * self._trainer.sigma
-        widths = np.array([_widths(response, one, usual) for one in found])
-        mean = np.column_stack([view.centre + (found[:, :2] - n // 2) * sample, np.full(len(found), math.log(scale))])
-        std = np.column_stack([widths * sample / math.sqrt(sharpness), np.full(len(found), _SCALE_STD)])
+        sample, (mean, std) = self._sample(scale), np.empty((2, len(found), 3))
+        mean[:, :2], mean[:, 2] = view.centre + (found[:, :2] - len(view.response) // 2) * sample, math.log(scale)
+        widths = _widths(view.response, found, UPSAMPLED * self._trainer.sigma)
+        std[:, :2], std[:, 2] = widths * (sample / math.sqrt(self.settings.sharpness)), _SCALE_STD
         return ModeProposal(mean, std, log_l, np.full(len(found), redetected))
 
     def _scale_at(self, learned: CorrelationState, scales: NDArray[np.complex64]) -> tuple[float, float]:
         """Mean and standard deviation of the change of log scale, by S^sharpness times a broad prior."""
         trainer, settings = self._scale_trainer, self.settings.scales
         response = trainer.respond(learned.scales, scales)
-        response = response - response.min()
-        if float(response.max()) < 1e-9:  # flat, as far outside of the frame
+        response -= response.min()
+        if (top := float(response.max())) < 1e-9:  # flat, as far outside of the frame
             return 0.0, _SCALE_STD
-        w = (response / float(response.max())) ** settings.sharpness
-        w *= np.exp(-0.5 * (trainer.log_scales / _SCALE_STD) ** 2)
-        w /= w.sum()
+        w = (response / top) ** settings.sharpness * np.exp(-0.5 * (trainer.log_scales / _SCALE_STD) ** 2)
+        w /= np.add.reduce(w)
         mean = float(np.sum(w * trainer.log_scales))
         between = math.log(settings.step) ** 2 / 12  # of a scale that is known to the nearest one
         variance = max(float(np.sum(w * (trainer.log_scales - mean) ** 2)), between)
@@ -388,7 +387,7 @@ class CorrelationFilter(Likelihood):
     def learn(self, learned: CorrelationState, frame: Frame, state: Array, particles: Particles) -> CorrelationState:
         """In proportion to P(visible), the last number of the `state` (1, D)."""
         one, seen = self.settings, learned.seen
-        visible = float(np.clip(state[0, VISIBLE], 0, 1))
+        visible = min(max(float(state[0, VISIBLE]), 0.0), 1.0)
         frames = learned.frames + 1
         if seen is not None:
             learned = learned._replace(heights=learned.heights.learn(seen.heights, seen.elsewhere, visible))
@@ -434,12 +433,12 @@ class CorrelationFilter(Likelihood):
         return np.zeros(x.shape[:2])
 
 
-def _widths(response: Single, peak: Array, usual: float) -> tuple[float, float]:
-    """Standard deviations along x and y, in samples, of the Gaussian that falls as the response does beside a peak."""
-    column, row, height = peak.tolist()
-    at = [column - usual, column + usual, column, column], [row, row, row - usual, row + usual]
-    values = np.empty(4)
-    read_cubic(response, np.array(at[0]), np.array(at[1]), values)
-    shares = np.clip(0.5 * (values[::2] + values[1::2]) / height, 0.3, 0.9)
-    x, y = (usual / np.sqrt(-2 * np.log(shares))).tolist()
-    return x, y
+_BESIDE = np.array([(-1.0, 1.0, 0.0, 0.0), (0.0, 0.0, -1.0, 1.0)])
+
+
+def _widths(response: Single, found: Array, usual: float) -> Array:
+    """(J, 2): standard deviations, in samples, of the Gaussians that fall as the response does beside its peaks."""
+    x, y = ((found[:, k, None] + usual * _BESIDE[k]).ravel() for k in range(2))
+    read_cubic(response, x, y, values := np.empty(len(x)))
+    shares = values.reshape(-1, 2, 2).sum(axis=2) / (2 * found[:, 2:])
+    return np.asarray(usual / np.sqrt(-2 * np.log(np.minimum(np.maximum(shares, 0.3), 0.9))))

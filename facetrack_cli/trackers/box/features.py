@@ -85,11 +85,12 @@ def moved(v: Single, by: Array, cells: int) -> Single:
     """The spectrum v (2, C, F) of channels as they are at places moved by `by` (x, y) cells."""
     phases = []
     for k, step in zip((np.fft.rfftfreq(cells), np.fft.fftfreq(cells)), by.tolist(), strict=True):
-        phase = np.array([np.cos(turn := 2 * math.pi * step * k), np.sin(turn)], np.float32)
-        phase[:, cells // 2] = math.cos(math.pi * step), 0.0  # of the highest frequency only the cosine is there
+        phase = np.exp(2j * math.pi * step * k)
+        phase[cells // 2] = math.cos(math.pi * step)  # of the highest frequency only the cosine is there
         phases.append(phase)
-    kernel.turned(v, *phases, out := np.empty_like(v))
-    return out
+    phase = np.outer(phases[1], phases[0]).ravel()
+    real, imaginary = phase.real.astype(np.float32), phase.imag.astype(np.float32)
+    return np.stack([v[0] * real - v[1] * imaginary, v[0] * imaginary + v[1] * real])
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +147,7 @@ def _features(image: Image, cells: int) -> Single:
     return out.reshape(len(out), -1)
 
 
-_SIDE = 64  # pixels of a window that is read for colours
+_SIDE = 80  # pixels of a window that is read for colours; of 40 cells it is half as large, which OpenCV does fast
 _RATE = 0.04
 _TELLS = 0.2  # how much more likely the target's pixels must be than those around, on average
 
@@ -345,9 +346,14 @@ class Trainer:
     def learn(self, known: Trained, x: Single, rate: float) -> Trained:
         """With a window more, of weight `rate` in the memory."""
         filters, memory, residual, walled = known
-        matrices, more, share = np.empty_like(memory), np.empty_like(residual), np.float32(rate)
+        matrices, off, share = np.empty_like(memory), np.empty((2, x.shape[2]), np.float32), np.float32(rate)
         kernel.remember(memory, x, share, matrices)
-        kernel.renew(x, filters, self.y, share, residual, walled, more)
+        kernel.respond(x, filters, off)
+        off *= -share
+        off[0] += share * self.y
+        more = (1 - share) * residual - share * walled
+        more[0] += off[0] * x[0] - off[1] * x[1]
+        more[1] += off[0] * x[1] + off[1] * x[0]
         return self._solve(Trained(filters.copy(), matrices, more, walled.copy()), self.steps)
 
     def respond(self, x: Single, *filters: Single) -> Single:
