@@ -241,7 +241,7 @@ def turn(r, memory, least, counts, last, p):
             for f in range(len(counts)):
                 z[part, c, f] = r[part, c, f] / (z[part, c, f] + least)
                 product += counts[f] * z[part, c, f] * r[part, c, f]
-            total += product
+            total += float(product)
     share = np.float32(total / last) if last > 0.0 else _ZERO
     for part in range(2):
         for c in range(r.shape[1]):
@@ -275,7 +275,7 @@ def descend(memory, p, beyond, counts, product, v, r, walled):
             along = _ZERO
             for f in range(len(counts)):
                 along += counts[f] * p[part, c, f] * out[part, c, f]
-            total += along
+            total += float(along)
     alpha = np.float32(product / max(total, 1e-20))
     for part in range(2):
         for c in range(p.shape[1]):

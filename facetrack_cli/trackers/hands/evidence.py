@@ -196,7 +196,7 @@ def _followed(scene: Scene, grey: Image, skin: Map) -> Map:
     """The background where the camera has moved it, by phase correlation; what comes into the picture is background."""
     # a shift changes edges by as much of their slopes
     slope = cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, _BESIDE)
-    steep = cv2.compare(slope, STEEP * cv2.mean(slope)[0], cv2.CMP_GT)
+    _, steep = cv2.threshold(slope, STEEP * cv2.mean(slope)[0], 255, cv2.THRESH_BINARY)
     changed = cv2.compare(cv2.absdiff(scene.grey, grey), cv2.convertScaleAbs(slope, alpha=STEADY), cv2.CMP_GT)
     if cv2.countNonZero(cv2.bitwise_and(steep, changed)) <= MOST * cv2.countNonZero(steep):
         return scene.still
@@ -278,7 +278,7 @@ def _disc(radius: int) -> Image:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1)), np.uint8)
 
 
-def shift_between(before: Map, after: Map) -> tuple[Array, float]:
+def shift_between(before: Map | Image, after: Map | Image) -> tuple[Array, float]:
     """The shift (2,) in pixels, x before y, from `before` to `after` (H, W), and the height of its peak, 0..1."""
     (height, width), x, y = before.shape, 0, 0
     for _ in range(PASSES):
