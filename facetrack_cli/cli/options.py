@@ -213,12 +213,6 @@ def gathered(name: str, kind: type[Any], *options: Decorator) -> Decorator:
 # options of several commands
 
 
-def figure_file(default: str) -> Decorator:
-    """--out of a figure; `default` says in words where it goes without."""
-    text = f"File to write: .png, .svg or .pdf [default: {default}]."
-    return option("-o", "--out", type=FILE, help=text)
-
-
 def jobs(text: str) -> Decorator:
     return option("-j", "--jobs", type=click.IntRange(1, 1000), default=1, show_default=False, help=text)
 

@@ -147,14 +147,11 @@ class PickSession(Session):
             start = start_of(self.draft, self.frames.size, frames, self.recipe, self.previous)
             if frames is None:
                 self.frames.read(start.frame)  # how long the clip is may be known only then
-            by = self._placed_by(self.draft)
+            # the detector that has placed all chosen parts; "" if the user has moved or drawn one of them
+            same = self.draft.frame, self.draft.placed()
+            by = max((by for draft, by in self._placed if (draft.frame, draft.placed()) == same), default="")
             start = replace(start, detector=by, placed=by != "")
             return self.start_job("writing the init file", lambda _: self._write(start))
-
-    def _placed_by(self, chosen: Draft) -> str:
-        """The detector that has placed all chosen parts; "" if the user has moved or drawn one of them."""
-        same = chosen.frame, chosen.placed()
-        return max((by for draft, by in self._placed if (draft.frame, draft.placed()) == same), default="")
 
     def _write(self, start: Start) -> None:
         messages = []

@@ -19,7 +19,7 @@ from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_MEDIA
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from facetrack_cli.editor.history import Fixer
+    from facetrack_cli.editor.fixer import Fixer
     from facetrack_cli.trajectory.formats.tables import Clip
     from facetrack_cli.trajectory.people import People, Tracks
     from facetrack_cli.trajectory.views import Around, Clock
@@ -72,8 +72,7 @@ def fix_command(
       facetrack fix film --person Eileen@0:03
     """
     from facetrack_cli.editor.fix_session import FixSession
-    from facetrack_cli.editor.history import fixing
-    from facetrack_cli.editor.save import open_track
+    from facetrack_cli.editor.fixer import fixing, open_track
     from facetrack_cli.run_folder.manifest import read_run
     from facetrack_cli.runs.finished import open_run
     from facetrack_cli.runs.people import people_in
@@ -97,9 +96,8 @@ def fix_command(
 
 def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) -> int:
     """Take the corrections of --init or --import, and save; the exit code."""
-    from facetrack_cli.editor.history import corrections_of, merged
+    from facetrack_cli.editor.fixer import corrections_of, merged, save
     from facetrack_cli.editor.import_annotations import imported_corrections
-    from facetrack_cli.editor.save import save
     from facetrack_cli.trajectory.reader import UNSAVED
 
     folder = fixer.run.folder
@@ -190,13 +188,19 @@ def people_command(
     from facetrack_cli.core.files import check_new
     from facetrack_cli.run_folder.manifest import read_run
     from facetrack_cli.runs.people import people_in, recast, save_looks
+    from facetrack_cli.trajectory import people as edits
     from facetrack_cli.trajectory.views import Clock
 
     others = split or give or merge or rename or save is not None or as_csv
     refuse((edit and others, "--page corrects on the page alone; correct, save and print in a command without it"))
     people = people_in(folder)
     clock = Clock(read_run(folder) if split or give else None, people.fps)
-    changes = _changes(clock, split, give, merge, rename)
+    changes: list[Change] = [
+        *((f"split {a}@{at}", partial(edits.split, name=a, frame=frame_at(at, clock))) for a, at in split),
+        *((f"give {a}@{at}={b}", partial(edits.give, name=a, frame=frame_at(at, clock), to=b)) for a, at, b in give),
+        *((f"merge {a}={b}", partial(edits.merge, name=a, into=b)) for a, b in merge),
+        *((f"rename {a}={b}", partial(edits.rename, name=a, to=b)) for a, b in rename),
+    ]
     if edit:
         from facetrack_cli.editor.fix_session import CastSession
 
@@ -215,17 +219,6 @@ def people_command(
     elif not quiet:
         _show(people, Clock(read_run(folder), people.fps))
     return 0
-
-
-def _changes(clock: Clock, split: Words, give: Words, merge: Words, rename: Words) -> list[Change]:
-    from facetrack_cli.trajectory import people as edits
-
-    return [
-        *((f"split {a}@{at}", partial(edits.split, name=a, frame=frame_at(at, clock))) for a, at in split),
-        *((f"give {a}@{at}={b}", partial(edits.give, name=a, frame=frame_at(at, clock), to=b)) for a, at, b in give),
-        *((f"merge {a}={b}", partial(edits.merge, name=a, into=b)) for a, b in merge),
-        *((f"rename {a}={b}", partial(edits.rename, name=a, to=b)) for a, b in rename),
-    ]
 
 
 def _intervals(people: People) -> str:
@@ -425,7 +418,9 @@ def report_command(
 @option("--truth", type=options.FILE, help="Draw the ground truth too, and the error.")
 @options.truth_options
 @option("--measure", type=options.Text("NAMES"), help="Draw these measures and events alone, separated by commas.")
-@options.figure_file("plot.png beside TRAJECTORY")
+@option(
+    "-o", "--out", type=options.FILE, help="File to write: .png, .svg or .pdf [default: plot.png beside TRAJECTORY]."
+)
 @options.overwrite
 def plot_command(
     trajectory: Path, truth: Path | None, reference: options.TruthOptions, measure: str | None, out: Path | None,

@@ -83,24 +83,16 @@ def render(figure: Figure, form: str = "png", *, dpi: float = DPI) -> bytes:
     none = {"png": ["Software"], "svg": ["Date", "Creator"], "pdf": ["CreationDate", "Creator", "Producer"]}
     into = io.BytesIO()
     with style():
-        _lay_out(figure)
+        from matplotlib.transforms import Bbox
+
+        if (engine := figure.get_layout_engine()) is not None:  # else it is rendered once more
+            engine.execute(figure)
+            figure.set_layout_engine(None)  # else savefig draws twice, for the engine's sake
+            # rounded: the solver of the layout does not give equal last digits each time
+            for axes in figure.axes:
+                axes.set_position(Bbox(axes.get_position(original=True).get_points().round(6)))
         figure.savefig(into, format=form, dpi=dpi, metadata=dict.fromkeys(none[form]))
     return into.getvalue()
-
-
-def _lay_out(figure: Figure) -> None:
-    """Place everything, rounded: the solver of the layout does not give equal last digits each time."""
-    from matplotlib.transforms import Bbox
-
-    engine = figure.get_layout_engine()
-    if engine is None:  # it is rendered once more
-        return
-    engine.execute(figure)
-    figure.set_layout_engine(None)  # else savefig draws twice, for the engine's sake
-    for axes in figure.axes:
-        axes.set_position(Bbox(axes.get_position(original=True).get_points().round(6)))
-    for part in figure.subfigs:
-        part.bbox_relative.set_points(part.bbox_relative.get_points().round(6))
 
 
 def line_style(index: int) -> dict[str, Any]:
