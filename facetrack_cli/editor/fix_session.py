@@ -21,8 +21,7 @@ from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Correction
 from facetrack_cli.editor.fixer import corrections_of, fixing, is_tracked_again, keep, merged, save
-from facetrack_cli.editor.pick_session import requirement
-from facetrack_cli.editor.session import Answer, Draft, Json, Page, Session, jpeg
+from facetrack_cli.editor.session import Answer, Draft, Json, Page, Session, jpeg, requirement
 from facetrack_cli.engine.corrected import correctable_parts
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.run_folder.manifest import read_run

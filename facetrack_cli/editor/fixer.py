@@ -20,7 +20,7 @@ from typing import Any
 
 from facetrack_cli.core.errors import InputError, OutputError, reason
 from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
-from facetrack_cli.editor.pick_session import fitted
+from facetrack_cli.editor.session import fitted
 from facetrack_cli.engine import loop
 from facetrack_cli.engine.corrected import (
     CorrectedTarget,

@@ -12,9 +12,7 @@ is not known is nan. Three rules hold for every measure:
 - A row that counts and has no box of ours is a miss: overlap 0, infinite error of the centre.
 - The toolkits' arithmetic is followed to the last bit, since comparisons with thresholds depend on it.
 
-Where the toolkits differ from that: got10k 0.1.3 counts a row without ground truth as a failure in its OTB experiment
-(its GOT-10k experiment, and the LaSOT experiment of later sources, leave such rows out), and its AO is nan as soon as
-one prediction is nan.
+Where the toolkits differ from that: docs/measure.md.
 
 Of points: errors, Euclidean distances in pixels. A *normalised* error is divided by a length of the ground truth
 (rows.py). Failure rate and AUC are those of the literature on facial landmarks (300-W, COFW, WFLW), a row an image.

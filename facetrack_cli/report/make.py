@@ -41,14 +41,7 @@ from facetrack_cli.report import story
 from facetrack_cli.report.figures.page import page_figure
 from facetrack_cli.report.figures.style import need_matplotlib, render
 from facetrack_cli.report.story import Span, Stretch, history_of, key_frames
-from facetrack_cli.run_folder.manifest import (
-    REPORT,
-    VIDEO,
-    other_clip,
-    read_manifest,
-    read_run,
-    trajectory_of,
-)
+from facetrack_cli.run_folder.manifest import REPORT, VIDEO, other_clip, read_manifest, read_run, trajectory_of
 from facetrack_cli.run_folder.status import ClipStatus, badness, name_of, survey
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.start.init_file import as_yaml

@@ -164,7 +164,8 @@ def line(axes: Axes, frame: Whole | Array, value: Array, dot: str = ".", **look:
     """A line, with gaps where frames or values are missing, and a dot for one alone."""
     x, y = broken(frame, value)
     axes.plot(x, y, **look)
-    if (lonely := alone(y)).any():
+    finite = np.isfinite(np.pad(y, 1, constant_values=np.nan))
+    if (lonely := finite[1:-1] & ~finite[:-2] & ~finite[2:]).any():  # without a neighbour a point needs a mark
         fill: dict[str, Any] = {} if dot == "." else {"markerfacecolor": "none", "markeredgewidth": 0.8}
         axes.plot(x[lonely], y[lonely], dot, color=look["color"], markersize=6, **fill)
 
@@ -193,13 +194,6 @@ def broken(frame: Whole | Array, *values: Array) -> list[Array]:
 def _step(frame: Whole | Array) -> float:
     """The usual step between frames."""
     return float(np.median(np.diff(frame))) if len(frame) > 1 else 1.0
-
-
-def alone(y: Array) -> Mask:
-    """(T,) the points of a line without a neighbour, which need a mark to be seen."""
-    finite = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
-    lonely: Mask = finite[1:-1] & ~finite[:-2] & ~finite[2:]
-    return lonely
 
 
 def frame_spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[tuple[float, float]]:
