@@ -275,7 +275,9 @@ class CastSession(Page):
         self._clock = Clock(self._rows, self.before.fps)
         self._steps: list[tuple[Change, Tracks]] = []
         self.saved = 0  # changes
-        self._still = lru_cache(256)(lambda *track: still_of(self._rows, *track, self.frames.read))
+        self._still = lru_cache(256)(
+            lambda target, first, stop: still_of(self._rows, target, first, stop, self.frames.read)
+        )
 
     @property
     def tracks(self) -> Tracks:

@@ -78,7 +78,7 @@ def has_windows(part: Trajectory) -> bool:
 
 def mean(values: Array) -> Array:
     """The mean over the last axis of what is known; nan where nothing is."""
-    return np.ma.masked_invalid(values).mean(axis=-1).filled(np.nan)
+    return np.asarray(np.ma.masked_invalid(values).mean(axis=-1).filled(np.nan))
 
 
 class Clock:
