@@ -31,7 +31,7 @@ from facetrack_cli.runs.plan import Report
 from facetrack_cli.trackers.face.detectors import PARTS
 from facetrack_cli.trajectory import people as changes
 from facetrack_cli.trajectory.diagnostics import outlines
-from facetrack_cli.trajectory.people import Tracks
+from facetrack_cli.trajectory.people import Change, Tracks
 from facetrack_cli.trajectory.reader import UNSAVED, FrameNumber
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.views import Clock, choose
@@ -254,9 +254,6 @@ def cells(rows: Trajectory, first: int, stop: int) -> list[list[list[Any]]]:
         for row, *others in zip(numbers, some.status.tolist(), some.by_hand.tolist(), shapes, strict=True)
     ]
     return [[lines[i] for i in at] for _, at in by_frame(some)]
-
-
-Change = tuple[str, Callable[[Tracks], Tracks]]
 
 
 class CastSession(Page):

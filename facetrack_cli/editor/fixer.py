@@ -75,7 +75,7 @@ class Fixer:
     def __init__(self, run: Run, read: Callable[[int], Frame]) -> None:
         self.run, self._read = run, read
         with _writing():
-            self._folder = tempfile.TemporaryDirectory(prefix="facetrack-fix-")
+            self._folder = tempfile.TemporaryDirectory(prefix="facetrack-fix-", ignore_cleanup_errors=True)
         # the rows complete a correction that does not place all parts; a correction past the end stays as it is
         saved = (completed_by(fix, run.rows) if fix.frame <= run.last else fix for fix in run.start.corrections)
         self._saved = self._ordered(saved)
@@ -153,8 +153,7 @@ class Fixer:
         self.run = replace(self.run, files={form: (path, stamp(path)) for form, (path, _) in self.run.files.items()})
 
     def close(self) -> None:
-        with contextlib.suppress(OSError):
-            self._folder.cleanup()
+        self._folder.cleanup()
 
     def _become(self, corrections: Sequence[Correction], report: Report, stop: Stopped) -> None:
         """Take these corrections, and track the stretches of which no track is known."""

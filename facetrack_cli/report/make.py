@@ -195,11 +195,7 @@ class ReportPage(NamedTuple):
 
 
 def make_report(
-    run: Path,
-    *,
-    truth: tuple[Trajectory, Pairing] | None = None,
-    clip: Path | None = None,
-    report: Report = silent,
+    run: Path, *, truth: tuple[Trajectory, Pairing] | None = None, clip: Path | None = None, report: Report = silent
 ) -> ReportPage:
     """The report of the run in the folder `run`, beside ground truth and what pairs its rows with those of the run.
 

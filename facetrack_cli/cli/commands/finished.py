@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -21,10 +20,8 @@ if TYPE_CHECKING:
 
     from facetrack_cli.editor.fixer import Fixer
     from facetrack_cli.trajectory.formats.tables import Clip
-    from facetrack_cli.trajectory.people import People, Tracks
+    from facetrack_cli.trajectory.people import Change, People
     from facetrack_cli.trajectory.views import Around, Clock
-
-    Change: TypeAlias = tuple[str, Callable[[Tracks], Tracks]]
 
 Words: TypeAlias = tuple[tuple[str, ...], ...]
 _NAMES = words("A=B", "([^=]*)=(.*)", "give two names, as person_3=person_1")
@@ -186,6 +183,7 @@ def people_command(
       facetrack people out --save people.npz
     """
     from facetrack_cli.core.files import check_new
+    from facetrack_cli.core.numbers import csv_text
     from facetrack_cli.run_folder.manifest import read_run
     from facetrack_cli.runs.people import people_in, recast, save_looks
     from facetrack_cli.trajectory import people as edits
@@ -215,20 +213,14 @@ def people_command(
         with working(quiet, folder, left) as (stop, shown):
             shown.say(f"{save}: {', '.join(save_looks(folder, save, clip, shown.looked, stop))}")
     if as_csv:
-        click.echo(_intervals(people), nl=False)
+        # the frames in which people are seen, and their times in s, in the order of time
+        each = ((person.name, zip(person.intervals, person.times, strict=True)) for person in people.people)
+        spans = sorted((*frames, name, *times) for name, both in each for frames, times in both)
+        rows = ([name, first, stop - 1, f"{begin:.3f}", f"{end:.3f}"] for first, stop, name, begin, end in spans)
+        click.echo(csv_text(["person", "first_frame", "last_frame", "begin_s", "end_s"], rows), nl=False)
     elif not quiet:
         _show(people, Clock(read_run(folder), people.fps))
     return 0
-
-
-def _intervals(people: People) -> str:
-    """The frames in which people are seen, and their times in s, in the order of time."""
-    from facetrack_cli.core.numbers import csv_text
-
-    each = ((person.name, zip(person.intervals, person.times, strict=True)) for person in people.people)
-    spans = sorted((*frames, name, *times) for name, both in each for frames, times in both)
-    rows = ([name, first, stop - 1, f"{begin:.3f}", f"{end:.3f}"] for first, stop, name, begin, end in spans)
-    return csv_text(["person", "first_frame", "last_frame", "begin_s", "end_s"], rows)
 
 
 def _show(people: People, seconds: Clock) -> None:

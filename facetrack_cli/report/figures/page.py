@@ -289,7 +289,13 @@ class _Page:
         if share:
             axes.set(**SHARE)
         elif log:
-            style.log_axis(axes)
+            from matplotlib.ticker import LogLocator
+
+            axes.set_yscale("log")
+            bottom, top = axes.get_ylim()
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if top < 120 * bottom else (1,)))  # few ticks
+            axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.10g}")
+            axes.yaxis.minorticks_off()
         elif floor is not None:
             style.limit(axes, floor)
 

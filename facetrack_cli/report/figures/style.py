@@ -124,17 +124,6 @@ def limit(axes: Axes, floor: float | None = None, ticks: int = 4) -> None:
         axes.set_ylim(floor, high + 0.06 * (high - floor))  # a line along the top is whole
 
 
-def log_axis(axes: Axes) -> None:
-    """The vertical axis of what is drawn, in logarithms, with few ticks."""
-    from matplotlib.ticker import LogLocator
-
-    axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 120 * low else (1,)))
-    axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.10g}")
-    axes.yaxis.minorticks_off()
-
-
 def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:
     """An axis of frames, which increase, with at most `most` ticks."""
     from matplotlib.ticker import MaxNLocator
