@@ -24,7 +24,7 @@ from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.accuracy import share_up_to
-from facetrack_cli.evaluation.rows import PERCENT, Measure, column, match
+from facetrack_cli.evaluation.rows import PERCENT, column, match
 from facetrack_cli.evaluation.summary import MEASURES, NO_FIGURE, Sheet, clip_name, evaluate, scalars
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.plan import ClipRequest
@@ -94,6 +94,13 @@ class Entry:
         alone = 0.0 if self.deterministic else math.inf
         reach = alone if spread is None else ERRORS * spread / math.sqrt(values.size)
         return float(values.mean()) - reach, float(values.mean()) + reach
+
+    def figure(self, measure: str) -> str:
+        """The mean as text, with the standard deviation if there is one; shares in percent to two decimals."""
+        values = [value for value in (self.mean(measure), self.spread(measure)) if value is not None]
+        write = MEASURES[measure].write
+        texts = [f"{100 * value:.2f}" if write is PERCENT else write(value) for value in values]
+        return " ± ".join(texts) or NO_FIGURE
 
     @property
     def frames_per_s(self) -> float | None:
@@ -273,7 +280,7 @@ class Comparison:
         text = NO_FIGURE if place is None else "\N{EN DASH}".join(map(str, dict.fromkeys(place)))
         if not entry.scores:
             return (text, entry.label, "not run", *(NO_FIGURE,) * (len(self.measures) + 2))
-        figures = [figure(MEASURES[name], entry.values(name), spread=not entry.deterministic) for name in self.measures]
+        figures = map(entry.figure, self.measures)
         speed = (NO_FIGURE,) * 2 if rate is None else (f"{rate:,.0f}", f"×{fastest / rate:,.2f}")
         failed = f"{sum(score.failed for score in entry.scores)} of {len(entry.scores)}"
         return (text, entry.label, *figures, failed, *speed)
@@ -344,14 +351,3 @@ class Comparison:
 def _head(measure: str) -> str:
     way = "\N{DOWNWARDS ARROW}" if MEASURES[measure].better == "less" else "\N{UPWARDS ARROW}"
     return f"{MEASURES[measure].title.strip() or measure} {way}"
-
-
-def figure(measure: Measure, values: Array, *, spread: bool) -> str:
-    """The mean of values (n,), with their standard deviation if `spread`; shares in percent to two decimals."""
-
-    def write(value: float) -> str:
-        return f"{100 * value:.2f}" if measure.write is PERCENT else measure.write(value)
-
-    if not values.size:
-        return NO_FIGURE
-    return write(values.mean()) + (f" ± {write(values.std(ddof=1))}" if spread and values.size > 1 else "")

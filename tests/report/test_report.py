@@ -21,8 +21,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.geometry import corners
 from facetrack_cli.report import make as report
-from facetrack_cli.report.make import Image, key_images, make_report
-from facetrack_cli.report.story import identities
+from facetrack_cli.report.make import Image, identities, key_images, make_report
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.writers import RunSummary
