@@ -154,12 +154,7 @@ flag = functools.partial(option, is_flag=True)
 class Command(click.Command):
     """A command of many options: its help has them in sections, and --help shows those that most need.
 
-    Parameters
-    ----------
-    sections
-        A title by the name of the first option of each section.
-    basic
-        Names of the options that --help shows; --help-all shows all.
+    `sections` has a title by the name of the first option of each; --help shows the `basic` ones, --help-all all.
     """
 
     def __init__(self, *args: Any, sections: Mapping[str, str] | None = None, basic: str, **more: Any) -> None:
@@ -219,12 +214,6 @@ def gathered(name: str, kind: type[Any], *options: Decorator) -> Decorator:
 
 
 # options of several commands
-
-
-def figure_file(default: str) -> Decorator:
-    """--out of a figure; `default` says in words where it goes without."""
-    text = f"File to write: .png, .svg or .pdf [default: {default}]."
-    return option("-o", "--out", type=FILE, help=text)
 
 
 def jobs(text: str) -> Decorator:

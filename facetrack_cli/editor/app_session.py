@@ -34,9 +34,8 @@ from facetrack_cli.core.errors import (
 from facetrack_cli.core.files import TABLES, absolute, make_folder, read_bounded, write_new, writing
 from facetrack_cli.core.types import Array, checked_name
 from facetrack_cli.editor.fix_session import CastSession, FixSession
-from facetrack_cli.editor.pick_session import NOTHING, PickSession, Proposer
-from facetrack_cli.editor.save import open_track
-from facetrack_cli.editor.session import Answer, Json, Page, jpeg
+from facetrack_cli.editor.fixer import open_track
+from facetrack_cli.editor.session import NOTHING, Answer, Json, Page, PickSession, Proposer, jpeg
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.lease import FolderLease

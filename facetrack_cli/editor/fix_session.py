@@ -20,10 +20,8 @@ from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, fl
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Correction
-from facetrack_cli.editor.history import corrections_of, fixing, merged
-from facetrack_cli.editor.pick_session import requirement
-from facetrack_cli.editor.save import is_tracked_again, keep, save
-from facetrack_cli.editor.session import Answer, Draft, Json, Page, Session, jpeg
+from facetrack_cli.editor.fixer import corrections_of, fixing, is_tracked_again, keep, merged, save
+from facetrack_cli.editor.session import Answer, Draft, Json, Page, Session, jpeg, requirement
 from facetrack_cli.engine.corrected import correctable_parts
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.run_folder.manifest import read_run
@@ -33,7 +31,7 @@ from facetrack_cli.runs.plan import Report
 from facetrack_cli.trackers.face.detectors import PARTS
 from facetrack_cli.trajectory import people as changes
 from facetrack_cli.trajectory.diagnostics import outlines
-from facetrack_cli.trajectory.people import Tracks
+from facetrack_cli.trajectory.people import Change, Tracks
 from facetrack_cli.trajectory.reader import UNSAVED, FrameNumber
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.views import Clock, choose
@@ -57,11 +55,13 @@ class FixSession(Session):
         self.saved: list[str] = []  # a line on each file, of the last save
         self.saves = self.rows_revision = 0
         self._parts = run.parts
+        # the box of points places all of them again in the image
+        points = {name: () if parts == (BOX,) else correctable_parts(parts) for name, parts in self._parts.items()}
         about = {
             "clip": run.header.clip_name + f": {run.rows.targets[0]}" * run.film,
             "recipe": run.recipe.name,
             "lost_below": {name: run.recipe.lost_below(name) for name in self._parts},
-            "requirements": [_requirement(name, parts) for name, parts in self._parts.items()],
+            "requirements": [requirement(n, own, "" if set(own) <= set(PARTS) else "no") for n, own in points.items()],
             "free": False,
             "saves_to": str(run.folder),
             "again": is_tracked_again(run),
@@ -203,12 +203,6 @@ class FixSession(Session):
             return {**super().get_state(), **undo, **saved}
 
 
-def _requirement(target: str, parts: tuple[str, ...]) -> Json:
-    """What may be corrected of a target. With the box of points, all of them are placed again in the image."""
-    points = () if parts == (BOX,) else correctable_parts(parts)
-    return requirement(target, points, "" if set(points) <= set(PARTS) else "no")
-
-
 def overview(rows: Trajectory, bins: int, corrections: Sequence[Correction], lost_below: Mapping[str, float]) -> Json:
     """Ready for JSON: of each of `bins` equal spans the least confidence of all parts, None if unknown, whether a part
     is lost, and whether some parts are absent, 1, or all of them, 2; the doubtful frames; the corrections.
@@ -262,9 +256,6 @@ def cells(rows: Trajectory, first: int, stop: int) -> list[list[list[Any]]]:
     return [[lines[i] for i in at] for _, at in by_frame(some)]
 
 
-Change = tuple[str, Callable[[Tracks], Tracks]]
-
-
 class CastSession(Page):
     """The people of the run in `folder`; its clip may be elsewhere now. Nothing is written before it is saved."""
 
@@ -281,7 +272,9 @@ class CastSession(Page):
         self._clock = Clock(self._rows, self.before.fps)
         self._steps: list[tuple[Change, Tracks]] = []
         self.saved = 0  # changes
-        self._still = lru_cache(256)(self._picture)
+        self._still = lru_cache(256)(
+            lambda target, first, stop: still_of(self._rows, target, first, stop, self.frames.read)
+        )
 
     @property
     def tracks(self) -> Tracks:
@@ -369,6 +362,3 @@ class CastSession(Page):
         if (person, first, stop) not in targets:
             raise UsageError("there is no such track any more")
         return Answer(self._still(targets[person, first, stop], first, stop), kind="image/jpeg")
-
-    def _picture(self, target: str, first: int, stop: int) -> bytes:
-        return still_of(self._rows, target, first, stop, self.frames.read)

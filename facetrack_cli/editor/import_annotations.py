@@ -45,7 +45,11 @@ def imported_corrections(
     for (frame, target), parts in sorted(changes.items()):
         can = (*correctable_parts(run.parts[target]), BOX)
         if placed := {part: place for part, place in parts.items() if part in can}:
-            corrections.append(_correction(frame, target, placed, run))
+            absent = all_or([part for part, place in placed.items() if place is None], run.parts[target])
+            box: Any = placed.pop(BOX, None) if absent is not True else None
+            points = {part: (place[0], place[1]) for part, place in placed.items() if place is not None}
+            points = {} if absent is True else points
+            corrections.append(Correction(frame, target, box, points, absent=absent))
             gone = gone | {target} if corrections[-1].absent is True else gone - {target}
         if target not in gone:  # all of it is absent
             vain |= dict.fromkeys(f"{target}/{part}" for part in parts if part not in can)
@@ -185,12 +189,3 @@ def _moves(part: Trajectory, row: Trajectory) -> Iterator[tuple[int, Place, bool
         if gone or moved or (lost and part.status[n] == "visible"):
             yield frame, place, moved
         gone = False
-
-
-def _correction(frame: int, target: str, parts: Mapping[str, Place], run: Run) -> Correction:
-    absent = all_or([part for part, place in parts.items() if place is None], run.parts[target])
-    if absent is True:
-        return Correction(frame, target, absent=True)
-    box: Any = parts.get(BOX)
-    points = {part: (place[0], place[1]) for part, place in parts.items() if place is not None and part != BOX}
-    return Correction(frame, target, box, points, absent=absent)

@@ -12,9 +12,7 @@ is not known is nan. Three rules hold for every measure:
 - A row that counts and has no box of ours is a miss: overlap 0, infinite error of the centre.
 - The toolkits' arithmetic is followed to the last bit, since comparisons with thresholds depend on it.
 
-Where the toolkits differ from that: got10k 0.1.3 counts a row without ground truth as a failure in its OTB experiment
-(its GOT-10k experiment, and the LaSOT experiment of later sources, leave such rows out), and its AO is nan as soon as
-one prediction is nan.
+Where the toolkits differ from that: docs/measure.md.
 
 Of points: errors, Euclidean distances in pixels. A *normalised* error is divided by a length of the ground truth
 (rows.py). Failure rate and AUC are those of the literature on facial landmarks (300-W, COFW, WFLW), a row an image.
@@ -96,12 +94,6 @@ def within(ours: Array, truth: Array) -> Mask:
     return np.asarray(np.all(np.abs(_centres(ours) - _centres(truth)) <= truth[:, 2:] / 2, axis=1))
 
 
-def share_above(values: Array, thresholds: Array) -> Array:
-    """(K,) share of values (T,) strictly above each threshold (K,): a success curve. nan when there are no values."""
-    below = np.searchsorted(np.sort(values), thresholds, side="right")
-    return np.asarray((len(values) - below) / (len(values) or np.nan))
-
-
 def share_up_to(values: Array, thresholds: Array) -> Array:
     """(K,) share of values (T,) at or below each threshold (K,): a precision curve. nan when there are no values."""
     return np.asarray(np.searchsorted(np.sort(values), thresholds, side="right") / (len(values) or np.nan))
@@ -135,18 +127,18 @@ def measure_boxes(
     overlap = np.where(counts, np.nan_to_num(iou(otb, truth)), np.nan)
     errors = centre_errors(otb, truth), normalised_errors(otb, truth)
     distance, normalised = (np.where(np.isnan(error), np.inf, error) for error in errors)
-    success = share_above(overlap[counts], SUCCESS_THRESHOLDS)
+    rows = int(counts.sum())
+    success = (rows - np.searchsorted(np.sort(overlap[counts]), SUCCESS_THRESHOLDS, side="right")) / (rows or np.nan)
     precision = share_up_to(distance[counts], PRECISION_THRESHOLDS)
     normalised_precision = share_up_to(normalised[counts], NORMALISED_THRESHOLDS)
     clipped = np.nan_to_num(iou(ours[later], truth[later], size))
-    some = bool(counts.any())
     return BoxMeasures(
-        rows=int(counts.sum()),
+        rows=rows,
         missing=int((counts & np.isnan(otb[:, 0])).sum()),
-        success_auc=float(np.mean(success)) if some else None,
-        precision_20=float(precision[20]) if some else None,
-        normalised_auc=float(np.mean(normalised_precision)) if some else None,
-        normalised_20=float(normalised_precision[20]) if some else None,
+        success_auc=float(np.mean(success)) if rows else None,
+        precision_20=float(precision[20]) if rows else None,
+        normalised_auc=float(np.mean(normalised_precision)) if rows else None,
+        normalised_20=float(normalised_precision[20]) if rows else None,
         ao=mean(clipped),
         sr50=mean(clipped > 0.5),
         sr75=mean(clipped > 0.75),

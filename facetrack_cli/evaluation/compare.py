@@ -24,7 +24,7 @@ from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.accuracy import share_up_to
-from facetrack_cli.evaluation.rows import PERCENT, Measure, Rows, at, column, match
+from facetrack_cli.evaluation.rows import PERCENT, column, match
 from facetrack_cli.evaluation.summary import MEASURES, NO_FIGURE, Sheet, clip_name, evaluate, scalars
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.plan import ClipRequest
@@ -58,7 +58,7 @@ class Score:
     hidden: Whole  # the frames in which some part is hidden or absent
     success: Array | None = None
     precision: Array | None = None
-    cumulative: Array | None = None
+    cumulative: Array | None = None  # of visible rows by their normalised error; None without a length
 
 
 @dataclass
@@ -94,6 +94,13 @@ class Entry:
         alone = 0.0 if self.deterministic else math.inf
         reach = alone if spread is None else ERRORS * spread / math.sqrt(values.size)
         return float(values.mean()) - reach, float(values.mean()) + reach
+
+    def figure(self, measure: str) -> str:
+        """The mean as text, with the standard deviation if there is one; shares in percent to two decimals."""
+        values = [value for value in (self.mean(measure), self.spread(measure)) if value is not None]
+        write = MEASURES[measure].write
+        texts = [f"{100 * value:.2f}" if write is PERCENT else write(value) for value in values]
+        return " ± ".join(texts) or NO_FIGURE
 
     @property
     def frames_per_s(self) -> float | None:
@@ -147,8 +154,8 @@ def score_run(
     evaluation = evaluate(pairs, size=frame_size_of(run.trajectory), reference=truth.parts)
     rows, boxes, points = evaluation.rows, evaluation.all.boxes, evaluation.all.points
     frame, place = np.unique(column(rows, "frame"), return_inverse=True)
-    error = column(rows, "error")
-    finite = np.isfinite(error)
+    error, unit = column(rows, "error"), column(rows, "unit")
+    finite, seen = np.isfinite(error), column(rows, "visible") & column(rows, "placed") & np.isfinite(unit)
     count, total = (np.bincount(place[finite], weights, len(frame)) for weights in (None, error[finite]))
     overlaps = [part.boxes.overlap[np.isfinite(part.boxes.overlap)] for part in evaluation.parts if part.boxes]
     tails = [np.median(each[-math.ceil(TAIL * each.size) :]) for each in overlaps if each.size]
@@ -162,22 +169,8 @@ def score_run(
         hidden=np.unique(np.concatenate([part.frame[~part.visible] for part in rows])),
         success=None if boxes is None else boxes.success,
         precision=None if boxes is None else boxes.precision,
-        cumulative=None if points is None else cumulative(rows),
+        cumulative=share_up_to(error[seen] / unit[seen], CUMULATIVE_AT) if points and seen.any() else None,
     )
-
-
-def cumulative(rows: Sequence[Rows]) -> Array | None:
-    """(n,) share of the visible rows whose normalised error is at most each of CUMULATIVE_AT; None without a length."""
-    seen = column(rows, "visible") & column(rows, "placed") & np.isfinite(column(rows, "unit"))
-    normalised = column(rows, "error")[seen] / column(rows, "unit")[seen]
-    return share_up_to(normalised, CUMULATIVE_AT) if seen.any() else None
-
-
-def aligned(entries: Sequence[Entry]) -> tuple[Whole, dict[str, Array]]:
-    """All frames (T,) that any run has an error for, and by label the errors (S, T), nan where there is none."""
-    frame = np.unique(np.concatenate([score.frame for entry in entries for score in entry.scores]))
-    ran = [entry for entry in entries if entry.scores]
-    return frame, {entry.label: np.array([at(frame, one.frame, one.error) for one in entry.scores]) for entry in ran}
 
 
 def run_recipes(
@@ -287,7 +280,7 @@ class Comparison:
         text = NO_FIGURE if place is None else "\N{EN DASH}".join(map(str, dict.fromkeys(place)))
         if not entry.scores:
             return (text, entry.label, "not run", *(NO_FIGURE,) * (len(self.measures) + 2))
-        figures = [figure(MEASURES[name], entry.values(name), spread=not entry.deterministic) for name in self.measures]
+        figures = map(entry.figure, self.measures)
         speed = (NO_FIGURE,) * 2 if rate is None else (f"{rate:,.0f}", f"×{fastest / rate:,.2f}")
         failed = f"{sum(score.failed for score in entry.scores)} of {len(entry.scores)}"
         return (text, entry.label, *figures, failed, *speed)
@@ -358,14 +351,3 @@ class Comparison:
 def _head(measure: str) -> str:
     way = "\N{DOWNWARDS ARROW}" if MEASURES[measure].better == "less" else "\N{UPWARDS ARROW}"
     return f"{MEASURES[measure].title.strip() or measure} {way}"
-
-
-def figure(measure: Measure, values: Array, *, spread: bool) -> str:
-    """The mean of values (n,), with their standard deviation if `spread`; shares in percent to two decimals."""
-
-    def write(value: float) -> str:
-        return f"{100 * value:.2f}" if measure.write is PERCENT else measure.write(value)
-
-    if not values.size:
-        return NO_FIGURE
-    return write(values.mean()) + (f" ± {write(values.std(ddof=1))}" if spread and values.size > 1 else "")

@@ -274,7 +274,10 @@ def match(
     ground truth cannot have, frames that one lacks, truth outside of the frame; UsageError if `select` names none.
     """
     named = _pair_names(choose(trajectory, select), truth, select, note)
-    _check_status(truth, named)
+    for _, part in named:
+        for row in np.flatnonzero(~np.isin(part.status, ("", *OF_TRUTH, *OF_TRACK)))[:1]:
+            what = f"status {str(part.status[row])!r} is none of {', '.join(OF_TRUTH)}"
+            raise InputError(f"{truth.path}: frame {part.frame[row]}, {part.name}: {what}; correct it")
     _check_frames(trajectory, truth, named, partial)
     _check_places(trajectory, truth, named)
     pairs = []
@@ -319,14 +322,6 @@ def _pair_names(ours: Trajectory, truth: Trajectory, select: str | None, note: C
 def _names(parts: Sequence[Trajectory]) -> str:
     names = [part.name if part.target else f"{part.part} without a name" for part in parts]
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-
-
-def _check_status(truth: Trajectory, named: Sequence[Pair]) -> None:
-    for _, part in named:
-        for row in np.flatnonzero(~np.isin(part.status, ("", *OF_TRUTH, *OF_TRACK)))[:1]:
-            place = f"{truth.path}: frame {part.frame[row]}, {part.name}"
-            what = f"status {str(part.status[row])!r} is none of {', '.join(OF_TRUTH)}"
-            raise InputError(f"{place}: {what}; correct it")
 
 
 def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair], partial: bool) -> None:

@@ -28,15 +28,7 @@ from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Whole
 from facetrack_cli.evaluation import accuracy
 from facetrack_cli.evaluation.identities import PeopleMeasures
-from facetrack_cli.evaluation.rows import (
-    NEAR_IOU,
-    Measure,
-    Pair,
-    Rows,
-    Value,
-    column,
-    normalised_rows,
-)
+from facetrack_cli.evaluation.rows import NEAR_IOU, Measure, Pair, Rows, Value, column, normalised_rows
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 WIDTH: Final = 100  # columns of a table that is not printed on a terminal

@@ -115,22 +115,9 @@ def load_recipe(
 
 
 def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Problem]:
-    """Everything that is wrong with a recipe, and with the files that it names.
+    """Everything that is wrong with a recipe, and with the files that it names; nothing of one that can run.
 
-    Parameters
-    ----------
-    name_or_path, overrides
-        As of `load_recipe`.
-
-    Returns
-    -------
-    list of Problem
-        Each with its place in the file and a message; empty for a recipe that can run.
-
-    Raises
-    ------
-    RecipeError
-        Where there is no such recipe.
+    `name_or_path` and `overrides` are as of `load_recipe`. Raises RecipeError where there is no such recipe.
     """
     try:
         files_of(load_recipe(name_or_path, overrides))

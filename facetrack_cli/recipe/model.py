@@ -17,26 +17,14 @@ from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.yaml_tree import Node, Problem, Source, Span, YamlProblems
 from facetrack_cli.recipe import sections
-from facetrack_cli.recipe.sections import (
-    Component,
-    FilterSettings,
-    Kind,
-    Length,
-    LikelihoodSettings,
-    MotionSettings,
-    PriorSettings,
-    Refusal,
-    Section,
-    TargetSettings,
-    type_of,
-)
+from facetrack_cli.recipe.sections import Refusal, Section, type_of
 from facetrack_cli.trackers.appearance.settings import RecognitionSettings
 from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.hands.settings import HandsSettings
 from facetrack_cli.trackers.skin.settings import ExclusionSettings
 
 MAX_SEED: Final = 2**63 - 1
-S = TypeVar("S", bound=Kind)
+S = TypeVar("S", bound=sections.Kind)
 TargetName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
 
@@ -62,15 +50,15 @@ class ConfidenceSettings(Section):
 class ParticleFilterSettings(Section):
     """A particle filter for one target."""
 
-    target: TargetSettings
+    target: sections.TargetSettings
     """What is tracked: the state alpha."""
-    motion: MotionSettings
+    motion: sections.MotionSettings
     """How it moves from frame to frame: the transition density p(alpha_i | alpha^-)."""
-    likelihood: LikelihoodSettings
+    likelihood: sections.LikelihoodSettings
     """How a part looks: the observation model p(y | alpha_i)."""
-    filter: FilterSettings
+    filter: sections.FilterSettings
     """How the particles are proposed, weighted and resampled."""
-    prior: PriorSettings | None = None
+    prior: sections.PriorSettings | None = None
     """Which shapes are likely: p(alpha); null for none."""
     head: HeadSettings | None = None
     """The head that carries the points of a face; null, as published: a head at rest."""
@@ -84,15 +72,23 @@ class ParticleFilterSettings(Section):
         return self.target.points
 
     @property
-    def components(self) -> dict[str, Component]:
+    def components(self) -> dict[str, sections.Component]:
         """What the tracker is built from, by key, but for what is not given."""
-        sections = {key: getattr(self, key) for key in ("target", *_KINDS)}
-        return {key: section for key, section in sections.items() if section is not None}
+        return {key: section for key in ("target", *_KINDS) if (section := getattr(self, key)) is not None}
 
     def mistakes(self) -> Iterable[Refusal]:
         parts = self.components
-        if strangers := [key for key in _KINDS if key in parts and self.target.type not in parts[key].goes_with]:
-            yield from (self._mismatch(key, parts[key]) for key in strangers)
+        strangers = [key for key in _KINDS if key in parts and self.target.type not in parts[key].goes_with]
+        why = f'does not go with target type "{self.target.type}"'
+        for key in strangers:
+            section = parts[key]
+            if isinstance(section, sections.Kind):
+                known = sections.registered(_KINDS[key]).items()
+                fits = " or ".join(name for name, kind in known if self.target.type in kind.goes_with)
+                yield Refusal((key, "type"), f'{key} type "{section.type}" {why}; write {fits or "null"}')
+            else:
+                yield Refusal((key,), f"{key} {why}; remove it, or follow an affine target")
+        if strangers:
             return
         for part in parts.values():
             yield from part.mismatches(self)
@@ -102,21 +98,12 @@ class ParticleFilterSettings(Section):
         if self.head is not None and (self.motion.type, self.likelihood.type) != ("jumping_walk", "window_ncc"):
             yield Refusal(("head",), "head carries points that move by jumping_walk and look by window_ncc; remove it")
 
-    def _mismatch(self, key: str, section: Component) -> Refusal:
-        """The error for a section that does not go with the type of the target."""
-        why = f'does not go with target type "{self.target.type}"'
-        if not isinstance(section, Kind):
-            return Refusal((key,), f"{key} {why}; remove it, or follow an affine target")
-        fits = [name for name, kind in sections.registered(_KINDS[key]).items() if self.target.type in kind.goes_with]
-        message = f'{key} type "{section.type}" {why}; write {" or ".join(fits) or "null"}'
-        return Refusal((key, "type"), message)
-
 
 _KINDS: Mapping[str, type[Any]] = {
-    "likelihood": LikelihoodSettings,
-    "motion": MotionSettings,
-    "filter": FilterSettings,
-    "prior": PriorSettings,
+    "likelihood": sections.LikelihoodSettings,
+    "motion": sections.MotionSettings,
+    "filter": sections.FilterSettings,
+    "prior": sections.PriorSettings,
     "recognition": RecognitionSettings,
 }
 
@@ -370,7 +357,7 @@ class _Described(GenerateJsonSchema):
     """Fields get the docstrings below them, `type` by default that of its class; lengths are written as in recipes."""
 
     def encode_default(self, dft: Any) -> Any:
-        return super().encode_default(dft.written() if isinstance(dft, Length) else dft)
+        return super().encode_default(dft.written() if isinstance(dft, sections.Length) else dft)
 
     def model_schema(self, schema: Any) -> dict[str, Any]:
         described = super().model_schema(schema)

@@ -121,53 +121,36 @@ class Measure(NamedTuple):
 
     name: str
     unit: str
-    formula: str
     needs: tuple[str, ...] = ()
     of: Callable[[Face], Array] | None = None
 
 
 MEASURES: Final = (
-    Measure("mouth_opening", LENGTH, "distance of the outer lips", LIPS, lambda f: f.apart(*LIPS) / abs(f.across)),
-    Measure("lips_apart", LENGTH, "distance of the inner lips", INNER, lambda f: f.apart(*INNER) / abs(f.across)),
-    Measure("lips_pressed", LENGTH, "distance of the inner lips less that of the outer lips: more where lips are thin",
-            LIPS + INNER, lambda f: (f.apart(*INNER) - f.apart(*LIPS)) / abs(f.across)),
-    Measure("lips_rounded", "ratio", "distance of the outer lips over that of the corners of the mouth", LIPS + CORNERS,
-            lambda f: f.apart(*LIPS) / f.apart(*CORNERS) * f.share),
-    Measure("mouth_width", LENGTH, "distance of the corners of the mouth", CORNERS,
-            lambda f: f.apart(*CORNERS) / abs(f.across) / f.share),
-    Measure("smile", LENGTH, "height of the middle of the corners of the mouth above that of the outer lips",
-            CORNERS + LIPS, partial(Face.height, above=CORNERS, below=LIPS)),
-    *(Measure(f"smile_{side}", LENGTH, f"height of the {side} corner of the mouth above the middle of the outer lips",
-              (corner, *LIPS), partial(Face.height, above=(corner,), below=LIPS))
+    Measure("mouth_opening", LENGTH, LIPS, lambda f: f.apart(*LIPS) / abs(f.across)),
+    Measure("lips_apart", LENGTH, INNER, lambda f: f.apart(*INNER) / abs(f.across)),
+    Measure("lips_pressed", LENGTH, LIPS + INNER, lambda f: (f.apart(*INNER) - f.apart(*LIPS)) / abs(f.across)),
+    Measure("lips_rounded", "ratio", LIPS + CORNERS, lambda f: f.apart(*LIPS) / f.apart(*CORNERS) * f.share),
+    Measure("mouth_width", LENGTH, CORNERS, lambda f: f.apart(*CORNERS) / abs(f.across) / f.share),
+    Measure("smile", LENGTH, CORNERS + LIPS, partial(Face.height, above=CORNERS, below=LIPS)),
+    *(Measure(f"smile_{side}", LENGTH, (corner, *LIPS), partial(Face.height, above=(corner,), below=LIPS))
       for side, corner in zip(SIDES, CORNERS, strict=True)),
-    Measure("jaw_sideways", LENGTH, "how far the chin is to the right of the nose, along the line of the eyes",
-            ("chin", "nose"), lambda f: ((f.at["chin"] - f.at["nose"]) / f.across).real),
-    *(Measure(f"brow_{name}", LENGTH, f"height of the {place} of the brows above the centres of the eyes, mean of both",
-              parts + EYES, partial(Face.height, above=parts, below=EYES))
-      for name, place, parts in zip(("raise", "inner", "outer"), ("middles", "inner ends", "outer ends"), BROWS,
-                                    strict=True)),
-    Measure("eye_opening", "eye widths", "distance of an eye's lids over its width, mean of both", LIDS[0] + LIDS[1],
-            partial(Face.opening, eyes=(0, 1))),
-    *(Measure(f"eye_opening_{side}", "eye widths", f"distance of the lids of the {side} eye over its width", LIDS[k],
-              partial(Face.opening, eyes=(k,))) for k, side in enumerate(SIDES)),
-    Measure("eyes_differ", "eye widths", "opening of the right eye less that of the left", LIDS[0] + LIDS[1],
-            lambda f: f.opening((1,)) - f.opening((0,))),
-    Measure("gaze_x", "eye widths", "how far the irises are right of the middle of the eyes' corners, mean of both",
-            GAZE, lambda f: f.gaze.real),
-    Measure("gaze_y", "eye widths", "how far the irises are above the line of the eyes' corners, mean of both",
-            GAZE, lambda f: -f.gaze.imag),
-    Measure("roll", DEGREES, "roll of the head's pose, its tilt; where it is not known, the angle of the face's box"),
-    Measure("yaw", DEGREES, "yaw of the head's pose"),
-    Measure("pitch", DEGREES, "pitch of the head's pose"),
-    Measure("thrust", "share", "how much larger the face's box is than the clip's median, by the root of its area"),
-    Measure("talking", "probability", "that the mouth moves as in talking"),
+    Measure("jaw_sideways", LENGTH, ("chin", "nose"), lambda f: ((f.at["chin"] - f.at["nose"]) / f.across).real),
+    *(Measure(f"brow_{name}", LENGTH, parts + EYES, partial(Face.height, above=parts, below=EYES))
+      for name, parts in zip(("raise", "inner", "outer"), BROWS, strict=True)),
+    Measure("eye_opening", "eye widths", LIDS[0] + LIDS[1], partial(Face.opening, eyes=(0, 1))),
+    *(Measure(f"eye_opening_{side}", "eye widths", LIDS[k], partial(Face.opening, eyes=(k,)))
+      for k, side in enumerate(SIDES)),
+    Measure("eyes_differ", "eye widths", LIDS[0] + LIDS[1], lambda f: f.opening((1,)) - f.opening((0,))),
+    Measure("gaze_x", "eye widths", GAZE, lambda f: f.gaze.real),
+    Measure("gaze_y", "eye widths", GAZE, lambda f: -f.gaze.imag),
+    *(Measure(name, DEGREES) for name in ("roll", "yaw", "pitch")),
+    Measure("thrust", "share"),
+    Measure("talking", "probability"),
 )  # fmt: skip
-"""All measures, in the order of columns; left and right are as seen in the image."""
+"""All measures, in the order of columns, which docs/measures.md describes; left and right are as seen in the image."""
 HAND_MEASURES: Final = (
-    Measure("speed", "face sizes a second", "speed of a hand in the image"),
-    Measure("held", "probability", "that a hand is held still"),
-    Measure("touches_hand", "probability", "that a hand meets the other hand in the image"),
-    Measure("touches_face", "probability", "that a hand meets the face in the image"),
+    Measure("speed", "face sizes a second"),
+    *(Measure(name, "probability") for name in ("held", "touches_hand", "touches_face")),
 )
 USED: Final = {BOX, *(name for one in MEASURES for name in one.needs)}
 
@@ -237,7 +220,7 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
     for a, b in stretches(time_s):
         moved[a:b] = np.minimum(sum(_moved(one[a:b], time_s[a:b], by) for one, by in away), 1)
     measures = {}
-    for name, unit, _, needs, of in MEASURES:
+    for name, unit, needs, of in MEASURES:
         needs += () if unit != LENGTH else EYES if face.at.keys() >= {*EYES} else (BOX,)
         if of is not None and face.at.keys() >= {*needs}:
             both = np.stack([of(face), _spread(of, face, {part: spread[part] for part in needs})])

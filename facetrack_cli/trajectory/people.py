@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations
@@ -62,6 +62,7 @@ class TrackRecord(BaseModel, extra="forbid", defer_build=True):
 
 
 Tracks: TypeAlias = Sequence[TrackRecord]
+Change: TypeAlias = tuple[str, Callable[[Tracks], Tracks]]  # in words, and what it makes of tracks
 
 
 class PersonRecord(BaseModel, extra="forbid", defer_build=True):

@@ -312,20 +312,11 @@ class Trajectory:
         about: dict[str, Any] = {"source_software": "facetrack", "ds_type": "poses", "time_unit": "seconds"}
         if fps is not None or len(frames) > 1:
             about["fps"] = round(1 / float(np.median(np.diff(time_s))), 6) if fps is None else fps
-        return xarray.Dataset(
-            {
-                "position": (("time", "space", "keypoints", "individuals"), values[..., :2].transpose(0, 3, 2, 1)),
-                "confidence": (("time", "keypoints", "individuals"), values[..., 2].transpose(0, 2, 1)),
-            },
-            {
-                "time": time_s,
-                "space": ["x", "y"],
-                "keypoints": parts,
-                "individuals": [target or "target" for target in self.targets],
-                "frame": ("time", frames),
-            },
-            about,
-        )
+        axes, targets = ("time", "space", "keypoints", "individuals"), [target or "target" for target in self.targets]
+        named = dict(zip(axes, (time_s, ["x", "y"], parts, targets), strict=True))
+        position, confidence = values[..., :2].transpose(0, 3, 2, 1), values[..., 2].transpose(0, 2, 1)
+        columns = {"position": (axes, position), "confidence": (axes[:1] + axes[2:], confidence)}
+        return xarray.Dataset(columns, {**named, "frame": ("time", frames)}, about)
 
     def to_pandas(self, what: Literal["rows", "measures", "events"] = "rows") -> DataFrame:
         """The columns, the measures or the events as a pandas DataFrame.

@@ -78,9 +78,7 @@ def has_windows(part: Trajectory) -> bool:
 
 def mean(values: Array) -> Array:
     """The mean over the last axis of what is known; nan where nothing is."""
-    finite = np.isfinite(values)
-    count = finite.sum(axis=-1)
-    return np.where(count > 0, np.where(finite, values, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)
+    return np.asarray(np.ma.masked_invalid(values).mean(axis=-1).filled(np.nan))
 
 
 class Clock:

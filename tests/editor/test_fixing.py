@@ -15,10 +15,8 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction
-from facetrack_cli.editor import history
 from facetrack_cli.editor.fix_session import overview
-from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.save import keep, save
+from facetrack_cli.editor.fixer import Fixer, corrections_of, keep, merged, save
 from facetrack_cli.runs.finished import open_run
 from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.start.init_file import read_init
@@ -404,8 +402,8 @@ def test_what_is_dragged_goes_over_what_its_frame_has():
     old = Correction(5, "t", points={"a": (1, 1)}, kept={"b": (2, 2)}, absent=("c",))
     whole = Correction(5, "t", box=(1, 2, 9, 9))
 
-    def merged(box, points, absent, before=old, parts=parts):
-        return history.merged(Correction(5, "t", box, points, absent=absent), before, parts)
+    def together(box, points, absent, before=old, parts=parts):
+        return merged(Correction(5, "t", box, points, absent=absent), before, parts)
 
     for given, expected in (
         ((None, {"b": (3, 3)}, ()), ({"a": (1, 1), "b": (3, 3)}, {}, ("c",))),
@@ -414,7 +412,7 @@ def test_what_is_dragged_goes_over_what_its_frame_has():
         ((None, {"b": (3, 3)}, (), gone), ({"b": (3, 3)}, {}, ("a", "c"))),
         (((1, 2, 9, 9), {"b": (3, 3)}, ()), ({"a": (1, 1), "b": (3, 3)}, {}, ("c",))),  # beside points it says nothing
     ):
-        new = merged(*given)
+        new = together(*given)
         assert (new.points, new.kept, new.absent) == expected, given
     for given, expected in (
         ((None, {}, ("a", "b")), gone),
@@ -425,8 +423,8 @@ def test_what_is_dragged_goes_over_what_its_frame_has():
         (((1, 2, 9, 9), {}, ("a",)), replace(whole, absent=("a",))),  # of points, it places those that are there
         ((None, {}, ("a", "b"), replace(old, learn=False)), gone),  # an init file refuses learn: beside it
     ):
-        assert merged(*given) == expected, given
-    assert merged(None, {"b": (3, 3)}, (), replace(old, learn=False)).learn is False
+        assert together(*given) == expected, given
+    assert together(None, {"b": (3, 3)}, (), replace(old, learn=False)).learn is False
 
 
 # --- what is tracked again -------------------------------------------------------------------------------------------

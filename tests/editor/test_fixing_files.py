@@ -13,9 +13,8 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Correction
-from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.history import fixing
-from facetrack_cli.editor.save import keep, save
+from facetrack_cli.editor import fixer as saving
+from facetrack_cli.editor.fixer import fixing, keep, save
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.lease import NOTE, FolderLease

@@ -9,9 +9,8 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction
-from facetrack_cli.editor.history import fixing
+from facetrack_cli.editor.fixer import fixing, keep, open_track, save
 from facetrack_cli.editor.import_annotations import imported_corrections
-from facetrack_cli.editor.save import keep, open_track, save
 from facetrack_cli.run_folder.manifest import read_run
 from facetrack_cli.runs.people import people_in, recast
 from facetrack_cli.trackers.face.target import FaceTarget

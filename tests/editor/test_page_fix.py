@@ -13,9 +13,9 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Correction
-from facetrack_cli.editor import save as saving
+from facetrack_cli.editor import fixer as saving
 from facetrack_cli.editor.fix_session import doubtful, overview
-from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.fixer import Fixer
 from facetrack_cli.run_folder.manifest import write_rows
 from facetrack_cli.runs.finished import open_run
 from facetrack_cli.runs.signals import StoppedError

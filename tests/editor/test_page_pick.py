@@ -84,7 +84,7 @@ def test_what_a_recipe_requires(clips):
 
 def looking(monkeypatch, find):
     """The page finds faces so."""
-    monkeypatch.setattr("facetrack_cli.editor.pick_session.detector", lambda: SimpleNamespace(find=find, name=""))
+    monkeypatch.setattr("facetrack_cli.editor.session.detector", lambda: SimpleNamespace(find=find, name=""))
 
 
 def test_the_faces_of_a_frame_are_proposed(clips, monkeypatch):

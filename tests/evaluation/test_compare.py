@@ -17,6 +17,7 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.evaluation import compare, summary
 from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, Entry, Score, default_truth, rank, score_run
 from facetrack_cli.evaluation.summary import Sheet
+from facetrack_cli.report.figures import compare as figures
 from facetrack_cli.runs.seeds import labels, variant
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
@@ -77,10 +78,15 @@ def test_ranking_by_what_cannot_rank_is_refused():
             compare.check_measure(measure)
 
 
-def test_errors_are_aligned_by_frame():
+def test_errors_are_aligned_by_frame(monkeypatch):
     short = Entry("short", [score(0, 1.0, frames=3)])
     long = Entry("long", [score(0, 1.0), score(1, 1.0)])
-    frame, found = compare.aligned([short, long, Entry("broken", error=InputError("no"))])
+    drawn = []
+    monkeypatch.setattr(figures, "error_over_time_figure", lambda *what, **_: drawn.append(what))
+    monkeypatch.setattr(figures, "render", lambda _: b"")
+    [_] = figures.compare_figures(Comparison(Path("clip"), Path("truth"), 2, (short, long, BROKEN), MEASURE))
+    [(frame, found, hidden)] = drawn
+    assert hidden.tolist() == [False, False, True, False, False]
     assert frame.tolist() == [0, 1, 2, 3, 4] and list(found) == ["short", "long"]
     np.testing.assert_array_equal(found["short"], [[0, 1, 2, np.nan, np.nan]])
     np.testing.assert_array_equal(found["long"], [[0, 1, 2, 3, 4], [1, 2, 3, 4, 5]])

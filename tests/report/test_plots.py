@@ -80,7 +80,10 @@ def test_lines_break_where_frames_are_missing_and_single_ones_are_seen():
     x, y = plot_style.broken(frame, np.ones(80))
     assert np.flatnonzero(np.isnan(x)).tolist() == np.flatnonzero(np.isnan(y)).tolist() == [40]
     assert not np.isnan(plot_style.broken(np.arange(0, 400, 5), np.ones(80))).any(), "every fifth frame is no gap"
-    assert plot_style.alone(np.array([1, np.nan, 2, 3, np.nan, 4])).tolist() == [True, False, False, False, False, True]
+    with plot_style.style():
+        axes = plot_style.new_figure(4, 3).subplots()
+        plot_style.line(axes, np.arange(6), np.array([1, np.nan, 2, 3, np.nan, 4]), color="k")
+    assert axes.lines[1].get_xdata().tolist() == [0, 5], "a mark for each that has no neighbour"
     frame = np.arange(10)
     mask = np.isin(frame, [0, 1, 2, 5, 9])
     assert plot_style.frame_spans(frame, mask) == [(-0.5, 2.5), (4.5, 5.5), (8.5, 9.5)]

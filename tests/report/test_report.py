@@ -20,8 +20,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.geometry import corners
-from facetrack_cli.report.make import key_images, make_report
-from facetrack_cli.report.story import identities
+from facetrack_cli.report.make import identities, key_images, make_report
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.writers import RunSummary

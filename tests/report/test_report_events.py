@@ -12,8 +12,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.recipe.load import _shipped, calibrated, load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.report.make import command, recipe_yaml
-from facetrack_cli.report.story import doubts, history_of, key_frames, reasons
+from facetrack_cli.report.make import command, doubts, history_of, key_frames, reasons, recipe_yaml
 from facetrack_cli.start.init_file import as_yaml
 from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, mean_confidence

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
-from facetrack_cli.report.make import make_report
-from facetrack_cli.report.story import history_of, key_frames, reasons
+from facetrack_cli.report.make import history_of, key_frames, make_report, reasons
 from facetrack_cli.runs import batch, plan, split
 from facetrack_cli.runs.plan import Job, Split
 from facetrack_cli.runs.split import OVERLAP_S, Seam, agreeing, cut_by_length, renamed, stitch

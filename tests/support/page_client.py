@@ -16,7 +16,7 @@ from urllib.request import url2pathname
 
 from facetrack_cli.editor import server
 from facetrack_cli.editor.fix_session import FixSession
-from facetrack_cli.editor.pick_session import PickSession
+from facetrack_cli.editor.session import PickSession
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.finished import open_run
 

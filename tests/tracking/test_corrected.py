@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
-from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.save import save
+from facetrack_cli.editor.fixer import Fixer, save
 from facetrack_cli.engine.corrected import CorrectedTarget, is_complete
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.target import FrameModel

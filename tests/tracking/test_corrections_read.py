@@ -15,8 +15,7 @@ from facetrack_cli.evaluation.rows import match
 from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.report.figures import page
 from facetrack_cli.report.figures import style as plot_style
-from facetrack_cli.report.make import command, recipe_yaml
-from facetrack_cli.report.story import history_of, key_frames, reasons
+from facetrack_cli.report.make import command, history_of, key_frames, reasons, recipe_yaml
 from facetrack_cli.start.init_file import as_yaml
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.tables import write_coco, write_dlc

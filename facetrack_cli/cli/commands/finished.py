@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -19,12 +18,10 @@ from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_MEDIA
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from facetrack_cli.editor.history import Fixer
+    from facetrack_cli.editor.fixer import Fixer
     from facetrack_cli.trajectory.formats.tables import Clip
-    from facetrack_cli.trajectory.people import People, Tracks
+    from facetrack_cli.trajectory.people import Change, People
     from facetrack_cli.trajectory.views import Around, Clock
-
-    Change: TypeAlias = tuple[str, Callable[[Tracks], Tracks]]
 
 Words: TypeAlias = tuple[tuple[str, ...], ...]
 _NAMES = words("A=B", "([^=]*)=(.*)", "give two names, as person_3=person_1")
@@ -72,8 +69,7 @@ def fix_command(
       facetrack fix film --person Eileen@0:03
     """
     from facetrack_cli.editor.fix_session import FixSession
-    from facetrack_cli.editor.history import fixing
-    from facetrack_cli.editor.save import open_track
+    from facetrack_cli.editor.fixer import fixing, open_track
     from facetrack_cli.run_folder.manifest import read_run
     from facetrack_cli.runs.finished import open_run
     from facetrack_cli.runs.people import people_in
@@ -97,9 +93,8 @@ def fix_command(
 
 def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) -> int:
     """Take the corrections of --init or --import, and save; the exit code."""
-    from facetrack_cli.editor.history import corrections_of, merged
+    from facetrack_cli.editor.fixer import corrections_of, merged, save
     from facetrack_cli.editor.import_annotations import imported_corrections
-    from facetrack_cli.editor.save import save
     from facetrack_cli.trajectory.reader import UNSAVED
 
     folder = fixer.run.folder
@@ -188,15 +183,22 @@ def people_command(
       facetrack people out --save people.npz
     """
     from facetrack_cli.core.files import check_new
+    from facetrack_cli.core.numbers import csv_text
     from facetrack_cli.run_folder.manifest import read_run
     from facetrack_cli.runs.people import people_in, recast, save_looks
+    from facetrack_cli.trajectory import people as edits
     from facetrack_cli.trajectory.views import Clock
 
     others = split or give or merge or rename or save is not None or as_csv
     refuse((edit and others, "--page corrects on the page alone; correct, save and print in a command without it"))
     people = people_in(folder)
     clock = Clock(read_run(folder) if split or give else None, people.fps)
-    changes = _changes(clock, split, give, merge, rename)
+    changes: list[Change] = [
+        *((f"split {a}@{at}", partial(edits.split, name=a, frame=frame_at(at, clock))) for a, at in split),
+        *((f"give {a}@{at}={b}", partial(edits.give, name=a, frame=frame_at(at, clock), to=b)) for a, at, b in give),
+        *((f"merge {a}={b}", partial(edits.merge, name=a, into=b)) for a, b in merge),
+        *((f"rename {a}={b}", partial(edits.rename, name=a, to=b)) for a, b in rename),
+    ]
     if edit:
         from facetrack_cli.editor.fix_session import CastSession
 
@@ -211,31 +213,14 @@ def people_command(
         with working(quiet, folder, left) as (stop, shown):
             shown.say(f"{save}: {', '.join(save_looks(folder, save, clip, shown.looked, stop))}")
     if as_csv:
-        click.echo(_intervals(people), nl=False)
+        # the frames in which people are seen, and their times in s, in the order of time
+        each = ((person.name, zip(person.intervals, person.times, strict=True)) for person in people.people)
+        spans = sorted((*frames, name, *times) for name, both in each for frames, times in both)
+        rows = ([name, first, stop - 1, f"{begin:.3f}", f"{end:.3f}"] for first, stop, name, begin, end in spans)
+        click.echo(csv_text(["person", "first_frame", "last_frame", "begin_s", "end_s"], rows), nl=False)
     elif not quiet:
         _show(people, Clock(read_run(folder), people.fps))
     return 0
-
-
-def _changes(clock: Clock, split: Words, give: Words, merge: Words, rename: Words) -> list[Change]:
-    from facetrack_cli.trajectory import people as edits
-
-    return [
-        *((f"split {a}@{at}", partial(edits.split, name=a, frame=frame_at(at, clock))) for a, at in split),
-        *((f"give {a}@{at}={b}", partial(edits.give, name=a, frame=frame_at(at, clock), to=b)) for a, at, b in give),
-        *((f"merge {a}={b}", partial(edits.merge, name=a, into=b)) for a, b in merge),
-        *((f"rename {a}={b}", partial(edits.rename, name=a, to=b)) for a, b in rename),
-    ]
-
-
-def _intervals(people: People) -> str:
-    """The frames in which people are seen, and their times in s, in the order of time."""
-    from facetrack_cli.core.numbers import csv_text
-
-    each = ((person.name, zip(person.intervals, person.times, strict=True)) for person in people.people)
-    spans = sorted((*frames, name, *times) for name, both in each for frames, times in both)
-    rows = ([name, first, stop - 1, f"{begin:.3f}", f"{end:.3f}"] for first, stop, name, begin, end in spans)
-    return csv_text(["person", "first_frame", "last_frame", "begin_s", "end_s"], rows)
 
 
 def _show(people: People, seconds: Clock) -> None:
@@ -425,7 +410,9 @@ def report_command(
 @option("--truth", type=options.FILE, help="Draw the ground truth too, and the error.")
 @options.truth_options
 @option("--measure", type=options.Text("NAMES"), help="Draw these measures and events alone, separated by commas.")
-@options.figure_file("plot.png beside TRAJECTORY")
+@option(
+    "-o", "--out", type=options.FILE, help="File to write: .png, .svg or .pdf [default: plot.png beside TRAJECTORY]."
+)
 @options.overwrite
 def plot_command(
     trajectory: Path, truth: Path | None, reference: options.TruthOptions, measure: str | None, out: Path | None,

@@ -127,7 +127,7 @@ def init_command(
         raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
     recipe = None if config is None else load_recipe(config)
     if pick:
-        from facetrack_cli.editor.pick_session import NOTHING, PickSession
+        from facetrack_cli.editor.session import NOTHING, PickSession
 
         previous = NOTHING
         if path is not None and path.is_file():

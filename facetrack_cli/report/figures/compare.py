@@ -9,7 +9,8 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.accuracy import FAILURE, PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
-from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, aligned
+from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison
+from facetrack_cli.evaluation.rows import at
 from facetrack_cli.evaluation.summary import clip_name
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.style import Axes, Figure, quantiles, render
@@ -92,12 +93,13 @@ def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     """Success, precision, cumulative error and error over time, of what is measured; recipes in their order."""
     entries = [entry for entry, _ in comparison.places if entry.scores]
     clip = clip_name(comparison.clip)
-    for name, at, title, labels, measure, mark in CURVES:
+    for name, thresholds, title, labels, measure, mark in CURVES:
         values = {entry.label: [getattr(score, name) for score in entry.scores] for entry in entries}
-        curves = {label: (at, np.stack(each)) for label, each in values.items() if each[0] is not None}
+        curves = {label: (thresholds, np.stack(each)) for label, each in values.items() if each[0] is not None}
         if curves:
             yield f"{name}.png", render(curves_figure(curves, f"{title} on {clip}", labels, measure, mark))
-    frame, errors = aligned(entries)
-    hidden = np.unique(np.concatenate([score.hidden for entry in entries for score in entry.scores]))
+    scores = [score for entry in entries for score in entry.scores]
+    frame, hidden = (np.unique(np.concatenate([getattr(score, of) for score in scores])) for of in ("frame", "hidden"))
+    errors = {each.label: np.array([at(frame, one.frame, one.error) for one in each.scores]) for each in entries}
     figure = error_over_time_figure(frame, errors, np.isin(frame, hidden), title=f"Error on {clip}")
     yield "error.png", render(figure)

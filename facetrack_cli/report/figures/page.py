@@ -177,7 +177,15 @@ class _Page:
         legend, most = self._legend(parts), max(3, min(11, int(1.1 * width)))
         longest = 0.068 * max(map(len, legend), default=1) + 0.56  # inches; all columns are as wide
         columns = max(1, int((width - 0.2) / longest))
-        about = textwrap.wrap("   ·   ".join(self._summary()), int(width * 15))
+        words = [f"{len(self.frames):,} frame{'s' * (len(self.frames) != 1)}"]
+        if (self.table.status != "").any():
+            lost = 100 * (self.table.status == "lost").mean()
+            words.append(f"called lost in {lost:.3g} % of rows" if lost else "never called lost")
+        wrong = [error(pair)[~np.isin(pair.truth.status, NOT_SEEN)] for _, pair in self.paired]  # as in eval
+        if wrong and is_known(every := np.concatenate(wrong)):
+            words.append(f"median error {np.nanmedian(every):.2f} px")
+        words += ["the run was cut short"] * (self.table.header.get("complete") is False)
+        about = textwrap.wrap("   ·   ".join(words), int(width * 15))
         above = 0.5 + 0.18 * (len(about) - (-len(legend) // columns))
         figure = style.new_figure(width, above + 0.5 + sum(panel.height + 0.27 for panel in panels))
         figure.suptitle(style.clean(title, int(width * 8)), x=0.012, ha="left", weight="bold", size=12)
@@ -212,16 +220,6 @@ class _Page:
             legend[style.clean(name, 70)] = Line2D([], [], color=colour, linewidth=2)
         legend |= {status: Patch(color=style.STATUS[status], linewidth=0) for status in self.gone if parts}
         return legend | ({"corrected by hand": Line2D([], [], **style.CORRECTED)} if len(self.corrected) else {})
-
-    def _summary(self) -> list[str]:
-        words = [f"{len(self.frames):,} frame{'s' * (len(self.frames) != 1)}"]
-        if (self.table.status != "").any():
-            lost = 100 * (self.table.status == "lost").mean()
-            words.append(f"called lost in {lost:.3g} % of rows" if lost else "never called lost")
-        wrong = [error(pair)[~np.isin(pair.truth.status, NOT_SEEN)] for _, pair in self.paired]  # as in eval
-        if wrong and is_known(every := np.concatenate(wrong)):
-            words.append(f"median error {np.nanmedian(every):.2f} px")
-        return words + (["the run was cut short"] if self.table.header.get("complete") is False else [])
 
     def panels(self) -> Iterator[Panel]:
         """A panel for each thing that is known."""
@@ -293,7 +291,13 @@ class _Page:
         if share:
             axes.set(**SHARE)
         elif log:
-            style.log_axis(axes)
+            from matplotlib.ticker import LogLocator
+
+            axes.set_yscale("log")
+            bottom, top = axes.get_ylim()
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if top < 120 * bottom else (1,)))  # few ticks
+            axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.10g}")
+            axes.yaxis.minorticks_off()
         elif floor is not None:
             style.limit(axes, floor)
 

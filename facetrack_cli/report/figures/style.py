@@ -83,24 +83,16 @@ def render(figure: Figure, form: str = "png", *, dpi: float = DPI) -> bytes:
     none = {"png": ["Software"], "svg": ["Date", "Creator"], "pdf": ["CreationDate", "Creator", "Producer"]}
     into = io.BytesIO()
     with style():
-        _lay_out(figure)
+        from matplotlib.transforms import Bbox
+
+        if (engine := figure.get_layout_engine()) is not None:  # else it is rendered once more
+            engine.execute(figure)
+            figure.set_layout_engine(None)  # else savefig draws twice, for the engine's sake
+            # rounded: the solver of the layout does not give equal last digits each time
+            for axes in figure.axes:
+                axes.set_position(Bbox(axes.get_position(original=True).get_points().round(6)))
         figure.savefig(into, format=form, dpi=dpi, metadata=dict.fromkeys(none[form]))
     return into.getvalue()
-
-
-def _lay_out(figure: Figure) -> None:
-    """Place everything, rounded: the solver of the layout does not give equal last digits each time."""
-    from matplotlib.transforms import Bbox
-
-    engine = figure.get_layout_engine()
-    if engine is None:  # it is rendered once more
-        return
-    engine.execute(figure)
-    figure.set_layout_engine(None)  # else savefig draws twice, for the engine's sake
-    for axes in figure.axes:
-        axes.set_position(Bbox(axes.get_position(original=True).get_points().round(6)))
-    for part in figure.subfigs:
-        part.bbox_relative.set_points(part.bbox_relative.get_points().round(6))
 
 
 def line_style(index: int) -> dict[str, Any]:
@@ -132,17 +124,6 @@ def limit(axes: Axes, floor: float | None = None, ticks: int = 4) -> None:
         axes.set_ylim(floor, high + 0.06 * (high - floor))  # a line along the top is whole
 
 
-def log_axis(axes: Axes) -> None:
-    """The vertical axis of what is drawn, in logarithms, with few ticks."""
-    from matplotlib.ticker import LogLocator
-
-    axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 120 * low else (1,)))
-    axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.10g}")
-    axes.yaxis.minorticks_off()
-
-
 def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:
     """An axis of frames, which increase, with at most `most` ticks."""
     from matplotlib.ticker import MaxNLocator
@@ -172,7 +153,8 @@ def line(axes: Axes, frame: Whole | Array, value: Array, dot: str = ".", **look:
     """A line, with gaps where frames or values are missing, and a dot for one alone."""
     x, y = broken(frame, value)
     axes.plot(x, y, **look)
-    if (lonely := alone(y)).any():
+    finite = np.isfinite(np.pad(y, 1, constant_values=np.nan))
+    if (lonely := finite[1:-1] & ~finite[:-2] & ~finite[2:]).any():  # without a neighbour a point needs a mark
         fill: dict[str, Any] = {} if dot == "." else {"markerfacecolor": "none", "markeredgewidth": 0.8}
         axes.plot(x[lonely], y[lonely], dot, color=look["color"], markersize=6, **fill)
 
@@ -201,13 +183,6 @@ def broken(frame: Whole | Array, *values: Array) -> list[Array]:
 def _step(frame: Whole | Array) -> float:
     """The usual step between frames."""
     return float(np.median(np.diff(frame))) if len(frame) > 1 else 1.0
-
-
-def alone(y: Array) -> Mask:
-    """(T,) the points of a line without a neighbour, which need a mark to be seen."""
-    finite = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
-    lonely: Mask = finite[1:-1] & ~finite[:-2] & ~finite[2:]
-    return lonely
 
 
 def frame_spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[tuple[float, float]]:

@@ -57,14 +57,11 @@ OF_MEDIA: Final = tuple(form for form, export in EXPORTS.items() if _SIZED & {*e
 
 
 def load(verb: Literal["read", "write"], form: str) -> Callable[..., Any]:
-    """The function that reads or writes a format.
+    """The function that reads or writes a format, one of READERS, or of EXPORTS.
 
-    Parameters
-    ----------
-    verb : a reader takes a path and `shift`, which is added to every frame number. It returns a Trajectory, in frames
-        and pixels from 0, whose `header["read_as"]` says how it was read. A writer takes what `Export.takes` names, and
-        returns text or bytes. Both raise InputError, with the line if there is one, for what has no room.
-    form : one of READERS, or of EXPORTS.
+    A reader takes a path and `shift`, which is added to every frame number. It returns a Trajectory, in frames and
+    pixels from 0, whose `header["read_as"]` says how it was read. A writer takes what `Export.takes` names, and returns
+    text or bytes. Both raise InputError, with the line if there is one, for what has no room.
     """
     module = import_module(f"{__name__}.{READERS[form] if verb == 'read' else EXPORTS[form].module}")
     function: Callable[..., Any] = getattr(module, f"{verb}_{form.replace('-', '_')}")

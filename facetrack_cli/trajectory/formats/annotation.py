@@ -168,10 +168,7 @@ def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
 
     Tracks of the same label are one part, as after a split: of two in a frame the visible one counts. A track of
     several points has the parts point_01, ...; pixels are counted from 0, and so are frames, to which `shift` is added.
-
-    Raises
-    ------
-    InputError : with the track and the frame, for what cannot be read.
+    InputError, with the track and the frame, for what cannot be read.
     """
     root = read_xml(path, "CVAT")
     if root.tag != "annotations" or (root.find("track") is None and root.find("image") is not None):
@@ -256,18 +253,9 @@ def read_labelstudio(path: Path, size: tuple[int, int], clock: Clock | None = No
     """The regions of the one task in an export (JSON): visible, or absent where not enabled.
 
     Of the places that are on one picture the last that is not interpolated counts; it is `by_hand`. Frames between two
-    places have no row.
-
-    Parameters
-    ----------
-    path : the export.
-    size : (width, height) of the clip, in pixels.
-    clock : of the clip; None: a frame is a picture.
-    fps : the framerate beside a clock where the file tells none, in frames per second.
-
-    Raises
-    ------
-    InputError : for more than one task or annotation, regions without a label, or two of one label in a frame.
+    places have no row. `size` is (width, height) of the clip in pixels; without its `clock` a frame is a picture; `fps`
+    is the framerate beside a clock where the file tells none. InputError for more than one task or annotation, regions
+    without a label, or two of one label in a frame.
     """
     places: dict[tuple[str, int], tuple[float | None, _Mark]] = {}  # by label and frame
     try:

@@ -86,20 +86,9 @@ def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0, beside: 
 
 
 def read_results(path: Path, form: str = "auto") -> Trajectory:
-    """A trajectory of ours, or what another tracker wrote.
+    """A trajectory of ours, or what another tracker wrote; `form` and errors as of `read_truth`.
 
-    Parameters
-    ----------
-    form : one of TRUTH_FORMATS; `auto` goes by the shape of the file.
-
-    Returns
-    -------
-    Trajectory : `status` is init, tracked or lost where the file says so, else ""; of others there is
-        `header["read_as"]`.
-
-    Raises
-    ------
-    InputError : for a file that is broken or of no known shape.
+    `status` is init, tracked or lost where the file says so, else ""; of others there is `header["read_as"]`.
     """
     with reading(path, "make it readable, or name another"):
         shape = form
@@ -309,13 +298,7 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
 
 
 def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Trajectory:
-    """Ground truth or results of MOTChallenge.
-
-    Parameters
-    ----------
-    path, shift : as of all readers (`formats.load`).
-    results : whether column 7 is a confidence, and not a flag; None looks at its values.
-    """
+    """Ground truth or results of MOTChallenge; of `results` column 7 is a confidence, no flag; None: by its values."""
     lines = Lines.of(path)
     count = len(lines.cells[0])
     if count not in MOT_COLUMNS:
