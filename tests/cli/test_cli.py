@@ -17,6 +17,7 @@ from facetrack_cli.recipe.load import TAKE, TASKS, default_recipe
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.video.source import open_source
 from tests.fuzz import guided
+from tests.support.damage import raising
 from tests.support.media import write_pictures
 from tests.support.samples import FOLDER
 
@@ -51,13 +52,6 @@ def boom(monkeypatch):
         return main(["boom"])
 
     return boom
-
-
-def raising(error):
-    def action():
-        raise error
-
-    return action
 
 
 @pytest.mark.one_in(2)

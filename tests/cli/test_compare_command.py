@@ -10,6 +10,7 @@ from facetrack_cli.core.errors import ExitCode, UsageError
 from facetrack_cli.evaluation import compare
 from facetrack_cli.report.figures import style
 from facetrack_cli.runs import seeds as runs
+from tests.support.damage import raising
 from tests.support.samples import FOLDER
 
 CLIP = FOLDER / "occlusion.mp4"
@@ -53,10 +54,8 @@ def test_processes_change_no_number_and_plots_need_matplotlib(facetrack, monkeyp
         found.append([{k: v for k, v in row.items() if k != "frames_per_s"} for row in rows])
     assert found[0] == found[1]
 
-    def missing():
-        raise UsageError("figures need matplotlib, which is not installed: pip install 'facetrack[plot]'")
-
-    monkeypatch.setattr(style, "need_matplotlib", missing)
+    missing = UsageError("figures need matplotlib, which is not installed: pip install 'facetrack[plot]'")
+    monkeypatch.setattr(style, "need_matplotlib", raising(missing))
     code, out, err = facetrack("compare", CLIP, *TWO, "--stop", "2", "--seeds", "1", "-o", "bare")
     assert code == ExitCode.USAGE and "facetrack[plot]" in err and not out and not Path("bare").exists()
 

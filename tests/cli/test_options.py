@@ -17,13 +17,6 @@ from tests.support.terminal import refusal
 RECIPES = [path.stem for path in shipped_recipes()]
 
 
-def completed(line):
-    """What a shell is offered at the end of a line, as kind,word."""
-    *words, last = [*shlex.split(line), *([""] if line.endswith(" ") else [])]
-    found = ShellComplete(app.cli, {}, "facetrack", "_FACETRACK_COMPLETE").get_completions(words, last)
-    return [f"{item.type},{item.value}" for item in found]
-
-
 @pytest.mark.parametrize(
     ("line", "first", "words"),
     [
@@ -38,7 +31,10 @@ def completed(line):
     ],
 )
 def test_what_is_completed(line, first, words):
-    assert completed(line) == [*([first] if first else []), *(f"plain,{word}" for word in words)]
+    *typed, last = [*shlex.split(line), *([""] if line.endswith(" ") else [])]
+    found = ShellComplete(app.cli, {}, "facetrack", "_FACETRACK_COMPLETE").get_completions(typed, last)
+    offered = [f"{item.type},{item.value}" for item in found]
+    assert offered == [*([first] if first else []), *(f"plain,{word}" for word in words)]
 
 
 def test_recipes_are_completed_without_loading_anything_heavy():

@@ -15,6 +15,7 @@ from facetrack_cli.runs.finished import finish_run
 from facetrack_cli.runs.plan import Job, silent
 from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.trajectory.reader import read_trajectory
+from tests.support.damage import raising
 
 CLIP = Path(__file__).parents[2] / "sample_videos" / "expressions.mp4"
 RUN = ("run", str(CLIP), "--config", "factorized", "--stop", "30", "-q")
@@ -36,13 +37,6 @@ def refused(*args):
     assert isinstance(error, FacetrackError)
     assert "\n" not in str(error)
     return error.exit_code, str(error)
-
-
-def raising(error):
-    def fails(*_):
-        raise error
-
-    return fails
 
 
 @pytest.fixture(scope="module")
@@ -138,16 +132,11 @@ def test_what_cannot_be_smoothed_is_refused(more, says, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def changed(change):
-    """Damage to the arrays of a posterior."""
-
-    def damage(path):
-        with np.load(path) as file:
-            arrays = dict(file)
-        change(arrays)
-        np.savez(path, **arrays)
-
-    return damage
+def unknown(path):
+    """An array of a posterior is not finite."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **{**arrays, "0/0": arrays["0/0"] * np.nan})
 
 
 @pytest.mark.parametrize(
@@ -155,7 +144,7 @@ def changed(change):
     [
         lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
         lambda path: np.savez(path, format=np.array("facetrack-gallery")),
-        changed(lambda arrays: arrays.update({"0/0": arrays["0/0"] * np.nan})),
+        unknown,
     ],
 )
 def test_a_damaged_posterior_is_refused_in_one_line(damage, run):

@@ -28,13 +28,7 @@ from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.appearance.gallery import load_gallery, name_problem
 from facetrack_cli.trajectory.formats.boxes import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
-
-
-def raising(error):
-    def fails(*_):
-        raise error
-
-    return fails
+from tests.support.damage import raising
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")

@@ -14,8 +14,6 @@ from facetrack_cli.core import geometry
 from facetrack_cli.core.errors import UsageError, check_opencv
 from facetrack_cli.trackers.face import detectors
 
-needs_4 = pytest.mark.skipif(not cv2.__version__.startswith("4."), reason="compares with OpenCV 4")
-
 
 def test_another_version_is_refused_with_its_packages():
     for version in ("6.0.0", "3.4.20", "of nothing"):
@@ -59,7 +57,7 @@ def both(monkeypatch, see):
         yield see()
 
 
-@needs_4
+@pytest.mark.skipif(not cv2.__version__.startswith("4."), reason="compares with OpenCV 4")
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("inverse", [False, True])
 def test_a_warp_reads_where_opencv_4_reads(monkeypatch, channels, inverse):

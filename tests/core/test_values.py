@@ -93,9 +93,6 @@ def test_a_part_of_planes_has_the_colours_and_the_grey_of_the_whole(calls, width
         assert factor > 1 or np.array_equal(all_, whole.grey(1, (0, 0, 2 * width, 2 * height))[0])
 
 
-MASKS = st.lists(st.tuples(st.booleans(), st.booleans()), max_size=12)
-
-
 def naive_spans(mask, apart):
     found = []
     for row, holds in enumerate(mask):
@@ -106,7 +103,7 @@ def naive_spans(mask, apart):
     return found
 
 
-@given(MASKS)
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), max_size=12))
 def test_spans_are_half_open_runs_of_true(rows):
     mask, apart = ([row[k] for row in rows] for k in (0, 1))
     array = np.array(mask, np.bool_)

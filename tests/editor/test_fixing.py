@@ -26,6 +26,7 @@ from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import csv_frames, json_frames
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
+from tests.support.damage import raising
 from tests.support.hands_run import FEW as HANDS
 from tests.support.hands_run import hands_run
 from tests.support.page_client import fixing
@@ -315,10 +316,7 @@ def test_a_frame_has_one_correction_and_a_full_disk_leaves_the_rows_as_they_were
     given = [(c.frame, c.points) for c in one.fixer.corrections]
     assert given == [(5, {"nose": (158, 140)}), (8, {"nose": (159, 140)}), (31, {"nose": (150, 140)})]
     before = one.text()
-
-    def full(*_, **__):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
+    full = raising(OSError(errno.ENOSPC, "No space left on device"))
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
         patch.setattr(tempfile, "TemporaryDirectory", full)

@@ -21,6 +21,7 @@ from facetrack_cli.run_folder.lease import NOTE, FolderLease
 from facetrack_cli.runs import finished
 from facetrack_cli.runs.finished import open_run, read_files, recipe_of
 from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED
+from tests.support.damage import raising
 from tests.support.leases import abandon
 from tests.support.samples import FOLDER
 
@@ -95,9 +96,7 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
 @pytest.mark.parametrize("name", ["trajectory.jsonl", CORRECTED, "annotated.mp4"])
 def test_a_save_that_fails_leaves_the_folder_as_it_was(out, monkeypatch, name):
     before, whole = files_of(out), finished.write_rows
-
-    def full(*_, **__):
-        raise OSError(errno.ENOSPC, "No space left on device")
+    full = raising(OSError(errno.ENOSPC, "No space left on device"))
 
     def write(form, *args, **options):
         whole(form, *args, **options)
@@ -204,9 +203,6 @@ def test_a_header_that_does_not_fit_is_refused(made, tmp_path, change, said):
     assert said in str(refused.value) and "\n" not in str(refused.value)
 
 
-EDITED = ": is not as its run wrote it, as run.json beside it says: it was edited"
-
-
 @pytest.mark.parametrize(("form", "change", "said"), [
     ("csv", lambda s: s.replace("\n7,", "\n7,0", 1), None),
     ("jsonl", lambda s: s + "\n", None),
@@ -221,7 +217,8 @@ def test_a_file_that_was_edited_is_refused(out, form, change, said):
     changed = change(before)
     assert changed != before
     files[form].write_text(changed, encoding="utf-8", newline="")
-    with pytest.raises(InputError, match=f"^{re.escape(str(files[form]) + EDITED)}"):
+    edited = f"{files[form]}: is not as its run wrote it, as run.json beside it says: it was edited"
+    with pytest.raises(InputError, match=f"^{re.escape(edited)}"):
         read_files(files)
     (out / "run.json").unlink()
     with pytest.raises(InputError) if said else contextlib.nullcontext() as refused:

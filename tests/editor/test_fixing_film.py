@@ -19,14 +19,9 @@ from facetrack_cli.trajectory.reader import UNSAVED
 from tests.support.film_run import film_run
 
 
-@pytest.fixture(scope="module")
-def ran(tmp_path_factory):
-    return film_run(tmp_path_factory)
-
-
 @pytest.fixture
-def film(ran, tmp_path):
-    return shutil.copytree(ran, tmp_path / "film")
+def film(tmp_path_factory, tmp_path):
+    return shutil.copytree(film_run(tmp_path_factory), tmp_path / "film")
 
 
 def moved(run, rows, frame, by=3.0):

@@ -18,6 +18,7 @@ from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.face.detectors import PARTS, detector
 from tests.support import page_client
+from tests.support.damage import raising
 from tests.support.media import write_pictures
 from tests.support.page_client import Client, drive, wait_for
 from tests.support.samples import read_pictures
@@ -339,14 +340,11 @@ def test_overwrite_begins_with_the_file(tmp_path, monkeypatch, facetrack):
 
 
 def test_an_internal_error_is_reported_at_the_end(tmp_path, monkeypatch, facetrack):
-    def broken(frame):
-        raise ZeroDivisionError("odd")
-
     def act(client):
         assert client.get("api/proposals?frame=0").status == 500
         choose(client)
 
-    looking(monkeypatch, broken)
+    looking(monkeypatch, raising(ZeroDivisionError("odd")))
     drive(monkeypatch, tmp_path, act)
     code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", tmp_path / "a.yaml")
     assert code == 0 and "while the page was open: internal error; please report it: ZeroDivisionError: odd" in err

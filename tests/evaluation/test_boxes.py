@@ -67,8 +67,8 @@ def test_centre_lies_in_the_box_up_to_its_border():
     assert within(ours, truth).tolist() == [True, True, True, True, False, False]
 
 
-def example():
-    """Ours, truth, valid: given, exact, 25 px off to the right (IoU 3/13), missing, absent, hidden, half the width."""
+def test_measures_of_an_example_worked_out_by_hand():
+    """Rows: given, exact, 25 px off to the right (IoU 3/13), missing, absent, hidden, half the width."""
     truth = np.tile([10.0, 20, 40, 20], (7, 1))
     ours = truth.copy()
     ours[0, 0] = 12
@@ -77,11 +77,7 @@ def example():
     truth[4] = NAN
     ours[5] = [90, 90, 5, 5]
     ours[6, 2] = 20
-    return ours, truth, np.array([True] * 5 + [False, True])
-
-
-def test_measures_of_an_example_worked_out_by_hand():
-    ours, truth, valid = example()
+    valid = np.array([True] * 5 + [False, True])
     found = measure_boxes(ours, truth, visible=valid)
     assert (found.rows, found.missing) == (5, 1)
     np.testing.assert_allclose(found.overlap, [1, 1, 3 / 13, 0, np.nan, np.nan, 0.5], rtol=1e-12)

@@ -178,13 +178,6 @@ def elsewhere(path):
     edit(path, versions={**read_golden(path).versions, "numpy": "1.0"})
 
 
-@pytest.fixture
-def shifted(monkeypatch):
-    """A likelihood that looks a pixel and a half beside the particle."""
-    asked = ColourRatio.distances
-    monkeypatch.setattr(ColourRatio, "distances", lambda s, a, f, x: asked(s, a, f, x + np.array([1.5, 0.0])))
-
-
 def test_an_unchanged_tracker_passes(facetrack, clips):
     code, out, err = facetrack("regress", clips)
     assert code == ExitCode.DONE and err == ""
@@ -193,7 +186,10 @@ def test_an_unchanged_tracker_passes(facetrack, clips):
 
 
 @pytest.mark.parametrize("other_versions", [False, True])
-def test_a_likelihood_that_is_off_fails_and_is_told(other_versions, facetrack, clips, shifted):
+def test_a_likelihood_that_is_off_fails_and_is_told(other_versions, facetrack, clips, monkeypatch):
+    """It looks a pixel and a half beside the particle."""
+    asked = ColourRatio.distances
+    monkeypatch.setattr(ColourRatio, "distances", lambda s, a, f, x: asked(s, a, f, x + np.array([1.5, 0.0])))
     if other_versions:
         elsewhere(golden_of(clips))
     code, out, _ = facetrack("regress", clips)

@@ -17,6 +17,7 @@ from facetrack_cli.run_folder import lease as locks
 from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.lease import LOCK, NOTE, FolderLease
 from facetrack_cli.run_folder.manifest import NAME, read_manifest, read_run, recover_interrupted
+from tests.support.damage import raising
 from tests.support.leases import abandon, leave_here
 from tests.support.sway import FACETRACK, ROWS, SMALL, make_clip, names, until
 
@@ -98,11 +99,8 @@ def test_what_was_tracked_before_a_kill_is_kept_and_taken_up(clip, whole, torn, 
 @posix
 @pytest.mark.parametrize("moment", ["WRITERS", "commit"])
 def test_a_recovery_that_is_killed_is_made_again(torn, tmp_path, monkeypatch, moment):
-    def kill(*_):
-        raise SystemExit
-
     shutil.copytree(torn[0], tmp_path, dirs_exist_ok=True)
-    monkeypatch.setattr(manifest, moment, kill)
+    monkeypatch.setattr(manifest, moment, raising(SystemExit))
     monkeypatch.setattr(FolderLease, "__exit__", lambda lease, *_: abandon(lease))
     with pytest.raises((SystemExit, TypeError)):
         recover_interrupted(tmp_path)

@@ -17,6 +17,7 @@ from facetrack_cli.core.files import own_mark, temporary_path
 from facetrack_cli.run_folder import lease as leases
 from facetrack_cli.run_folder.lease import LOCK, NOTE, FolderLease, finish_replacing, holder, left_in, sweep
 from facetrack_cli.run_folder.manifest import read_run, trajectory_of
+from tests.support.damage import raising
 from tests.support.leases import ELSEWHERE, abandon, ended_process, leave, leave_here, note_here
 from tests.support.sway import names
 
@@ -240,11 +241,8 @@ def test_of_two_at_once_one_wins(tmp_path, soon):
 
 @pytest.mark.parametrize("which", [LOCK, NOTE])
 def test_a_folder_that_cannot_be_written(tmp_path, monkeypatch, which):
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     patched = {LOCK: (leases.SoftFileLease, "_acquire"), NOTE: (Path, "write_bytes")}
-    monkeypatch.setattr(*patched[which], full)
+    monkeypatch.setattr(*patched[which], raising(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))))
     with pytest.raises(OutputError, match=r"\.facetrack\.lock: the disk is full"), FolderLease(tmp_path):
         pass
     assert names(tmp_path) == []

@@ -1,6 +1,5 @@
 """A run that was ended goes on from its checkpoint, and gives byte for byte what one that was not ended gives."""
 
-import os
 import shutil
 import subprocess
 
@@ -18,7 +17,6 @@ from facetrack_cli.runs.signals import Stop
 from facetrack_cli.start.init_file import read_init
 from tests.support.samples import FOLDER as SAMPLES
 
-posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 CLIPS = {"contour_correlation": "textured", "signer": "signing", "adaptive_recognition": "map"}
 EVERY = 8  # frames between checkpoints here
 

@@ -15,6 +15,7 @@ from facetrack_cli.core.types import Start
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from facetrack_cli.trajectory.writers import csv_frames
 from facetrack_cli.video.source import open_source
+from tests.support.damage import raising
 from tests.support.samples import FOLDER
 from tests.support.sway import names
 from tests.test_docs import ROOT, blocks
@@ -130,10 +131,7 @@ def test_a_seed_that_is_none_is_refused_in_one_line_wherever_it_is_given(seed, c
 
 
 def test_a_fault_of_ours_is_raised_and_not_the_end_of_a_clip(monkeypatch):
-    def broken(*_):
-        raise AttributeError("ours")
-
-    monkeypatch.setattr("facetrack_cli.engine.target.ParticleTarget.advance", broken)
+    monkeypatch.setattr("facetrack_cli.engine.target.ParticleTarget.advance", raising(AttributeError("ours")))
     with pytest.raises(AttributeError, match="ours"):
         facetrack.track_video(CLIP, "factorized")
 
@@ -255,18 +253,6 @@ def run(tmp_path_factory):
     return folder
 
 
-def some_rows():
-    """A nose that is not known in frame 12, and a lip from there on; frame 13 is missing."""
-    nose = {"x": [1.0, 2, 4, 6], "y": [5.0] * 4, "confidence": [0.9, 0.9, 0.2, 0.9]}
-    lip = {"x": [7.0, 8], "y": [9.0, 9], "confidence": [0.8, 0.7]}
-    header = {"source": {"path": "clip.mp4", "fps": 25.0}}
-    found = [
-        one_part("face", "nose", [10, 11, 12, 14], time_s=np.array([10, 11, 12, 14]) / 25, **nose),
-        one_part("face", "lip", [12, 14], time_s=np.array([12, 14]) / 25, **lip),
-    ]
-    return joined(found, header=header)
-
-
 def decoded(data, tmp_path):
     (tmp_path / "video.mp4").write_bytes(data)
     with av.open(tmp_path / "video.mp4") as file:
@@ -320,8 +306,15 @@ def test_a_plot_of_no_rows_is_refused(run):
 
 
 def test_a_dataset_has_a_time_for_each_frame_and_nan_where_nothing_is_known():
+    """A nose that is not known in frame 12, and a lip from there on; frame 13 is missing."""
     pytest.importorskip("xarray")
-    found = some_rows().to_xarray()
+    nose = {"x": [1.0, 2, 4, 6], "y": [5.0] * 4, "confidence": [0.9, 0.9, 0.2, 0.9]}
+    lip = {"x": [7.0, 8], "y": [9.0, 9], "confidence": [0.8, 0.7]}
+    parts = [
+        one_part("face", "nose", [10, 11, 12, 14], time_s=np.array([10, 11, 12, 14]) / 25, **nose),
+        one_part("face", "lip", [12, 14], time_s=np.array([12, 14]) / 25, **lip),
+    ]
+    found = joined(parts, header={"source": {"path": "clip.mp4", "fps": 25.0}}).to_xarray()
     assert found.position.dims == ("time", "space", "keypoints", "individuals")
     assert found.confidence.dims == ("time", "keypoints", "individuals")
     assert found.frame.values.tolist() == [10, 11, 12, 13, 14]

@@ -154,9 +154,6 @@ def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch, tmp_path
     assert list(run_plans([dead, dead], 2, stop, report)) == [], "a signal comes first"
 
 
-BOX = (106.0, 74.0, 106.0, 106.0)
-
-
 def truth(part, status="visible", target="face", **more):
     made = one_part(target, part, [4, 5], x=[10.0, 11.0], y=[20.0, 21.0], status=[status, "visible"], **more)
     return joined([made], path=Path("t.csv"))
@@ -184,7 +181,7 @@ def test_the_init_file_beside_the_clip_goes_before_the_truth(tmp_path):
         (ClipRequest(alone), known, str(known.path)),
         (ClipRequest(alone), None, detector().name),
         (ClipRequest(alone, init="haar"), None, "haar"),
-        (ClipRequest(alone, box=BOX), known, "--box"),
+        (ClipRequest(alone, box=(106.0, 74.0, 106.0, 106.0)), known, "--box"),
     ):
         start = request.find(recipe, table)
         assert start.origin == origin and {*start.targets["face"].points} == {*recipe.points}

@@ -13,7 +13,6 @@ from facetrack_cli.runs.clip import EVERY_FRAMES, RunMonitor
 from facetrack_cli.runs.plan import Outcome
 from facetrack_cli.trackers.face.detectors import Detection
 from tests.support.results import part, result, target
-from tests.support.samples import FOLDER
 
 
 class Sees:
@@ -95,11 +94,6 @@ def test_of_points_alone_the_box_of_the_start_moves_with_them():
     for i in range(EVERY_FRAMES):
         watch.write(result(frame_of(i, picture), [target("face", [part("nose", 90, 70, 5, 5, confidence=1.0)])]))
     assert seen == [255.0]
-
-
-@pytest.fixture
-def clips():
-    return FOLDER
 
 
 def test_a_hand_that_is_taken_for_a_face_is_said_to_be_doubtful(facetrack):

@@ -1,8 +1,10 @@
-"""Damage to files, made from a seed: what disks, networks and interrupted copies do to a clip."""
+"""Damage to files, made from a seed, as disks, networks and interrupted copies do to a clip; and calls that fail."""
 
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
+from typing import NoReturn
 
 KINDS = ("bytes", "burst", "zeros", "dropped", "swapped", "cut", "byte", "bit")
 
@@ -36,3 +38,12 @@ def damaged(data: bytes, kind: str, seed: int, *, head: int = 2048) -> bytes:
     else:
         out[at] ^= chance.randrange(1, 256) if kind == "byte" else 1 << chance.randrange(8)
     return bytes(out)
+
+
+def raising(error: BaseException | type[BaseException]) -> Callable[..., NoReturn]:
+    """What raises this, however it is called."""
+
+    def fails(*_: object, **__: object) -> NoReturn:
+        raise error
+
+    return fails

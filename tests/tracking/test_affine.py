@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import corners
-from facetrack_cli.core.types import MAX_REMEMBERED, Frame
+from facetrack_cli.core.types import MAX_REMEMBERED
 from facetrack_cli.engine import filters
 from facetrack_cli.engine.protocols import Prediction
 from facetrack_cli.engine.spaces import evenly
@@ -22,16 +22,13 @@ from facetrack_cli.trackers.appearance import appearance_kernels as kernel
 from facetrack_cli.trackers.appearance.appearance import OUTLIER_RANGE, AffineSpace, Appearance, Mixture, Patches, eta
 from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
+from tests.support.images import grey as frame
 from tests.support.parts import adaptive, affine_walk, appearance, changed, components, predicted
 from tests.support.results import parts_of
 from tests.twins import appearance as twin
 from tests.twins import guide as naive
 
 SIZE, SHAPE = (26.0, 30.0), (30, 26)
-
-
-def frame(grey):
-    return Frame(0, 0.0, np.repeat(np.asarray(grey, np.uint8)[..., None], 3, axis=2))
 
 
 def smooth(seed, height=120, width=160, sigma=3.0):
@@ -100,19 +97,14 @@ def test_the_frame_remembers_the_last_patches():
 # --- in the image --------------------------------------------------------------------------------------------------
 
 SPACE = AffineSpace((41.0, 61.0))
-STILL = np.zeros((1, 2))
 NUMBER = st.floats(-3, 3)
 STATES = st.tuples(st.floats(-500, 500), st.floats(-500, 500), NUMBER, NUMBER, NUMBER, NUMBER)
 
 
-def shown(*state):
-    estimated = evenly(np.array([state], np.float64), STILL)
-    return SPACE.windows(estimated)[0], *SPACE.outline(estimated)
-
-
 @given(STATES)
 def test_the_angle_is_the_nearest_rotation_and_corners_are_those_of_rows_in_a_file(state):
-    windows, angle, places = shown(*state)
+    estimated = evenly(np.array([state], np.float64), np.zeros((1, 2)))
+    windows, (angle, places) = SPACE.windows(estimated)[0], SPACE.outline(estimated)
     a, affine = np.reshape(state[2:], (2, 2)), np.array([state[2:] + state[:2]])
     expected = corners(affine, np.array([state[:2]]), windows[None])[0]
     np.testing.assert_allclose(places, np.where(np.isnan(expected), places, expected), atol=1e-9)
@@ -282,19 +274,6 @@ def mixture(rng, d, off=(), laplace=False, outlier=0.0):
     return Mixture(m, mu, sigma, moments, TRUTH, laplace, outlier)
 
 
-def log_densities(learned, y):
-    return kernel.log_densities(y, learned.mu, *learned.terms, learned.outlier / OUTLIER_RANGE, learned.laplace)
-
-
-def taught(learned, y, alpha=0.1, least_sigma=0.05, least_mixing=0.01):
-    """The mixture after a patch that is given as it is."""
-    m, mu, sigma, moments = kernel.update(
-        np.asarray(y, np.float32), learned.m, learned.mu, learned.sigma, learned.moments, *learned.terms,
-        learned.outlier / OUTLIER_RANGE, learned.laplace, alpha, least_sigma, least_mixing,
-    )  # fmt: skip
-    return replace(learned, m=m, mu=mu, sigma=sigma, moments=moments)
-
-
 KINDS = pytest.mark.parametrize(
     ("off", "laplace", "outlier"),
     [((), False, 0.0), ((), True, 0.0), ((), False, 0.2), ((), True, 0.1), ((W, S), True, 0.0), ((S,), False, 0.3)],
@@ -311,7 +290,8 @@ def test_densities_equal_the_plain_twin(off, laplace, outlier, seed, d, spread):
     y = (learned.mu[F] + spread * rng.normal(size=(3, d)) * learned.sigma[F]).astype(np.float32)
     expected = [twin.log_density(v, learned.m, learned.mu, learned.sigma, laplace, outlier, OUTLIER_RANGE)
                 for v in y.astype(np.float64)]  # fmt: skip
-    assert log_densities(learned, y) == pytest.approx(expected, rel=1e-5, abs=2e-3)
+    found = kernel.log_densities(y, learned.mu, *learned.terms, outlier / OUTLIER_RANGE, laplace)
+    assert found == pytest.approx(expected, rel=1e-5, abs=2e-3)
     assert MODEL.error(learned, y) == pytest.approx(
         [twin.error(v, learned.m, learned.mu, learned.sigma) for v in y.astype(np.float64)], rel=1e-4
     )
@@ -331,7 +311,11 @@ def test_learning_equals_the_plain_twin(off, laplace, outlier, seed, alpha, leas
     for _ in range(4):
         y = rng.normal(size=d).astype(np.float32)
         y[rng.random(d) < 0.2] = 0
-        learned = taught(learned, y, alpha, 0.3, least_mixing)
+        m, mu, sigma, moments = kernel.update(
+            y, learned.m, learned.mu, learned.sigma, learned.moments, *learned.terms,
+            outlier / OUTLIER_RANGE, laplace, alpha, 0.3, least_mixing,
+        )  # fmt: skip
+        learned = replace(learned, m=m, mu=mu, sigma=sigma, moments=moments)
         slow = [
             twin.update(float(v), *was, laplace, outlier, OUTLIER_RANGE, alpha, 0.3, least_mixing)
             for v, was in zip(y, slow, strict=True)

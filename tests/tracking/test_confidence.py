@@ -36,14 +36,10 @@ class Ring:
         return np.full(x.shape[:2], [0.4, 0.2]) if off[0, 0] > 0.5 else np.full(x.shape[:2], 0.1)
 
 
-def confidence_of(**options):
-    """The functions of confidence.py with these settings."""
-    settings = ConfidenceSettings(**options)
-    return SimpleNamespace(begin=partial(judging.begin, settings), judge=partial(judging.judge, settings))
-
-
 def begin(**options):
-    confidence = confidence_of(**options)
+    """The functions of confidence.py with these settings, and what they say of the first frame."""
+    settings = ConfidenceSettings(**options)
+    confidence = SimpleNamespace(begin=partial(judging.begin, settings), judge=partial(judging.judge, settings))
     frame = Frame(0, 0.0, np.arange(300, dtype=np.uint8).reshape(10, 10, 3))
     return confidence, confidence.begin(partial(Ring().distances, None), frame, X0, WINDOWS)
 
@@ -227,8 +223,6 @@ def test_without_a_map_for_a_part_its_confidence_is_not_known():
 
 # --- recipes --------------------------------------------------------------------------------------------------------
 
-COLUMNS = ("x", "y", "w", "h", "angle", "ess", "particles")
-
 
 @pytest.mark.parametrize(
     ("recipe", "clip"),
@@ -243,7 +237,7 @@ def test_a_calibration_changes_confidence_and_spread_alone(file, recipe, clip):
         track_video(FOLDER / f"{clip}.mp4", load_recipe(recipe, {"confidence.calibration": name}), stop=9)
         for name in (None, str(file))
     )
-    for name in COLUMNS:
+    for name in ("x", "y", "w", "h", "angle", "ess", "particles"):
         assert getattr(found, name).tobytes() == getattr(raw, name).tobytes(), name
     assert found.header["recipe"]["confidence"]["calibration"] == str(file)
     later = raw.status != "init"

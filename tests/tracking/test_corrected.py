@@ -44,23 +44,9 @@ class Clip(TrackClip):
         return row.x - (row.w - 1) / 2, row.y - (row.h - 1) / 2, row.w, row.h
 
 
-FACE = Clip("expressions", 32)
+FACE, HEAD, ZOOM = Clip("expressions", 32), Clip("textured", 30), Clip("zoom", 24)
+BOX = FACE.start.targets["face"].box
 NOSE = {"nose": (160.0, 138.0)}
-
-
-@pytest.fixture(scope="module")
-def box():
-    return FACE.start.targets["face"].box
-
-
-@pytest.fixture(scope="module")
-def head():
-    return Clip("textured", 30)
-
-
-@pytest.fixture(scope="module")
-def zoom():
-    return Clip("zoom", 24)
 
 
 def run(config, clip, *corrections, seed=0, overrides=(), start=None, stop=None):
@@ -197,8 +183,8 @@ RESUMED = [
 
 
 @pytest.mark.parametrize(("config", "learn"), RESUMED)
-def test_a_part_of_a_run_tracked_anew_is_what_the_whole_run_has(config, learn, head, zoom):
-    clip = zoom if config in ("skin_ncc", "adaptive", "adaptive_robust") else head
+def test_a_part_of_a_run_tracked_anew_is_what_the_whole_run_has(config, learn):
+    clip = ZOOM if config in ("skin_ncc", "adaptive", "adaptive_robust") else HEAD
     [name] = clip.start.targets
     last = given(12, name, box=clip.box(12), learn=learn)
     whole = run(config, clip, given(6, name, box=clip.box(12), learn=learn), last, stop=16)
@@ -237,14 +223,14 @@ def test_no_correction_draws_the_numbers_of_another_correction_or_target():
 # --- places --------------------------------------------------------------------------------------------------------
 
 
-def test_a_target_may_be_gone_and_come_back(head):
-    away = run("histogram", head, given(4, "head", absent=("box",)), given(12, "head", box=head.box(12)), stop=14)
+def test_a_target_may_be_gone_and_come_back():
+    away = run("histogram", HEAD, given(4, "head", absent=("box",)), given(12, "head", box=HEAD.box(12)), stop=14)
     assert [statuses(r)[0] for r in away[3:]] == ["tracked"] + ["absent"] * 8 + ["init", "tracked"]
-    start = replace(head.start, corrections=(given(1, "head", absent=True),))
+    start = replace(HEAD.start, corrections=(given(1, "head", absent=True),))
     [target], rng = build_tracker(load_recipe("histogram"), start), np.random.default_rng(0)
-    state, _ = target.begin(rng, head.frames[0])
+    state, _ = target.begin(rng, HEAD.frames[0])
     assert target.footprint(state, ahead=False) is not None
-    state, _ = target.advance(rng, state, head.frames[1], ())
+    state, _ = target.advance(rng, state, HEAD.frames[1], ())
     assert target.footprint(state, ahead=False) is None, "it covers nothing"
 
 
@@ -258,9 +244,9 @@ def test_a_part_that_is_kept_where_it_is_not_is_lost_at_once():
 # --- boxes that place points ---------------------------------------------------------------------------------------
 
 
-def test_a_box_places_what_is_there_and_leaves_out_what_is_absent(box):
-    whole = run("factorized", FACE, given(15, box=box), stop=17)
-    put = run("factorized", FACE, given(15, box=box, absent=("lip_upper",)), stop=17)
+def test_a_box_places_what_is_there_and_leaves_out_what_is_absent():
+    whole = run("factorized", FACE, given(15, box=BOX), stop=17)
+    put = run("factorized", FACE, given(15, box=BOX, absent=("lip_upper",)), stop=17)
     assert statuses(put[15]) == ["init", "init", "init", "absent", "init"] and statuses(put[16])[3] == "absent"
     for name in PARTS:
         one, two = part(whole[15], name), part(put[15], name)
@@ -270,23 +256,23 @@ def test_a_box_places_what_is_there_and_leaves_out_what_is_absent(box):
     assert statuses(run("factorized", FACE, outside, stop=16)[15]) == ["init", "absent", "init", "init", "init"]
 
 
-def test_a_box_beside_points_says_nothing_of_the_others(box):
+def test_a_box_beside_points_says_nothing_of_the_others():
     """They stay where the tracker sees them, as without the box."""
-    assert not is_complete(given(15, box=box, points=NOSE), PARTS)
-    assert is_complete(given(15, box=box), PARTS) and is_complete(given(15, box=box, points=NOSE), ("box",))
-    both, points = (run("factorized", FACE, given(9, points=NOSE, **more), stop=12) for more in ({"box": box}, {}))
+    assert not is_complete(given(15, box=BOX, points=NOSE), PARTS)
+    assert is_complete(given(15, box=BOX), PARTS) and is_complete(given(15, box=BOX, points=NOSE), ("box",))
+    both, points = (run("factorized", FACE, given(9, points=NOSE, **more), stop=12) for more in ({"box": BOX}, {}))
     assert lines(both) == lines(points)
 
 
-def test_a_box_cannot_place_parts_that_no_cascade_knows(box):
+def test_a_box_cannot_place_parts_that_no_cascade_knows():
     points = {"nose": (160, 140), "chin": (160, 180)}
     more = {
         "start": Start(0, {"face": TargetStart(points=points)}, "own.yaml"),
         "overrides": ("target.parts=[nose,chin]",),
     }
     with pytest.raises(InputError, match=r"own.yaml: the correction of face at frame 9: no cascade can place chin"):
-        run("factorized_transition", FACE, given(9, box=box), **more)
-    for fine in (given(9, box=box, absent=True), given(9, box=box, points=points)):
+        run("factorized_transition", FACE, given(9, box=BOX), **more)
+    for fine in (given(9, box=BOX, absent=True), given(9, box=BOX, points=points)):
         run("factorized_transition", FACE, fine, **more, stop=10)
 
 
@@ -391,9 +377,9 @@ def test_a_cloud_fills_the_box_that_is_given():
 
 
 @pytest.mark.parametrize(("learn", "scale"), [(None, 1.0), (True, 1.0), (False, 1.5)])
-def test_a_face_under_affine_maps_is_learned_anew_unless_it_is_said_otherwise(zoom, learn, scale):
-    left, top, w, h = zoom.box(0)
-    put = run("adaptive_velocity", zoom, given(2, box=(left, top, 1.5 * w, 1.5 * h), learn=learn), stop=3)
+def test_a_face_under_affine_maps_is_learned_anew_unless_it_is_said_otherwise(learn, scale):
+    left, top, w, h = ZOOM.box(0)
+    put = run("adaptive_velocity", ZOOM, given(2, box=(left, top, 1.5 * w, 1.5 * h), learn=learn), stop=3)
     assert put[2].targets[0].rows.diagnostics["face"].get("scale") == pytest.approx([scale], rel=1e-3)
 
 
@@ -414,8 +400,8 @@ def test_what_is_confirmed_is_certain_and_all_else_is_as_it_was():
 
 
 @pytest.mark.parametrize(("said", "status"), [({}, "init"), ({"learn": False}, "init"), (None, "tracked")])
-def test_where_nothing_judges_nothing_is_certain(head, said, status):
-    said = {"confirmed": True} if said is None else {"box": head.box(5), **said}
-    put = run("contour_correlation", head, given(5, "head", **said), overrides=("likelihood.contour=null",), stop=7)
+def test_where_nothing_judges_nothing_is_certain(said, status):
+    said = {"confirmed": True} if said is None else {"box": HEAD.box(5), **said}
+    put = run("contour_correlation", HEAD, given(5, "head", **said), overrides=("likelihood.contour=null",), stop=7)
     seen = [(part(r, "box").status, part(r, "box").confidence) for r in put[4:7]]
     assert seen == [("tracked", None), (status, None), ("tracked", None)]

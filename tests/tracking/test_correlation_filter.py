@@ -77,18 +77,14 @@ def assert_finite(results):
         assert -1e-9 <= one.confidence <= 1 + 1e-9
 
 
-def assert_followed(results, places):
-    assert_finite(results)
-    assert np.abs(off(results, places)).max() < 0.25
-    assert set(statuses(results)) == {"init", "tracked"}
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("colour", [True, False])
 def test_a_moving_target_is_followed(colour, seed):
     places = path()
     results = run(clip(places, colour=colour, seed=3 * seed + 1), start(places[0]), seed)
-    assert_followed(results, places)
+    assert_finite(results)
+    assert np.abs(off(results, places)).max() < 0.25
+    assert set(statuses(results)) == {"init", "tracked"}
     scale = np.array([one.w / 24 for one in boxes(results)])
     assert np.abs(np.log(scale / [p[2] for p in places])).max() < 0.15
 

@@ -273,11 +273,8 @@ class Extreme(np.random.Generator):
         return self.u if size is None else np.full(size, self.u)
 
 
-weights = hnp.arrays(float, st.integers(1, 40), elements=st.floats(-700, 50))
-
-
 @pytest.mark.parametrize("u", [0.0, np.nextafter(1.0, 0.0), None])
-@given(log_w=weights, m=st.integers(1, 60))
+@given(log_w=hnp.arrays(float, st.integers(1, 40), elements=st.floats(-700, 50)), m=st.integers(1, 60))
 def test_indices_ascend_and_are_of_particles_that_have_weight(u, log_w, m):
     log_w = normalise(np.where(np.arange(len(log_w)) % 3 == 1, -np.inf, log_w))
     chosen = systematic(np.random.default_rng(m) if u is None else Extreme(u), log_w, m)

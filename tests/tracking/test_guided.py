@@ -53,10 +53,6 @@ class Modes:
         return logsumexp(of.log_w - 0.5 * np.sum(((z[:, None] - of.mean) / of.std) ** 2, axis=2), axis=1)
 
 
-def states(n, visible=1.0, at=(50.0, 40.0), scale=1.0, velocity=(0.0, 0.0)):
-    return Particles(np.tile([[[*at, scale, *velocity, visible]]], (n, 1, 1)), uniform(n))
-
-
 def visible(particles):
     return float(np.exp(particles.log_w) @ particles.x[:, 0, VISIBLE])
 
@@ -144,21 +140,17 @@ def test_a_mode_found_anew_is_a_place_to_return_to():
     assert_sampled(model, particles, exact(model, particles, returns=returns), 1000, 0.7, 30, 0.01)
 
 
-def chain(before, log_l, one=WALK.settings):
-    """P(visible) a frame later, where L is the same everywhere."""
-    near = before * (1 - one.hide) + (1 - before) * one.show * (1 - one.elsewhere)
-    return near * np.exp(log_l) / (near * np.exp(log_l) + 1 - near)
-
-
 @pytest.mark.parametrize("share", [0.1, 0.7])
 def test_p_visible_is_that_of_the_chain(share):
     """A likelihood that is the same everywhere, and steps that are the same hidden or not."""
     walk = visible_walk(SIGMA, SIGMA, scale=0.01)
-    particles, rng, before, seen = states(200), np.random.default_rng(0), 1.0, []
+    particles = Particles(np.tile([[[50.0, 40.0, 1.0, 0.0, 0.0, 1.0]]], (200, 1, 1)), uniform(200))
+    rng, one, before, seen = np.random.default_rng(0), WALK.settings, 1.0, []
     for log_l in [2.0, -50.0, -50.0, -3.0, 0.0, 1.0, 5.0, 5.0, 0.0]:
         model = Modes(walk, (50.0, 40.0, 0.0), (SIGMA, SIGMA, 0.01), log_l, flat=log_l)
         particles, _ = guided(200, share)(rng, particles, model)
-        before = chain(before, log_l)
+        near = before * (1 - one.hide) + (1 - before) * one.show * (1 - one.elsewhere)
+        before = near * np.exp(log_l) / (near * np.exp(log_l) + 1 - near)
         seen.append(visible(particles))
         assert seen[-1] == pytest.approx(before, rel=1e-6)
     assert max(seen[1:3]) < 1e-18

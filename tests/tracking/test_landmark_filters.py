@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from facetrack_cli.trackers.face import landmark_filters, landmark_kernels
 from facetrack_cli.trackers.face.landmark_filters import (
-    AREA,
     MOTION,
     NO_FACE,
     NOISE,
@@ -31,15 +30,6 @@ PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])
 # --- two sensors ----------------------------------------------------------------------------------------------------
 
 
-def said(z, var, sure):
-    """What one sensor says: z (K, 2), its variance and how sure it is."""
-    return np.asarray(z, float), np.full(3, var), np.full(3, sure)
-
-
-def stacked(*each, area=AREA):
-    return SensorReading(*map(np.stack, zip(*each, strict=True)), area)
-
-
 @pytest.mark.parametrize("shown", [1.0, 0.7])
 def test_rows_of_a_face_are_those_of_the_plain_twin(shown):
     rng = np.random.default_rng(5)
@@ -59,8 +49,9 @@ def test_rows_of_a_face_are_those_of_the_plain_twin(shown):
 def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
     """Against integrals over the place of a part on a grid, for each set of those that are right."""
     rng, area, k = np.random.default_rng(5), 60.0**2, 3
-    one, two, windows = (said(PLACES + 6 * rng.standard_normal((3, 2)), v, 0.9) for v in (9.0, 16.0, 4.0))
-    readings = stacked(one, two, windows, area=area)
+    # of each sensor the places (K, 2), their variance, and how sure it is
+    each = [(PLACES + 6 * rng.standard_normal((3, 2)), np.full(3, v), np.full(3, 0.9)) for v in (9.0, 16.0, 4.0)]
+    readings = SensorReading(*map(np.stack, zip(*each, strict=True)), area)
     windows_see, regression_sees = rng.uniform(-3, 0, (8, k)), rng.uniform(-9, 5, (8, k))
     got = who_is_right(readings, windows_see, regression_sees)
     step = np.arange(-60, 60, 0.5)
@@ -70,7 +61,7 @@ def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
         # the order of `modes`: the last reading says something in the first half
         for index, off in enumerate(product([False, True], repeat=3)):
             right, density, p = off[::-1], np.ones(grid.shape[:2]) / area, 1.0
-            for is_off, (z, var, _) in zip(right, (one, two, windows), strict=True):
+            for is_off, (z, var, _) in zip(right, each, strict=True):
                 if is_off:
                     p *= 0.1 / area
                 else:

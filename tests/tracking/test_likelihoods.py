@@ -209,19 +209,14 @@ def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
     np.testing.assert_allclose(target.likelihood.distances(learned, now, x), sum(looks) / 2)
 
 
-def pictures():
-    """A texture, and the same moved by a pixel."""
-    rng = np.random.default_rng(2)
-    picture = cv2.GaussianBlur(rng.integers(0, 255, (120, 160, 3), np.uint8), (0, 0), 2.0)
-    return Frame(0, 0.0, picture), Frame(1, 0.04, np.roll(picture, 1, axis=1))
-
-
 BOX = np.array([[80.0, 60.0, 1, 0, 0, 0]])
 
 
 @pytest.mark.parametrize("kind", ["contour", "correlation", "saturated"])
 def test_estimated_the_likelihood_is_flatter_and_has_the_same_order(kind):
-    first, second = pictures()
+    noise = np.random.default_rng(2).integers(0, 255, (120, 160, 3), np.uint8)
+    picture = cv2.GaussianBlur(noise, (0, 0), 2.0)
+    first, second = Frame(0, 0.0, picture), Frame(1, 0.04, np.roll(picture, 1, axis=1))
     model = {
         "contour": lambda: contour((40.0, 48.0), 2.0, 8.0, normals=32, threshold=2.0, outlier=0.05),
         "correlation": lambda: correlation((40.0, 48.0), grid=(16, 16)),

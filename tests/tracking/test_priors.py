@@ -38,15 +38,6 @@ def some_particles(n, seed=1, spread=6.0):
     return FACE + np.random.default_rng(seed).normal(0.0, spread, (n, 5, 2))
 
 
-def log_conditional(bound, x_part, x, part):
-    """(N,): log density, per square pixel, with which `propose` draws x_part (N, 2) for `part` of x (N, K, 2)."""
-    full = np.array(x, np.float64)
-    full[:, part] = x_part
-    all_, others = (parzen(full, *table, np.empty(0))[0] for table in (bound._all, bound._without[part]))
-    spread = bound._width / (math.sqrt(len(bound.moving)) if part == bound.stable else 1)
-    return all_ - others - math.log(2 * math.pi * spread**2)
-
-
 # --- kernels -----------------------------------------------------------------------------------------------------
 
 
@@ -154,7 +145,12 @@ def test_proposals_are_drawn_from_the_conditional(part):
     # cells of 3 pixels, their probabilities by the density on a grid of 0.5
     low, high = drawn[:500].min(0) - 15, drawn[:500].max(0) + 15
     places = np.stack(np.meshgrid(*map(np.arange, low, high, (0.5, 0.5))), -1).reshape(-1, 2)
-    mass = np.exp(log_conditional(bound, places, x[: len(places)], part)) * 0.25
+    # the density, per square pixel, with which the part is drawn there
+    full = x[: len(places)].astype(np.float64)
+    full[:, part] = places
+    all_, others = (parzen(full, *table, np.empty(0))[0] for table in (bound._all, bound._without[part]))
+    spread = bound._width / (math.sqrt(len(bound.moving)) if part == bound.stable else 1)
+    mass = np.exp(all_ - others - math.log(2 * math.pi * spread**2)) * 0.25
     assert mass.sum() == pytest.approx(1.0, abs=1e-4)
     low = places.min(0) - 0.25
     size = np.ceil((places.max(0) + 0.25 - low) / 3.0).astype(int)

@@ -109,13 +109,10 @@ def noisy(seed, height=30, width=37):
     return cv2.resize(small, (width, height), interpolation=cv2.INTER_NEAREST)
 
 
-places = st.lists(st.tuples(st.floats(-15, 50), st.floats(-15, 45), st.floats(0.02, 3)), min_size=1, max_size=4)
-
-
 @settings(max_examples=12)
 @given(
     seed=st.integers(0, 30),
-    x=places,
+    x=st.lists(st.tuples(st.floats(-15, 50), st.floats(-15, 45), st.floats(0.02, 3)), min_size=1, max_size=4),
     regions=st.sampled_from([(1, 1), (3, 3), (2, 4)]),
     bins=st.sampled_from([(8, 4, 1), (5, 3, 4), (7, 1, 0)]),
     factor=st.sampled_from([1, 2]),
@@ -166,11 +163,6 @@ def texture(seed=0, width=WIDTH, height=HEIGHT, blur=2.5):
     noise = np.random.default_rng(seed).normal(0, 1, (height, width)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), blur)
     return 128 + smooth * (40 / smooth.std())
-
-
-def scored(likelihood, before, now, x, parents):
-    parents = np.repeat(states(parents), len(np.atleast_2d(x)), axis=0)
-    return likelihood.score(likelihood.init(before, states([0, 0, 1.0])[0]), now, states(x), parents)[:, 0]
 
 
 place = st.floats(-60, 220, width=32)
@@ -226,7 +218,8 @@ def test_likelihood_is_the_formula_of_the_paper(kind):
     greys = [f.grey(factor, (0, 0, WIDTH, HEIGHT)) for f in (now, before)]
     (a, b), view = [grey[0] for grey in greys], (0, 0, WIDTH, HEIGHT)
     assert all(grey[1:] == (0, 0) for grey in greys)
-    for row, log_p in zip(x, scored(likelihood, before, now, x, parent), strict=True):
+    learned, parents = likelihood.init(before, states([0, 0, 1.0])[0]), np.repeat(states(parent), len(x), axis=0)
+    for row, log_p in zip(x, likelihood.score(learned, now, states(x), parents)[:, 0], strict=True):
         here = naive.patch(a, view, factor, row, SIZE, 5, 4)
         there = naive.patch(b, view, factor, parent, SIZE, 5, 4)
         outside = {"l2": OUTSIDE**2, "saturated_l1": 15.0}[kind]

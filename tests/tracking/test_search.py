@@ -175,11 +175,6 @@ def off(points, pose, source=0):
     return np.hypot(*(at - moving.truth(pose, source)).T).max() / (EYES * pose.side)
 
 
-def turned(frame, turn):
-    """The frame after quarter turns clockwise."""
-    return Frame(frame.index, frame.time_s, np.ascontiguousarray(np.rot90(frame.bgr, -turn)))
-
-
 @pytest.mark.parametrize("degrees", [100, 180])
 @detectors
 def test_a_face_that_lies_begins_as_it_lies(detector, degrees):

@@ -91,15 +91,12 @@ def moving(space):
     return ParticleTarget("a", ("box",), space, x0, 4, motion, Still(), None, sir(), None)
 
 
-def state_of(target):
-    particles = Particles(np.repeat(target.x0[None], 4, axis=0), np.full(4, -np.log(4)))
-    return ParticleState(particles, evenly(target.x0, np.array([[8.0, 4.0]])), (), None)
-
-
 @pytest.mark.parametrize(("space", "half"), [(BoxSpace(SIZE), (9.0, 6.0)), (CloudSpace(SIZE), (4.0, 2.0))])
 def test_what_a_target_covers_is_its_box_where_it_is_or_will_be(space, half):
     one = moving(space)
-    now, next_ = (one.footprint(state_of(one), ahead=ahead) for ahead in (False, True))
+    particles = Particles(np.repeat(one.x0[None], 4, axis=0), np.full(4, -np.log(4)))
+    state = ParticleState(particles, evenly(one.x0, np.array([[8.0, 4.0]])), (), None)
+    now, next_ = (one.footprint(state, ahead=ahead) for ahead in (False, True))
     np.testing.assert_allclose([now.centre, next_.centre], [(10, 20), (13, 18)])
     np.testing.assert_allclose([now.half, next_.half], [half, half])
 

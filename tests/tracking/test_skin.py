@@ -32,10 +32,6 @@ USUAL, DARK, PALE = (205, 150, 125), (52, 36, 30), (188, 180, 176)
 GREY_WALL, WARM_WALL, BLUE_WALL = (120, 122, 124), (190, 130, 95), (60, 90, 160)
 
 
-def random_picture(seed, height, width):
-    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
-
-
 def portrait(skin, wall, *, fill=1.0, noise=4.0, height=150, width=170):
     """A face that fills the ellipse in FACE, or `fill` of its axes, with eyes and mouth, before a wall; BGR."""
     rng = np.random.default_rng(0)
@@ -152,7 +148,7 @@ def test_a_warm_wall_in_the_corners_does_not_pass_for_a_dark_face(monkeypatch):
     flat=st.booleans(),
 )
 def test_any_box_of_any_picture_gives_a_model_or_says_that_it_is_not_in_the_picture(seed, box, flat):
-    bgr = random_picture(seed, 17, 23)
+    bgr = np.random.default_rng(seed).integers(0, 256, (17, 23, 3), dtype=np.uint8)
     if flat:
         bgr[:] = bgr[0, 0]
     try:
@@ -252,9 +248,8 @@ def frames(paths, seed=1):
     return [Frame(i, i / 25, picture(*ellipses, noise=rng)) for i, ellipses in enumerate(paths)]
 
 
-def start(*names):
-    known = {"head": HEAD, "left_hand": LEFT, "right_hand": RIGHT}
-    return Start(0, {name: TargetStart(box=box(known[name])) for name in names}, "clip.init.yaml")
+def start(*ellipses):
+    return Start(0, {name: TargetStart(box=box(one)) for name, one in zip(ALL, ellipses, strict=True)}, "x")
 
 
 def run(config, clip, begin, seed=0, overrides=()):
@@ -284,7 +279,7 @@ ALL = ("head", "left_hand", "right_hand")
 @pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
 def test_head_and_hands_are_followed_and_keep_their_names(config):
     clip = swing()
-    results = run(config, frames(clip), start(*ALL))
+    results = run(config, frames(clip), start(HEAD, LEFT, RIGHT))
     true = np.array([[ellipse[:2] for ellipse in row] for row in clip])
     found = places(results)
     assert [target.rows.target for target in results[0].targets] == list(ALL)
@@ -297,10 +292,8 @@ def test_head_and_hands_are_followed_and_keep_their_names(config):
 def test_hands_that_meet_the_face_do_not_take_it_and_go_on_their_way():
     """Without exclusion, the cloud of a hand that passes over the face would stay on it."""
     across = [(HEAD, (70 + 4.0 * t, 62.0, 14.0, 14.0), RIGHT) for t in range(30)]
-    begin = Start(0, {name: TargetStart(box=box(e)) for name, e in zip(ALL, across[0], strict=True)}, "x")
-    kept, lost = (
-        places(run("head_hands", frames(across), begin, 0, more))[-1, 1, 0] for more in ((), ["exclusion=null"])
-    )
+    begin, ways = start(*across[0]), ((), ["exclusion=null"])
+    kept, lost = (places(run("head_hands", frames(across), begin, 0, more))[-1, 1, 0] for more in ways)
     assert abs(kept - across[-1][1][0]) < 8 and abs(lost - HEAD[0]) < 20
 
 

@@ -32,9 +32,6 @@ def learned(bgr, centre=TRUTH, size=SIZE, **options):
     return likelihood, likelihood.init(frame(bgr), states(centre)[0])
 
 
-COSTS = ["printed", "shifted", "product"]
-
-
 @pytest.mark.parametrize(("max_size", "inner"), [(None, 1.0), (36, 0.7)])
 def test_rho_is_that_of_the_twin(max_size, inner):
     likelihood, known = learned(scene(), skin=skin_cue(inner=inner, max_size=max_size), ncc=None)
@@ -53,7 +50,7 @@ def test_rho_is_that_of_the_twin(max_size, inner):
     assert found[3] == 0.0, "beyond the image nothing is skin"
 
 
-@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("cost", ["printed", "shifted", "product"])
 @pytest.mark.parametrize("cues", ["both", "skin", "ncc"])
 @pytest.mark.parametrize("mean", ["keep", "remove"])
 def test_score_is_equation_11(cost, mean, cues):

@@ -13,8 +13,6 @@ from facetrack_cli.trackers.face.detectors import PARTS, Detection, Haar, mean_e
 from facetrack_cli.video.overlay import draw_start
 from tests.support.samples import TrackClip
 
-NOBODY = np.random.default_rng(7).integers(0, 256, (120, 160, 3), dtype=np.uint8)
-
 
 def sample(name):
     """The first frame of a sample clip, and the true points of its parts."""
@@ -84,7 +82,8 @@ def test_finds_the_face_however_it_is_shown(face, change):
 
 
 def test_nobody_there():
-    frames = [Frame(index, 0, NOBODY) for index in range(10, 12)]
+    nobody = np.random.default_rng(7).integers(0, 256, (120, 160, 3), dtype=np.uint8)
+    frames = [Frame(index, 0, nobody) for index in range(10, 12)]
     with pytest.raises(InputError, match=r"^a\.mp4: no face found in frames 10 to 11; .*--box.*--init"):
         search_start(frames, clip="a.mp4")
     with pytest.raises(InputError, match="no face found in frame 10;"):

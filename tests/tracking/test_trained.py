@@ -36,14 +36,6 @@ def shifted(x):
     )
 
 
-def dense(windows, weights, w, y):
-    """The filters (C, G, G) by the full linear system of sum_k pi_k |B_k f - y|^2 + |w f|^2, w squared."""
-    rows = [shifted(x) for x in windows]
-    left = sum(pi * b.T @ b for pi, b in zip(weights, rows, strict=True)) + np.diag(np.tile(w.ravel(), C))
-    right = sum(pi * b.T @ y.ravel() for pi, b in zip(weights, rows, strict=True))
-    return np.linalg.solve(left, right).reshape(windows[0].shape)
-
-
 @pytest.mark.parametrize("by", [(0, 0), (2, -3), (-1, 4)])
 def test_a_moved_spectrum_is_that_of_the_moved_channels(by):
     x = channels(0, 8, 3, taper=False)
@@ -73,7 +65,11 @@ def test_a_memory_of_many_windows_is_their_weighted_sum():
     np.testing.assert_allclose(known.walled, walled, atol=1e-4 * np.abs(walled).max())
     left = right - naive.multiply(whole, known.filters) - naive.complexes(walled)
     np.testing.assert_allclose(naive.complexes(known.residual), left, atol=1e-4 * np.abs(right).max())
-    exact = dense(windows, weights, one.wall.astype(float), wanted())
+    # the filters by the full linear system of sum_k pi_k |B_k f - y|^2 + |w f|^2, w squared
+    rows = [shifted(x) for x in windows]
+    left = sum(pi * b.T @ b for pi, b in zip(weights, rows, strict=True))
+    right = sum(pi * b.T @ wanted().ravel() for pi, b in zip(weights, rows, strict=True))
+    exact = np.linalg.solve(left + np.diag(np.tile(one.wall.astype(float).ravel(), C)), right).reshape(C, G, G)
     np.testing.assert_allclose(inverse(known.filters, G), exact, atol=0.01 * np.abs(exact).max())
 
 

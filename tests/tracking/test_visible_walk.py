@@ -48,11 +48,6 @@ def crowd(seed=3, n=30):
     return Particles(x, normalise(rng.normal(0, 1, n)))
 
 
-def places(n=50, seed=4):
-    rng = np.random.default_rng(seed)
-    return np.column_stack([rng.normal(50, 4, n), rng.normal(40, 4, n), rng.normal(0, 0.3, n)])
-
-
 @given(seed=st.integers(0, 10_000), many=st.integers(1, 6), n=st.integers(1, 5))
 def test_the_kernel_is_what_its_plain_twin_says(seed, many, n):
     rng = np.random.default_rng(seed)
@@ -86,7 +81,8 @@ def test_a_mixture_is_that_of_its_normal_densities(seed, far):
 
 
 def test_who_arrives_is_weighed_over_all_parents():
-    particles, z = crowd(), places()
+    particles, rng = crowd(), np.random.default_rng(4)
+    z = np.column_stack([rng.normal(50, 4, 50), rng.normal(40, 4, 50), rng.normal(0, 0.3, 50)])
     x, log_visible, log_hidden, returns, _ = WALK.arrive(np.random.default_rng(0), z, particles)
     np.testing.assert_allclose(x[:, 0, :2], z[:, :2])
     np.testing.assert_allclose(x[:, 0, 2], np.exp(z[:, 2]))

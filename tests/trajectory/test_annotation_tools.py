@@ -189,8 +189,6 @@ def test_skeletons_and_several_points_and_splits(tmp_path):
 
 TRACK = "<annotations><track id='0' label='head'>{}</track></annotations>"
 BOX = "<box frame='3' xtl='0' ytl='0' xbr='{}' ybr='9'/>"
-
-
 POLYGON = "<polygon frame='3' points='0,0;1,1;2,2'/>"
 
 

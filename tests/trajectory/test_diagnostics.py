@@ -121,20 +121,17 @@ def test_those_that_a_tracker_declares_have_their_decimals_and_stand_after_the_k
         )
 
 
-def clip(path, frames=30):
+def test_who_it_is_from_either_file(tmp_path):
     """Anna, of whom it is sure from frame 10 on; and a second target of which nothing is reported."""
     found = []
-    for i in range(frames):
+    for i in range(30):
         p = 0.3 if i < 3 else 0.6 if i < 10 else 0.95
         reported = {**REPORTED, "posterior": {"anna": p, "ben": 1 - p}}
         face = target(reported, who="ben" if i < 3 else "anna", sure=max(p, 1 - p))
         found.append(result(i, [face, target(None, "other")]))
-    return read_trajectory(trajectories.write(path, successive([one.rows for one in found]), {"seed": 3}))
-
-
-def test_who_it_is_from_either_file(tmp_path):
     for form in ("json", "csv"):
-        table = clip(tmp_path / f"t.{form}")
+        rows = successive([one.rows for one in found])
+        table = read_trajectory(trajectories.write(tmp_path / f"t.{form}", rows, {"seed": 3}))
         face, other = table.parts
         assert face.target == "face" and face.identity[[0, 2, 3, 29]].tolist() == ["ben", "ben", "anna", "anna"]
         assert not (other.identity != "").any() and table.beliefs("other")[1] == ()

@@ -84,13 +84,6 @@ PART = {"part": "nose", "x": 1.5, "y": 2, "confidence": 0.5, "status": "tracked"
 TARGET = {"target": "face", "particles": 100, "parts": [PART, {"part": "chin", "x": None, "y": None}]}
 
 
-def json_file(folder, *targets, **frame):
-    frames = [{"frame": i, "time_s": i / 25, "targets": [TARGET, *targets], **frame} for i in range(3)]
-    path = folder / "one.json"
-    path.write_text(json.dumps({"schema": SCHEMA, "frames": frames}))
-    return path
-
-
 OTHER = {"target": "other", "parts": [PART]}
 
 
@@ -114,8 +107,10 @@ def other(**change):
     ],
 )
 def test_what_is_wrong_with_json_is_said_in_one_line(tmp_path, target, frame, why):
+    frames = [{"frame": i, "time_s": i / 25, "targets": [TARGET, target], **frame} for i in range(3)]
+    (tmp_path / "one.json").write_text(json.dumps({"schema": SCHEMA, "frames": frames}))
     with pytest.raises(InputError, match=rf"one\.json: .*{why}") as caught:
-        read_trajectory(json_file(tmp_path, target, **frame))
+        read_trajectory(tmp_path / "one.json")
     assert "\n" not in str(caught.value)
 
 

@@ -158,11 +158,6 @@ def box(time_s, x=0.0, y=0.0, side=100.0, noise=0.0, seed=0, **columns):
     return [one_part("face", "box", np.arange(t), time_s=time_s, x=x, y=y, w=side, h=side, **columns)]
 
 
-def labels(parts):
-    spans = sorted(span for kind, found in head_motion(parts).items() if kind != "still" for span in found)
-    return [label for *_, label in spans]
-
-
 def clock(seconds, fps=25.0):
     return np.arange(round(seconds * fps)) / fps
 
@@ -207,7 +202,8 @@ MADE = (points, box)
     ],
 )
 def test_motion_has_its_label_and_noise_none(parts, expected):
-    assert labels(parts) == expected
+    spans = sorted(span for kind, found in head_motion(parts).items() if kind != "still" for span in found)
+    assert [label for *_, label in spans] == expected
 
 
 @pytest.mark.parametrize("make", MADE)

@@ -223,11 +223,9 @@ def test_no_result_makes_it_raise(size: tuple[int, int], fps: float) -> None:
             assert image.shape == picture.shape and (picture == 77).all()
 
 
-NOWHERE = {"x": float("nan"), "y": float("nan"), "w": float("nan"), "h": float("nan"), "cov": None, "confidence": None}
-
-
 def gone(name: str = "nose", **other: object) -> Part:
-    return part(name, **{**NOWHERE, "status": "absent", **other})
+    nowhere: Part = dict.fromkeys("xywh", float("nan"))
+    return part(name, **{**nowhere, "cov": None, "confidence": None, "status": "absent", **other})
 
 
 def test_an_absent_part_is_not_drawn_and_neither_is_its_name() -> None:

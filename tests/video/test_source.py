@@ -17,6 +17,7 @@ from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.video.source import Source, open_source
 from tests.support import media
+from tests.support.damage import raising
 
 
 def read(path: Path, **options: object) -> tuple[Source, list[Frame]]:
@@ -329,10 +330,7 @@ def test_what_the_system_refuses_and_impossible_arguments(tmp_path: Path, monkey
     ):
         with pytest.raises(UsageError):
             open_source(clip, **options)  # type: ignore[arg-type]
-
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
+    refuse = raising(PermissionError(13, "Permission denied"))
     monkeypatch.setattr(Path, "open", refuse)  # the tests may run as root, whom no file mode stops
     assert "Permission denied" in refusal(path)
 
