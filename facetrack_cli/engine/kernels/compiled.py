@@ -59,6 +59,15 @@ class _Library(JITCodeLibrary):
         return library
 
 
+class _Nothing(dict[Any, Any]):
+    """In place of what numba keeps of functions that it has compiled for a kernel. It would put those of a kernel
+    compiled before into this one: sums that may be reordered would be in an order by which one is compiled first.
+    """
+
+    def get(self, key: Any, default: Any = None) -> Any:
+        return default
+
+
 class _Kept(caching.CompileResultCacheImpl):
     """What is kept of a kernel: not the modules of its parts, which took most of the time."""
 
@@ -132,6 +141,7 @@ def exact(function: Any, **more: Any) -> Any:
     kernel = njit(cache=True, **_KERNEL, **more)(function)
     if isinstance(cache := getattr(kernel, "_cache", None), caching.FunctionCache):  # not with NUMBA_DISABLE_JIT
         cache.__class__, cache._impl.__class__ = KernelCache, _Kept
+        kernel.targetctx.cached_internal_func = _Nothing()
     return kernel
 
 
