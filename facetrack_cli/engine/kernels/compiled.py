@@ -8,7 +8,7 @@ import contextlib
 import math
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Any, Final, TypeAlias
+from typing import Any, ClassVar, Final, TypeAlias
 
 import llvmlite.binding as ll
 import numpy as np
@@ -92,8 +92,11 @@ class KernelCache(caching.FunctionCache):
     """
 
     warned = False
+    internal: ClassVar[dict[Any, Any]] = {}  # what numba keeps of functions that it has compiled for exact kernels
+    reorders = False  # whether the kernel's sums may be reordered
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        target_context.cached_internal_func = _Nothing() if self.reorders else self.internal
         try:
             _prepare(target_context.codegen())
             with self._guard_against_spurious_io_errors():
@@ -141,7 +144,7 @@ def exact(function: Any, **more: Any) -> Any:
     kernel = njit(cache=True, **_KERNEL, **more)(function)
     if isinstance(cache := getattr(kernel, "_cache", None), caching.FunctionCache):  # not with NUMBA_DISABLE_JIT
         cache.__class__, cache._impl.__class__ = KernelCache, _Kept
-        kernel.targetctx.cached_internal_func = _Nothing()
+        kernel._cache.reorders = "fastmath" in more
     return kernel
 
 

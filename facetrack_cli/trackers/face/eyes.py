@@ -89,9 +89,9 @@ class EyeRegression(NamedTuple):
 
     def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
         """The corners (4, 2), as the cascade has them."""
-        off = parts - CORNER - self.rest
-        placed = image_kernels.place_corners(seen, off, self.mean, self.first, AROUND, self.scales, self.stages)
-        return np.asarray(placed + CORNER)
+        off = (parts - CORNER - self.rest).ravel()
+        x = self.mean + (off @ self.first[:-1] + self.first[-1]).reshape(-1, 2)
+        return np.asarray(image_kernels.run_stages(seen, x, AROUND, self.scales, self.stages) + CORNER)
 
     def save(self, path: Path) -> None:
         """Raises OutputError."""

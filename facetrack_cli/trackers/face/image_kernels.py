@@ -304,26 +304,7 @@ def _read(seen, x, offsets, scale, out):
 @fast("f4:3 f8:2 f8:2 f8:1 f4:3")
 def run_stages(seen, x, offsets, scales, stages):
     """x (K, 2) after S stages (S, F + 1, 2 K), which read at `offsets` (G, 2) times the `scales` (S,) around them."""
-    return _descended(seen, x.copy(), offsets, scales, stages)
-
-
-@fast("f4:3 f8:2 f8:2 f8:2 f8:2 f8:1 f4:3")
-def place_corners(seen, off, mean, first, offsets, scales, stages):
-    """As `run_stages` from the `mean` (K, 2), and `first` (2 J + 1, 2 K) times how far J others are `off` (J, 2)."""
-    x, move = mean.copy(), first[-1].copy()
-    for j in range(len(off)):
-        for d in range(2):
-            for k in range(len(move)):
-                move[k] += off[j, d] * first[2 * j + d, k]
-    for k in range(len(x)):
-        x[k, 0] += move[2 * k]
-        x[k, 1] += move[2 * k + 1]
-    return _descended(seen, x, offsets, scales, stages)
-
-
-@fast_part
-def _descended(seen, x, offsets, scales, stages):
-    move = np.empty(2 * len(x), np.float32)
+    x, move = x.copy(), np.empty(2 * len(x), np.float32)
     phi = np.empty((len(x), len(offsets), len(seen)), np.float32)
     flat = phi.ravel()
     for s in range(len(stages)):
