@@ -1,6 +1,7 @@
 """Compiled kernels: where they are kept, what damaged files do, and which are compiled before they are called."""
 
 import ast
+import importlib
 import json
 import os
 import subprocess
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from facetrack_cli.engine.kernels import cache as kernel_cache
-from facetrack_cli.engine.kernels.compiled import fast
+from facetrack_cli.engine.kernels import compiled as compiled_kernels
 from facetrack_cli.start import precompile
 
 CLIPS = Path(__file__).parents[2] / "sample_videos"
@@ -205,12 +206,24 @@ def test_the_second_process_leaves_kernels_for_the_first(forked, tmp_path):
     assert forked(script, tmp_path) == ["True False\n", ""]
 
 
-def test_nothing_of_a_kernel_goes_into_the_next_one():
+def test_nothing_of_a_kernel_goes_into_the_next_one(tmp_path, monkeypatch):
     """Or the sums of `moments_direct` are in another order after kernels that square as it does."""
-    kernel = fast(lambda x: x**2)
-    assert kernel(3.0) == 9.0
-    kept = kernel.targetctx.cached_internal_func
-    assert kept and {kept.get(key) for key in kept} == {None}
+    made = list[str]()
+
+    class Told(compiled_kernels._Nothing):
+        def __setitem__(self, key, value):
+            super().__setitem__(key, value)
+            made.append(key[0].co_name)
+
+    monkeypatch.setattr(compiled_kernels, "_Nothing", Told)
+    kernels = "from facetrack_cli.engine.kernels.compiled import exact, fast\n"
+    for name, kind, what in (("one", "fast", "x**2"), ("plain", "exact", "x**2"), ("two", "fast", "plain(x) + x**2")):
+        kernels += f"@{kind}\ndef {name}(x): return {what}\n"
+    (tmp_path / "squares_in_turn.py").write_text(kernels)
+    monkeypatch.syspath_prepend(tmp_path)
+    squares = importlib.import_module("squares_in_turn")
+    assert (squares.one(3.0), squares.two(3.0)) == (9.0, 18.0)
+    assert made == ["int_power"] * 2, "for each kernel whose sums may be reordered, also after that which it calls"
 
 
 def test_no_kernel_calls_another_one_whose_sums_may_be_reordered():
