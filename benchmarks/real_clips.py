@@ -5,9 +5,10 @@
 
 A clip is a folder with a video or img/, and its reference: groundtruth.csv (boxes), mesh.csv (points of a face by
 MediaPipe, in units of the distance between the eyes) or hands.csv (boxes of hands by MediaPipe). A check tracks each
-clip once, with seed 0. It fails where a measure lies below its limit in real_clips.csv: the mean of the recorded
-seeds, less four standard deviations, or less .03 if that is more. It fails where a clip of the folder is not read to
-its end without a warning.
+clip once, with seed 0, and with two more seeds where a measure lies below its limit: one seed may be an unlucky one.
+It fails where the mean of the three lies below the limit in real_clips.csv: the mean of the recorded seeds, less four
+standard deviations, or less .03 if that is more. It fails where a clip of the folder is not read to its end without a
+warning.
 
     auc       of a box that begins as the first true box: success AUC, as OTB has it
     within    share of frames of the reference with nose and corners of the mouth within .2 of the reference
@@ -26,6 +27,7 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from statistics import mean
 from typing import Final, NamedTuple
 
 import cv2
@@ -133,8 +135,15 @@ def main() -> int:
             return 0
         clips = [path for path in sorted(given.folder.rglob("*")) if path.suffix in VIDEOS or path.name == "img"]
         damaged = [said for said in pool.map(check_whole, clips) if said]
-        low = compare([of_case[0].result() for of_case in runs])
-    print(*damaged, *low, sep="\n")
+        found = dict(zip(CASES, (of_case[0].result() for of_case in runs), strict=True))
+        if low := compare(found):
+            print("below a limit with seed 0; the mean of seeds 0, 1 and 2:")
+            more = {case: [pool.submit(measure, given.folder, case, seed) for seed in (1, 2)] for case in dict(low)}
+            each = {case: [found[case], *(run.result() for run in of_case)] for case, of_case in more.items()}
+            low = compare(
+                {case: {name: mean(one[name] for one in all_) for name in all_[0]} for case, all_ in each.items()}
+            )
+    print(*damaged, *(line for _, line in low), sep="\n")
     print(f"{len(clips)} clips read, {len(damaged)} not whole; {len(CASES)} tracked, {len(low)} measures too low")
     return 1 if damaged or low else 0
 
@@ -150,20 +159,20 @@ def record(runs: Sequence[Sequence[Mapping[str, float]]]) -> None:
                 table.writerow([*case, name, *(f"{value:.3f}" for value in (values.mean(), values.std(ddof=1), limit))])
 
 
-def compare(found: Sequence[Mapping[str, float]]) -> list[str]:
-    """Prints all measures; returns a line for each that lies below its limit."""
+def compare(found: Mapping[Case, Mapping[str, float]]) -> list[tuple[Case, str]]:
+    """Prints the measures of cases; returns a line for each that lies below its limit."""
     low = []
-    measured = dict(zip(CASES, found, strict=True))
     with LIMITS.open(encoding="utf-8") as file:
         for row in csv.DictReader(file):
-            case = Case(row["clip"], row["recipe"])
-            value = measured[case][row["measure"]]
+            if (case := Case(row["clip"], row["recipe"])) not in found:
+                continue
+            value = found[case][row["measure"]]
             line = (
                 f"{row['clip']} {row['recipe']}: {row['measure']} {value:.3f} (recorded {row['mean']} ± {row['std']})"
             )
             print(line)
             if not value >= float(row["limit"]):
-                low.append(f"TOO LOW {line}, limit {row['limit']}")
+                low.append((case, f"TOO LOW {line}, limit {row['limit']}"))
     return low
 
 
