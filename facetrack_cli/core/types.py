@@ -159,9 +159,8 @@ class Frame:
         if self.yuv is None:  # whether colours were computed meanwhile must not matter
             return None
         (lit,), x, y, _ = self._part("y", factor, extent, _MARGIN)
-        (u, v), left, top, _ = self._part(
-            "uv", factor, (extent[0] / 2, extent[1] / 2, extent[2] / 2, extent[3] / 2), _MARGIN
-        )
+        half = extent[0] / 2, extent[1] / 2, extent[2] / 2, extent[3] / 2
+        (u, v), left, top, _ = self._part("uv", factor, half, _MARGIN)
         own = 2 * left, 2 * top, 2 * factor
         return [(lit, x, y, factor), (u, *own), (v, *own)]
 

@@ -20,10 +20,8 @@ _LINEAR = np.rint(2040 * np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS
 _ROOTS = np.rint(32768 * np.where(_RATIOS < 216 / 24389, _RATIOS * 841 / 108 + 4 / 29, np.cbrt(_RATIOS))).astype(int)
 _CHROMA = np.float32(60.0)  # levels of a and b that count as much as the whole range of grey
 _WHOLE, _PER_TURN = 1.5 * 2.0**52, math.log2(math.e)  # a number whose neighbours are 1 away; exp(x) = 2^(x _PER_TURN)
-_TURN = (
-    float.fromhex("0x1.62e42feep-1"),
-    float.fromhex("0x1.a39ef35793c76p-33"),
-)  # log 2, the first with zeros at its end
+# log 2 as a sum, the first with zeros at its end
+_TURN = float.fromhex("0x1.62e42feep-1"), float.fromhex("0x1.a39ef35793c76p-33")
 _TAYLOR = tuple(1 / math.factorial(k) for k in range(13, -1, -1))
 
 

@@ -40,7 +40,6 @@ CORNERS: Final = [0, 1, 4, 5]
 SIDES: Final = ([0, 1, 2, 3], [5, 4, 6, 7])
 """Of the left and the right eye: outer and inner corner, upper and lower lid."""
 _BOTH: Final = np.array(SIDES)
-_OF_SIDE: Final = np.array([point not in SIDES[0] for point in range(len(POINTS))], np.int64)
 ZOOM: Final = 2.0  # of a patch
 SIDE: Final = 48  # of a patch, pixels
 MIDDLE: Final = (SIDE - 1) / 2
@@ -81,11 +80,11 @@ class EyeRegression(NamedTuple):
         middles = 0.5 * (corners[::2] + corners[1::2])
         lost, angle = min(STEEP * (head.scale * EYES / SMALL - 1), 0.0), slope(middles)
         turn, wide = (math.cos(angle) / ZOOM, math.sin(angle) / ZOOM), ZOOM * EYES
-        each, odds, at = np.empty((2, 4, 2)), np.empty(2), np.empty((len(POINTS), 2))
+        each, of_eye, at, odds = np.empty((2, 4, 2)), np.empty(2), np.empty((len(POINTS), 2)), np.empty(len(POINTS))
         patches, narrow = _patches(frame, views(head, middles)), (NARROW * wide, STEEP / wide, lost)
-        image_kernels.place_eyes(patches, _GRID, self.lids, middles, turn, narrow, each, odds)
-        at[_BOTH] = each
-        return PlacedPoints(at, odds[_OF_SIDE])
+        image_kernels.place_eyes(patches, _GRID, self.lids, middles, turn, narrow, each, of_eye)
+        at[_BOTH], odds[_BOTH] = each, of_eye[:, None]
+        return PlacedPoints(at, odds)
 
     def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
         """The corners (4, 2), as the cascade has them."""
