@@ -29,7 +29,7 @@ KERNELS: Mapping[str, str] = {
         ("trackers.face.image_kernels", "_channels place_eyes run_stages read looks", "head"),
         ("trackers.face.image_kernels", "warp", f"head {_CELLS}"),
         ("trackers.face.window_kernels", "greatest matched", "likelihood=window_ncc"),
-        ("trackers.face.landmark_kernels", "jump", "motion=jumping_walk"),
+        ("trackers.face.landmark_kernels", "step", "head"),
         ("trackers.face.landmark_kernels", "learn compare follow fuse read show median_shift", "head"),
         ("trackers.face.landmark_kernels", "judge", "likelihood=window_ncc"),
         ("trackers.appearance.appearance_kernels", "read_patches", "target=affine"),

@@ -1,5 +1,6 @@
 """A face in its head: on clips in which a real face moves, grows, rolls, is covered, leaves and returns."""
 
+import copy
 from dataclasses import replace
 
 import cv2
@@ -13,12 +14,13 @@ from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import BOX, Correction, Frame
 from facetrack_cli.core.yaml_tree import YamlProblems
+from facetrack_cli.engine.filters import factorized
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import write_init
-from facetrack_cli.trackers.face import detectors
+from facetrack_cli.trackers.face import assembly, detectors
 from facetrack_cli.trackers.face.stabilized import BOX as STILL_BOX
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, SIDE, Similarity, change_between
 from facetrack_cli.trajectory.reader import StartRecord, to_record
@@ -65,6 +67,26 @@ def test_the_head_carries_its_points(overrides):
     assert lost(rows).mean() < 0.05
     assert rows[-1].w[5] == pytest.approx(poses[-1].side, rel=0.25 if overrides else 0.2)
     assert rows[-1].diagnostics["face"].get("scale")[0] == pytest.approx(rows[-1].w[5] / 80, rel=0.01)
+
+
+def test_one_kernel_steps_the_points_as_the_factorized_filter_does(monkeypatch):
+    kernel, frames = assembly.measured, []
+
+    def both(settings, rng, particles, model):
+        again = copy.deepcopy(rng)
+        (x, log_w), (ess, evidence) = kernel(settings, rng, particles, model)
+        plain, info = factorized(settings, again, particles, model)
+        np.testing.assert_array_equal(x, plain.x)
+        np.testing.assert_allclose(log_w, plain.log_w, atol=1e-10)
+        np.testing.assert_allclose([*ess, evidence], [*info.ess, info.evidence], rtol=1e-9)
+        assert rng.bit_generator.state == again.bit_generator.state
+        frames.append(len(particles.x))
+        return plain, info
+
+    monkeypatch.setattr(assembly, "measured", both)
+    poses = [Pose(110 + 1.6 * t, 110, 80) for t in range(8)]
+    run(moving.clip(poses), moving.start(poses[0]), ["filter.particles=60"])
+    assert frames == [60] * 7
 
 
 @pytest.mark.parametrize("override", ["likelihood={type: colour_ratio}", "motion={type: random_walk, sigma: 1.6px}"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,13 @@ from facetrack_cli.engine.protocols import Prior
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.engine.target import ParticleTarget, calibration_of, particle_target
 from facetrack_cli.recipe.model import ConfidenceSettings, ParticleFilterSettings, Recipe, above
+from facetrack_cli.recipe.sections import FactorizedSettings
 from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face.cascaded_regression import CORNER, load_regression
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.face.landmark_sensors import LandmarkSensors
 from facetrack_cli.trackers.face.mesh import NAMES, Iris, Mesh
+from facetrack_cli.trackers.face.motion import measured
 from facetrack_cli.trackers.face.settings import HeadSettings, StudentTSettings
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity, change_between, growth, slope
 from facetrack_cli.trackers.face.target import FaceTarget
@@ -60,6 +63,8 @@ def face_target(
     iris = None if mesh is None or landmarks.iris is None else Iris(network("iris", landmarks.iris))
     eyes, more = GROUPS["eyes"], POINTS if landmarks.points == "features" else tuple(NAMES)
     features = replace(particle_target(recipe, key, settings, still, name, ParticleTarget), calibration=None)
+    if isinstance(settings.filter, FactorizedSettings) and isinstance(features.prior, StudentPrior):
+        features = replace(features, step=partial(measured, settings.filter))
     sensors = LandmarkSensors(
         features.parts,
         None if by is None else detector(start.measured_by if by == "auto" else by),
@@ -128,16 +133,16 @@ class StudentPrior(Prior):
     """
 
     def __init__(self, bound: BoundPrior, freedom: float) -> None:
-        self.first, self.length, self.freedom = bound.first, bound.length, freedom
+        self.first, self.length, self.freedom = bound.first, bound.length, float(freedom)
         h = bound.shapes[:, bound.moving].reshape(len(bound.shapes), -1)
         self.cov = h.T @ h / len(h) + MIN_SIGMA**2 * np.eye(h.shape[1])
         # q^T C^-1 q is the square of q L, where C^-1 = L L^T and q = (x - first) D
         relative = np.eye(len(self.first))[:, bound.moving] - np.eye(len(self.first))[:, [bound.stable]]
-        self._to_unit = np.kron(relative, np.eye(2)) @ np.linalg.cholesky(np.linalg.inv(self.cov)) / self.length
-        self._first = self.first.ravel() @ self._to_unit
+        self.to_unit = np.kron(relative, np.eye(2)) @ np.linalg.cholesky(np.linalg.inv(self.cov)) / self.length
+        self.origin = self.first.ravel() @ self.to_unit
 
     def log_density(self, x: Array) -> Array:
         """(N,): the log density, at most 0."""
-        unit = x.reshape(-1, len(self._to_unit)) @ self._to_unit - self._first
+        unit = x.reshape(-1, len(self.to_unit)) @ self.to_unit - self.origin
         squared = np.einsum("ni,ni->n", unit, unit)
         return np.asarray(-0.5 * (self.freedom + unit.shape[1]) * np.log1p(squared / self.freedom))

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from facetrack_cli.engine.kernels.compiled import exact, part, read_at
+from facetrack_cli.engine.kernels.compiled import exact, invert_cdf, part, read_at
 
 BY_REGRESSION, BY_DETECTOR, BY_NETWORK = 0, 1, 2  # the order of the sensors
 # of sensors; lengths in those between the eyes
@@ -314,6 +314,18 @@ def _says(sure):
     return says
 
 
+@part
+def weigh(log_w, w):
+    """w (N,) in proportion to exp(log_w), equal without a number; returns the logarithm of the sum of exp(log_w)."""
+    top, total = -1e30, 0.0  # as `engine.filters.MIN_LOG`
+    for value in log_w:
+        top = value if not value <= top else top  # nan stays
+    for i in range(len(log_w)):
+        w[i] = math.exp(max(log_w[i], -1e30) - top) if math.isfinite(top) else 1.0
+        total += w[i]
+    return top + math.log(total)
+
+
 @exact
 def add_up(z, var, sure, area, at, p, w):
     """The modes `at`, p and w of `motion.modes`."""
@@ -336,7 +348,7 @@ def add_up(z, var, sure, area, at, p, w):
         m *= 2
 
 
-@exact("f8:3 f8:2 f8:3 f8:2 f8:2 f8 f8:1 f8:1 f8 f8:2 f8 f8 f4:3 f8:2 f8:1 f8 f8 f8:3 f8:2")
+@exact
 def jump(
     x, uniform, at, var, sure, area, sigma, wide, jumps, rest, keep, anywhere, maps, corner, visible, sharpness, floor,
     moved, log_p,
@@ -395,3 +407,61 @@ def jump(
             r = read_at(maps[k], u - corner[k, 0], v - corner[k, 1])
             score = (visible[k] * math.exp(sharpness * (r - 1.0)) + hidden) * (wanted / given)
             log_p[n, k] = top + math.log(score) if wanted > 0.0 else -math.inf
+
+
+@exact(
+    "f8:3 f8:1 f8:1 f8:2 f8:1 i8:2 f8:3 f8:2 f8:2 f8 f8:1 f8:1 f8 f8:2 f8 f8 f4:3 f8:2 f8:1 f8 f8 f8:2 f8:1 f8"
+    " f8:3 f8:3 f8:1 f8:1"
+)
+def step(
+    x, log_w, first, uniform, second, order, at, var, sure, area, sigma, wide, jumps, rest, keep, anywhere,
+    maps, corner, visible, sharpness, floor, to_unit, origin, freedom, moved, after, log_after, ess,
+):  # fmt: skip
+    """Particles x (N, K, 2) with `log_w` a step of `engine.filters.factorized` later, without a look ahead.
+
+    `first` and `second` (K,), `uniform` and `order` (N, K), which permutes each column, and `moved` are draws.
+    `to_unit`, `origin` and `freedom` are those of a StudentPrior, all else is as in `jump`. What follows is `after`
+    (N, K, 2) with `log_after`, and `ess` (K,). Returns the log evidence.
+    """
+    (n, parts), evidence = x.shape[:2], 0.0
+    w, points, scores = np.empty((n, parts)), np.empty((n, parts)), np.empty((n, parts))
+    chosen, one = np.empty((n, parts), np.int64), np.empty(n)
+    for i in range(n):
+        w[i] = math.exp(log_w[i])
+        for k in range(parts):
+            points[i, k] = (i + first[k]) / n
+    invert_cdf(w, points, chosen)
+    for i in range(n):
+        for k in range(parts):
+            after[i, k, 0], after[i, k, 1] = x[chosen[i, k], k, 0], x[chosen[i, k], k, 1]
+    jump(
+        after, uniform, at, var, sure, area, sigma, wide, jumps, rest, keep, anywhere, maps, corner, visible, sharpness,
+        floor, moved, scores,
+    )  # fmt: skip
+    for k in range(parts):
+        evidence += weigh(scores[:, k], w[:, k])
+        for i in range(n):
+            points[i, k] = (i + second[k]) / n
+    invert_cdf(w, points, chosen)
+    for i in range(n):
+        squared = 0.0
+        for k in range(parts):
+            j = chosen[order[i, k], k]
+            after[i, k, 0], after[i, k, 1] = moved[j, k, 0], moved[j, k, 1]
+        for j in range(len(origin)):
+            unit = -origin[j]
+            for k in range(parts):
+                unit += after[i, k, 0] * to_unit[2 * k, j] + after[i, k, 1] * to_unit[2 * k + 1, j]
+            squared += unit * unit
+        log_after[i] = -0.5 * (freedom + len(origin)) * math.log1p(squared / freedom)
+    total = weigh(log_after, one)
+    log_after -= total
+    one /= np.sum(one)
+    w[:], ess[:] = 0.0, 0.0  # how much each origin weighs
+    for k in range(parts):
+        for i in range(n):
+            w[chosen[order[i, k], k], k] += one[i]
+        for i in range(n):
+            ess[k] += w[i, k] ** 2
+        ess[k] = 1.0 / ess[k]
+    return evidence + total - (parts + 1) * math.log(n)

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array
+from facetrack_cli.core.types import Array, Info, Particles
+from facetrack_cli.engine.filters import Stepped, factorized
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.face.landmark_kernels import add_up, jump
+from facetrack_cli.trackers.face.landmark_kernels import add_up, jump, step
 from facetrack_cli.trackers.face.settings import JumpingWalkSettings
+
+if TYPE_CHECKING:
+    from facetrack_cli.engine.target import FrameModel
+    from facetrack_cli.recipe.sections import FactorizedSettings
 
 ANY: Final = 0.3  # share of draws that do not follow what a sensor and the last place make likely
 
@@ -143,3 +148,22 @@ class MeasuredWalk(JumpingWalk):
 
     def weighed(self, x: Array, parents: Array, score: Callable[[], Array]) -> Array:
         return self.draws[id(x)][1] if id(x) in self.draws else score() + self.log_measured(x, parents, self.measured)
+
+
+def measured(
+    settings: FactorizedSettings, rng: np.random.Generator, particles: Particles, model: FrameModel
+) -> Stepped:
+    """`filters.factorized` of points that move by a MeasuredWalk with windows and have a StudentPrior.
+
+    As the recipe has it, without a look ahead, and where no part is absent: in one kernel, from the same draws.
+    """
+    if settings.look_ahead != "none" or settings.reweight != "prior" or model.state.absent is not None:
+        return factorized(settings, rng, particles, model)
+    (n, k, _), walk, prior = particles.x.shape, model.motion, model.prior
+    first, uniform, moved, second = rng.random(k), rng.random((n, k)), rng.standard_normal((n, k, 2)), rng.random(k)
+    order = rng.permuted(np.repeat(np.arange(n)[:, None], k, axis=1), axis=0)
+    how = (walk.sigma, walk.jump, walk.jumps, walk.rest, walk.keep, ANY, *walk.windows)
+    after, log_w, ess = np.empty((n, k, 2)), np.empty(n), np.empty(k)
+    draws, shape = (first, uniform, second, order), (prior.to_unit, prior.origin, prior.freedom)
+    evidence = step(*particles, *draws, *walk.measured, *how, *shape, moved, after, log_w, ess)
+    return Particles(after, log_w), Info(ess, evidence)
