@@ -23,14 +23,7 @@ from typing import Any, ClassVar, Final, Literal
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from facetrack_cli.core import __version__
-from facetrack_cli.core.errors import (
-    BusyError,
-    FacetrackError,
-    InputError,
-    OutputError,
-    from_system,
-    reading,
-)
+from facetrack_cli.core.errors import BusyError, FacetrackError, InputError, OutputError, from_system, reading
 from facetrack_cli.core.files import (
     FULL,
     MAX_TABLE_BYTES,
@@ -148,10 +141,8 @@ def check_belongs(path: Path) -> None:
     if run is None:
         return
     if path.name not in run.files or run.files[path.name].sha256 != digest([path]):
-        raise InputError(
-            f"{path}: is not as its run wrote it, as {NAME} beside it says: it was edited, or is of another run; "
-            "copy it elsewhere to read it as it is"
-        )
+        what = f"is not as its run wrote it, as {NAME} beside it says: it was edited, or is of another run"
+        raise InputError(f"{path}: {what}; copy it elsewhere to read it as it is")
 
 
 def outdated(folder: Path, init: Path | None) -> Iterator[str]:

@@ -157,10 +157,7 @@ def name_of(clip: ClipStatus) -> str:
 
 
 def survey(folder: Path) -> Status:
-    """How far the runs in the folder of a batch, or of one run, are; of one that is not joined yet, its chunks.
-
-    Raises InputError for any other path.
-    """
+    """How far the runs in a batch's folder are, or a run, or its chunks before they are joined. InputError of none."""
     with reading(folder):
         if _is_run(folder):
             return Status(folder, (clip_status(folder, ".", ""),))

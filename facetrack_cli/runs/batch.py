@@ -127,10 +127,7 @@ def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress)
 
 
 def run_shared(
-    jobs: Sequence[Job],
-    turn: Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]],
-    stop: Stop,
-    progress: Progress,
+    jobs: Sequence[Job], turn: Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]], stop: Stop, progress: Progress
 ) -> Iterator[Outcome]:
     """Run `jobs` by `turn`; each outcome is yielded as it ends. A job that fails does not stop the others.
 

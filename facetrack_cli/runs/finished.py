@@ -148,9 +148,8 @@ def recipe_of(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) 
     except ValidationError as e:
         first = e.errors()[0]
         wrong = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}"
-        raise InputError(
-            f"{main}: this version of facetrack does not know its recipe ({wrong}); make the run again"
-        ) from None
+        unknown = f"this version of facetrack does not know its recipe ({wrong})"
+        raise InputError(f"{main}: {unknown}; make the run again") from None
 
 
 def _place(main: Path, values: dict[str, Any], folders: Sequence[Path]) -> None:

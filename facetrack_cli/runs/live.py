@@ -141,15 +141,10 @@ def received(address: str, say: Callable[[str], None]) -> Iterator[Image]:
 
     Each time it is said. InputError for what gives no image at first.
     """
-    network = "://" in address
-    options = {}
-    if network:  # there alone a description of a stream may open more of it
-        options = {
-            "format_whitelist": f"{_FORMATS},rtsp,rtp,sdp",
-            "protocol_whitelist": _PROTOCOLS,
-            "rtsp_transport": "tcp",
-        }
-    wait = 0.0
+    network, wait = "://" in address, 0.0
+    # on a network alone a description of a stream may open more of it
+    listed = {"format_whitelist": f"{_FORMATS},rtsp,rtp,sdp", "protocol_whitelist": _PROTOCOLS}
+    options = {**listed, "rtsp_transport": "tcp"} if network else {}
     while True:
         try:
             for frame in _decoded(address, options, address):
@@ -168,17 +163,17 @@ def received(address: str, say: Callable[[str], None]) -> Iterator[Image]:
 
 
 def piped(stream: BinaryIO) -> Iterator[Frame]:
-    """The frames of a pipe in any format of video that needs no seeking; MJPEG has no times.
-
-    InputError for what is no video, or too large.
-    """
+    """The frames of a pipe, of any format that needs no seeking; MJPEG has no times. InputError as of `_decoded`."""
     # read() would wait until a whole block has come
     now = SimpleNamespace(read=stream.read1 if hasattr(stream, "read1") else stream.read)
     yield from _decoded(now, {"format_whitelist": _FORMATS}, _PIPE)
 
 
 def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
-    """The frames of a device, an address or a file that is read as it comes; the time of one that has none is nan."""
+    """The frames of a device, an address or a file that is read as it comes; nan is the time of one that has none.
+
+    InputError for what is no video, or too large.
+    """
     import av
 
     silence()

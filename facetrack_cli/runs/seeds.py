@@ -98,15 +98,9 @@ class PlanResult:
 
 
 def run_plans(
-    plans: Sequence[SeedPlan],
-    workers: int = 1,
-    stopped: Stop | None = None,
-    report: Report = silent,
+    plans: Sequence[SeedPlan], workers: int = 1, stopped: Stop | None = None, report: Report = silent
 ) -> Generator[PlanResult, None, None]:
-    """Run all plans, in `workers` processes; each is yielded as it ends, in their order.
-
-    Once `stopped` says so, nothing more is yielded.
-    """
+    """Run all plans, in `workers` processes, until `stopped` says so; each is yielded as it ends, in their order."""
     stopped = stopped or Stop()
     each = [len(plan.seeds) * _length(plan.clip, plan.fps, plan.start.frame, plan.stop) for plan in plans]
     total = sum(each) if all(each) else 0  # of the frames, if all clips state how many they have

@@ -11,7 +11,7 @@ those of the first frame: noise averages out, and a mouth that moves keeps its f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -180,16 +180,15 @@ def search_start(
     InputError
         No frame of the `clip` shows all that.
     """
-    check_parts(parts)
     finder, coming = detector or Haar(), iter(frames)
-    search = first = _Search(parts, finder, complete, 0.0)
+    search = first = Search(parts, finder, complete, 0.0)
     rivals = search.through(coming, SEARCHED_S)
     last, looked = (first.frames[-1], first.times[-1]) if first.frames else (0, 0.0)
     for frame in () if rivals else coming:
         last = frame.index
         if frame.time_s - looked < min(max(STEP * frame.time_s, LOOK_S), MAX_STEP_S):
             continue
-        search = _Search(parts, finder, complete, search.closer_from)
+        search = Search(parts, finder, complete, search.closer_from)
         rivals = search.through(chain([frame], coming), WAIT_S + STILL_S, least=WAIT_S)
         first.lacking, last, looked = first.lacking or search.lacking, search.frames[-1], search.times[-1]
         if rivals:
@@ -199,35 +198,31 @@ def search_start(
     return search.start(rivals if faces == "all" else rivals[:1], rivals)
 
 
-def searching(
-    parts: Sequence[str], detector: Detector, clip: str, complete: Callable[[Frame, Start], Start]
-) -> Generator[Start | None, Frame | None, None]:
-    """A search that is sent the first frames, one by one, and None at their end; it yields the start once it is known.
+class Search:
+    """The search for a face in frames, one after another."""
 
-    InputError as `search_start`, after `SEARCHED_FRAMES` at the latest: whoever sends frames keeps them all.
-    """
-    check_parts(parts)
-    search, rivals = _Search(parts, detector, complete, 0.0), None
-    for _ in range(SEARCHED_FRAMES):
-        frame = yield None
-        if frame is None or (rivals := search.take(frame, SEARCHED_S)) is not None:
-            break
-    rivals = search.ended() if rivals is None else rivals
-    if not rivals:
-        raise search.nobody(clip, search.frames[-1] if search.frames else 0)
-    yield search.start(rivals[:1], rivals)
-
-
-class _Search:
     def __init__(
         self, parts: Sequence[str], detector: Detector, complete: Callable[[Frame, Start], Start], closer_from: float
     ) -> None:
+        check_parts(parts)
         self.parts, self.detector, self.complete, self.closer_from = parts, detector, complete, closer_from
         self.candidates: list[_Candidate] = []
         self.frames: list[int] = []
         self.times: list[float] = []
         self.ready: int | None = None  # the frame from which on it waits only for somebody to move
         self.lacking: NotHereError | None = None
+
+    def among(self, kept: Sequence[Frame], clip: str, *, ended: bool) -> Start | None:
+        """The start after the last of the frames that are `kept` so far, or at their end; None: the next are to tell.
+
+        InputError as `search_start`, of `SEARCHED_FRAMES` frames at the latest.
+        """
+        rivals = None if ended else self.take(kept[-1], SEARCHED_S)
+        if rivals is None and not ended and len(kept) < SEARCHED_FRAMES:
+            return None
+        if not (rivals := rivals or self.ended()):
+            raise self.nobody(clip, self.frames[-1] if self.frames else 0)
+        return self.start(rivals[:1], rivals)
 
     def through(self, frames: Iterable[Frame], most: float, *, least: float = 0.0) -> list[_Candidate]:
         """The faces in `most` seconds of the frames, as soon as they are certain; as `take`."""
@@ -259,10 +254,8 @@ class _Search:
 
     def _dark(self) -> bool:
         """Whether there are only faces to wait for until light falls on them."""
-        open_ = self._open()
-        return bool(open_) and all(
-            candidate.certain and len(candidate.looks) >= MIN_LOOKS and not candidate.lit for candidate in open_
-        )
+        able = [each.certain and len(each.looks) >= MIN_LOOKS and not each.lit for each in self._open()]
+        return bool(able) and all(able)
 
     def look(self, frame: Frame) -> None:
         self.frames.append(frame.index)
