@@ -495,5 +495,4 @@ class ScaledSettings(TargetSettings):
 
     def mistakes(self) -> Iterable[Refusal]:
         if not self.scale[0] < 1 < self.scale[1]:
-            message = "target.scale is [least, largest], with 1, the size at the start, between them"
-            yield Refusal(("scale",), message)
+            yield Refusal(("scale",), "target.scale is [least, largest], with 1, the size at the start, between them")

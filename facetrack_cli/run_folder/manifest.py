@@ -110,8 +110,7 @@ class Manifest(RunSummary):
 
     def record(self) -> dict[str, Any]:
         """The contents as JSON has them. What the tables say of the ending and the clip is not repeated."""
-        left_out = {"variable_fps", "evidence", "source_sha256"}
-        return dict(_ADAPTER.dump_python(self, mode="json", exclude=left_out))
+        return dict(_ADAPTER.dump_python(self, mode="json", exclude={"variable_fps", "evidence", "source_sha256"}))
 
     @property
     def is_failure(self) -> bool:
@@ -126,13 +125,11 @@ def read_manifest(folder: Path) -> Manifest | None:
     """The run.json of a folder; None if there is none. InputError for a file that is not as we write it."""
     path = folder / NAME
     try:
-        return _ADAPTER.validate_json(read_bounded(path))
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable") from e
+        with reading(path), contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            return _ADAPTER.validate_json(read_bounded(path))
     except ValidationError as e:
         raise InputError(f"{path}: is not as facetrack run writes it; remove it, or make the run again") from e
+    return None
 
 
 def check_belongs(path: Path) -> None:

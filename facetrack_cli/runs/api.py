@@ -199,8 +199,7 @@ class Recording:
         if not self._into.outcome.frames:
             if result.start is None:
                 raise InputError(f"{self.job.out}: the first result has no start; write results of track_frames")
-            clip = ClipFacts(str(self.job.clip), result.frame.size, self._rate)
-            self._into.begin(clip, result.start, {}, result)
+            self._into.begin(ClipFacts(str(self.job.clip), result.frame.size, self._rate), result.start, {}, result)
         self._into.write(result)
 
     def __exit__(self, kind: Any = None, error: BaseException | None = None, trace: Any = None) -> None:

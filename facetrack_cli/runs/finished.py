@@ -18,8 +18,8 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from pydantic import ValidationError
 
-from facetrack_cli.core.errors import InputError, OutputError, reading
-from facetrack_cli.core.files import FULL, check_plain, discard, publish, temporary_path, writing
+from facetrack_cli.core.errors import InputError, reading
+from facetrack_cli.core.files import cannot_write, check_plain, discard, publish, temporary_path, writing
 from facetrack_cli.core.models import shipped_folder, shipped_recipes
 from facetrack_cli.core.npz import Kind, Stored, flatten, restore, write_arrays
 from facetrack_cli.core.numbers import dumps
@@ -242,9 +242,7 @@ def rewrite(
             check()
             manifest.commit(lock, folder, written, run, gone)
     except OSError as e:
-        remedy = "free some space" if e.errno in FULL else "make it writable"
-        at = written[-1] if written else folder
-        raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
+        raise cannot_write(written[-1] if written else folder, e, "make it writable, and save again") from e
     finally:
         for path in written:
             discard(path)
@@ -283,8 +281,7 @@ def repaint(
                 video.write(overlay.draw(FrameResult(frame, recorded(frame.index, rows.at(frame.index)))), frame.time_s)
                 report(done, total)
             if done < total:
-                missing = first + done
-                raise InputError(f"{clip}: has no frame {missing}, which the run has; name its clip with --clip")
+                raise InputError(f"{clip}: has no frame {first + done}, which the run has; name its clip with --clip")
         except BaseException:
             video.discard()
             raise
@@ -372,8 +369,7 @@ def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:
 
     def make(stored: Stored) -> dict[str, Beliefs]:
         if stored.text("corrections") != dumps(rows.header["init"].get("corrections", [])):
-            again = "run again with --init and --smooth"
-            raise InputError(f"{path}: was kept before the run was corrected; {again}")
+            raise InputError(f"{path}: was kept before the run was corrected; run again with --init and --smooth")
         beliefs: dict[str, dict[int, tuple[Belief, ...]]] = {name: {} for name in stored.texts("targets")}
         block = 0
         while str(block) in stored:

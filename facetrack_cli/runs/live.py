@@ -189,8 +189,7 @@ def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
             check_pixels(Path(name), video.codec_context.width, video.codec_context.height)
             for index, raw in enumerate(container.decode(video)):
                 began = raw.time if began is None else began
-                time_s = (raw.time or 0.0) - (began or 0.0)
-                yield Frame(index, time_s if timed else math.nan, pixels(raw))
+                yield Frame(index, (raw.time or 0.0) - (began or 0.0) if timed else math.nan, pixels(raw))
     except (OSError, ValueError, EOFError) as error:
         raise InputError(f"{name}: {reason(error)}; {_REMEDY}") from None
 

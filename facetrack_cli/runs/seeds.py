@@ -81,7 +81,6 @@ class SeedPlan:
 class SeedRun:
     """One seed's trajectory. `frames_per_s` is the tracker's alone: decoding is not counted, nor the first frame."""
 
-    label: str
     seed: int
     trajectory: Trajectory
     frames_per_s: float
@@ -156,10 +155,8 @@ def _work(task: tuple[SeedPlan, tuple[int, ...]], stop: Stop, report: Callable[[
             raise InputError(f"{plan.clip}: frame {plan.start.frame}, where {plan.start.origin} begins, cannot be read")
     about: dict[str, Any] = {"path": source.path, "header": {"source": {"size": list(source.size)}}}
     warnings = (*source.warnings, *notes)
-    return [
-        SeedRun(plan.label, seed, log.trajectory(**about), (count - 1) / max(spent, 1e-9), warnings)
-        for seed, log, spent in zip(seeds, logs, seconds, strict=True)
-    ]
+    both = zip(seeds, logs, [(count - 1) / max(spent, 1e-9) for spent in seconds], strict=True)
+    return [SeedRun(seed, log.trajectory(**about), rate, warnings) for seed, log, rate in both]
 
 
 @cache

@@ -319,9 +319,8 @@ class Search:
         moving = [candidate.lives for candidate in able]
         if not any(moving):  # one that changes ten times as much as another is the living one
             moving = [candidate.change >= max(other.change for other in able) / 10 for candidate in able]
-        order = sorted(
-            zip(moving, able, strict=True), key=lambda pair: (not pair[0], -pair[1].worth, pair[1].looks[0][:2])
-        )
+        both = zip(moving, able, strict=True)
+        order = sorted(both, key=lambda pair: (not pair[0], -pair[1].worth, pair[1].looks[0][:2]))
         return [candidate for _, candidate in order]
 
     def _wait(self, able: Sequence[_Candidate]) -> float:
@@ -367,8 +366,7 @@ class Search:
         mean = np.sum(weight[..., None] * each, axis=0) / weight.sum(axis=0)[:, None]
         # to 0.01 px, as in an init file: a run from that file begins in the same place
         placed = (boxes[now, :2] + mean * boxes[now, 2:]).round(2).tolist()
-        points = {part: (x, y) for part, (x, y) in zip(self.parts, placed, strict=True)}
-        return TargetStart(looks[now].box, points)
+        return TargetStart(looks[now].box, {part: (x, y) for part, (x, y) in zip(self.parts, placed, strict=True)})
 
     def nobody(self, clip: str, last: int) -> InputError:
         if not self.frames:
@@ -402,5 +400,4 @@ def box_start(
         raise InputError(f"{clip}: {wrong}; draw it from the brows to the chin, or give the points with --init FILE")
     # to 0.01 px, as in an init file: a run from that file begins in the same place
     placed = {part: (round(points[part][0], 2), round(points[part][1], 2)) for part in parts}
-    target = TargetStart(box=box, points=placed)
-    return Start(frame.index, {"face": target}, "--box", detector=look.name, placed=True)
+    return Start(frame.index, {"face": TargetStart(box, placed)}, "--box", detector=look.name, placed=True)

@@ -101,5 +101,4 @@ def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     scores = [score for entry in entries for score in entry.scores]
     frame, hidden = (np.unique(np.concatenate([getattr(score, of) for score in scores])) for of in ("frame", "hidden"))
     errors = {each.label: np.array([at(frame, one.frame, one.error) for one in each.scores]) for each in entries}
-    figure = error_over_time_figure(frame, errors, np.isin(frame, hidden), title=f"Error on {clip}")
-    yield "error.png", render(figure)
+    yield "error.png", render(error_over_time_figure(frame, errors, np.isin(frame, hidden), title=f"Error on {clip}"))
