@@ -6,8 +6,6 @@ links to the files of its runs. First comes what happened in a run: when each pa
 source frames that show it, and why.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import hashlib

@@ -7,8 +7,6 @@ Whether a job and a clip are the same again is told by checksums: of the clip, o
 that the job asks for.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """How far the runs of a batch are, by the files in their folders; nothing is written there. And the file of a batch."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import statistics

@@ -11,8 +11,6 @@ Of the inputs of a command line a folder of images is one clip. In a folder that
 of them is a clip; in one that holds none of these, those of its sub-folders are.
 """
 
-from __future__ import annotations
-
 import contextlib
 import glob
 import itertools

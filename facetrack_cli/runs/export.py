@@ -1,7 +1,5 @@
 """A trajectory in the formats of other programs, and as an annotated video."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

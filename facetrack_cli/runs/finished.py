@@ -4,8 +4,6 @@ They are written all or none, with the video drawn again from rows. A run given 
 its filters knew in every frame, which is kept meanwhile in `posterior.npz`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from copy import deepcopy

@@ -7,8 +7,6 @@ Two tracks of a target agree in a frame if the boxes around its parts overlap by
 agree if every target does, in `SHARE` of the frames that both have. None of this is in the papers.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace

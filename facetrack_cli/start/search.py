@@ -9,8 +9,6 @@ a hand may shake, is laid on its first picture. Where nobody is certain the fram
 those of the first frame: noise averages out, and a mouth that moves keeps its first shape. Nothing here is random.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace

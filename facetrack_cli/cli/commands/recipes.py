@@ -1,7 +1,5 @@
 """facetrack recipes, prior, gallery, models: what to choose from, and what is learned."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import sys

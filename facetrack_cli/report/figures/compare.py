@@ -1,7 +1,5 @@
 """Figures that set recipes, runs and seeds side by side. Axes: S seeds, T frames, n thresholds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 

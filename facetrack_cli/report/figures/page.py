@@ -1,7 +1,5 @@
 """The page of `facetrack plot`: what happened in one trajectory, a panel each over one axis of time."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

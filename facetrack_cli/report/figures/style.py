@@ -3,8 +3,6 @@
 Lines show gaps. matplotlib is loaded with the first figure.
 """
 
-from __future__ import annotations
-
 import io
 import logging
 import warnings

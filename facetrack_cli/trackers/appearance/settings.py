@@ -4,8 +4,6 @@ All equations are those of Zhou, Chellappa & Moghaddam, "Adaptive Visual Trackin
 Filters", ICME 2003. No numerics are imported here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Literal, TypeAlias
 
