@@ -121,7 +121,4 @@ def cli(ctx: click.Context, log_format: str) -> None:
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
         return
-    if log_format == "json":
-        os.environ[LOG_FORMAT] = "json"
-    else:
-        os.environ.pop(LOG_FORMAT, None)
+    os.environ[LOG_FORMAT] = log_format

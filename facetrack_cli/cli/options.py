@@ -25,8 +25,6 @@ from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from facetrack_cli.core.types import Box
     from facetrack_cli.editor.session import Page as PageSession
     from facetrack_cli.evaluation.rows import Pair
@@ -34,8 +32,6 @@ if TYPE_CHECKING:
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.trajectory import Trajectory
     from facetrack_cli.trajectory.views import Clock
-
-FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
 
 
 class Text(click.ParamType):  # type: ignore[type-arg]  # it has arguments since Click 8.4
@@ -348,15 +344,3 @@ def working(quiet: bool, folder: Path, stopped: str = "") -> Iterator[tuple[Stop
         except StoppedError:
             shown.say(f"facetrack: {stop.reason}; {stopped or f'{folder} is as it was'}")
             raise click.exceptions.Exit(stop.code or ExitCode.FAULT) from None
-
-
-def write_figure(path: Path, make: Callable[[], Figure], *, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """The figure, in the form that the file's ending names; refuses before `make` what would be refused after it."""
-    from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.report.figures.style import need_matplotlib, render
-
-    form = path.suffix[1:].lower()
-    refuse((form not in FIGURES, f"{path}: cannot tell the kind of file; let its name end in .png, .svg or .pdf"))
-    check_new(path, overwrite=overwrite, inputs=inputs)
-    need_matplotlib()
-    write_new(path, render(make(), form), overwrite=overwrite)

@@ -21,16 +21,7 @@ from typing import IO, Annotated, Any, ClassVar, Final, Literal, TypeAlias
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from facetrack_cli.core.errors import (
-    LOG_FORMAT,
-    BusyError,
-    ExitCode,
-    FacetrackError,
-    InputError,
-    UsageError,
-    flat,
-    reading,
-)
+from facetrack_cli.core.errors import LOG_FORMAT, BusyError, ExitCode, FacetrackError, InputError, UsageError, flat
 from facetrack_cli.core.files import TABLES, absolute, make_folder, read_bounded, write_new, writing
 from facetrack_cli.core.types import Array, checked_name
 from facetrack_cli.editor.fix_session import CastSession, FixSession
@@ -353,8 +344,7 @@ class AppSession(Page):
     def _status(self, clip: Clip) -> ClipStatus:
         """How far the run of a clip is, by its folder."""
         folder = self.run_of(clip)
-        with reading(folder):
-            return clip_status(folder, folder.name, clip.name)
+        return clip_status(folder, folder.name, clip.name)
 
     def _terminate(self) -> None:
         if self._child is not None:

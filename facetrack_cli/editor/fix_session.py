@@ -146,8 +146,7 @@ class FixSession(Session):
             before = self.fixer.find(index, target)
             if before is not None and not before.confirmed:
                 raise UsageError(f"{target} is corrected in frame {index} already; place {part} there")
-            new = Correction(index, target, confirmed=(part,))
-            corrections.append(merged(new, before, self._parts[target]))
+            corrections.append(merged(Correction(index, target, confirmed=(part,)), before, self._parts[target]))
         return self._begin(f"confirming {target}", partial(self.fixer.put, corrections))
 
     def post_done(self) -> Json:
@@ -272,9 +271,7 @@ class CastSession(Page):
         self._clock = Clock(self._rows, self.before.fps)
         self._steps: list[tuple[Change, Tracks]] = []
         self.saved = 0  # changes
-        self._still = lru_cache(256)(
-            lambda target, first, stop: still_of(self._rows, target, first, stop, self.frames.read)
-        )
+        self._still = lru_cache(256)(lambda who, first, stop: still_of(self._rows, who, first, stop, self.frames.read))
 
     @property
     def tracks(self) -> Tracks:

@@ -18,7 +18,8 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
-from facetrack_cli.core.errors import InputError, OutputError, reason
+from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.files import writing
 from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
 from facetrack_cli.editor.session import fitted
 from facetrack_cli.engine import loop
@@ -74,7 +75,7 @@ class Fixer:
 
     def __init__(self, run: Run, read: Callable[[int], Frame]) -> None:
         self.run, self._read = run, read
-        with _writing():
+        with _kept_apart():
             self._folder = tempfile.TemporaryDirectory(prefix="facetrack-fix-", ignore_cleanup_errors=True)
         # the rows complete a correction that does not place all parts; a correction past the end stays as it is
         saved = (completed_by(fix, run.rows) if fix.frame <= run.last else fix for fix in run.start.corrections)
@@ -181,8 +182,7 @@ class Fixer:
         became = self._ordered([*placed, *(fix for fix in corrections if fix.frame > self.run.last or fix.confirmed)])
         rows = self.run.rows
         if any(track.file is not None for track, _ in tracks):
-            pieces = [self._rows(track).between(track.first, stop) for track, stop in tracks]
-            rows = successive(pieces, self.run.rows)
+            rows = successive([self._rows(track).between(track.first, stop) for track, stop in tracks], rows)
         return became, with_confirmed(rows, became)
 
     def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
@@ -194,8 +194,7 @@ class Fixer:
         last = self.run.last
         begins = [fix for fix in corrections if fix.target == target and not fix.confirmed and fix.frame <= last]
         firsts = [self.run.first, *(fix.frame for fix in begins)]
-        spans = zip([None, *begins], firsts, [*firsts[1:], last + 1], strict=True)
-        return [Track(target, *span) for span in spans]
+        return [Track(target, *span) for span in zip([None, *begins], firsts, [*firsts[1:], last + 1], strict=True)]
 
     def _tracks(self, plan: Sequence[Track], step: Callable[[], None]) -> Iterator[tuple[Track, int]]:
         """The tracks of a plan, those that are known or new ones, and the frame at which each ends. A track goes one
@@ -235,7 +234,7 @@ class Fixer:
             collected.add(result.rows)
         known = self._known[track.target]
         file = Path(self._folder.name, f"{place}-{len(known)}")
-        with _writing():
+        with _kept_apart():
             file.write_bytes(pickle.dumps(as_written(collected.trajectory())))
         known.append(replace(track, file=file))
         return known[-1]
@@ -252,13 +251,7 @@ class Fixer:
         return self._read(self.run.start.frame)
 
 
-@contextlib.contextmanager
-def _writing() -> Iterator[None]:
-    try:
-        yield
-    except OSError as e:
-        remedy = "free some space, or set TMPDIR to another folder"
-        raise OutputError(f"temporary files cannot be written: {reason(e)}; {remedy}") from e
+_kept_apart = partial(writing, Path("temporary files"), "set TMPDIR to another folder")
 
 
 @contextlib.contextmanager

@@ -353,10 +353,8 @@ class PickSession(Session):
         starts, note = self._proposer(frame)
         drafts = [draft_of(frame, start.targets) for start in starts]
         self._placed += [(draft, detector().name) for draft in drafts]
-        proposals = [
-            {"label": f"face {n}", "targets": to_jsonable_python(draft.targets)}
-            for n, draft in enumerate(drafts, start=1)
-        ]
+        targets = to_jsonable_python([draft.targets for draft in drafts])
+        proposals = [{"label": f"face {n}", "targets": each} for n, each in enumerate(targets, start=1)]
         return {"frame": frame, "proposals": proposals, "note": note or None}
 
     def post_save(self) -> Json:

@@ -140,10 +140,7 @@ def score_run(
     stop: int | None = None,
     note: Callable[[str], None] = lambda _: None,
 ) -> Score:
-    """Measure a run that ends before the frame `stop`; the others are as of `match`.
-
-    Raises InputError if the truth does not fit the run.
-    """
+    """Measure a run that ends before the frame `stop`; the others, and what it raises, are as of `match`."""
     first = int(run.trajectory.frames[0])
     kept = [own for part in truth.parts if len(own := part.between(first, stop or MAX_FRAME))]
     if not kept:
@@ -228,10 +225,7 @@ def run_recipes(
 
 
 def default_truth(clip: Path) -> Path:
-    """The ground truth of a clip: `<clip>.truth.csv` beside it, else one of `TRUTH_NAMES` in its folder or beside it.
-
-    InputError if there is none.
-    """
+    """`<clip>.truth.csv` beside a clip, else one of `TRUTH_NAMES` in its folder or beside it; InputError for none."""
     images = clip.is_dir()
     beside, stem = (clip.resolve().parent, clip.resolve().name) if images else (clip.parent, clip.stem)
     named = [folder / name for folder in ([clip] if images else []) + [beside] for name in TRUTH_NAMES]

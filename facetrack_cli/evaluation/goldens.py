@@ -7,8 +7,6 @@ drawn: RUNS seeds are run that were not recorded, and the golden fails if all of
 spread, which is widened by MARGIN.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

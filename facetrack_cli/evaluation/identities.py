@@ -7,8 +7,6 @@ TrackEval: HOTA (Luiten et al., "HOTA: A Higher Order Metric for Evaluating Mult
 and fragments of CLEAR MOT (Bernardin & Stiefelhagen, 2008).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Final, NamedTuple

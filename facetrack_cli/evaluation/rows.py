@@ -251,8 +251,7 @@ def _size(truth: Sequence[Trajectory], frames: Whole) -> tuple[float, str]:
     size = size_of_points(points[:, together[0]]) if together.size else 0
     if not size:
         return math.nan, "size: no frame of the ground truth has all points, two or more, apart from each other"
-    first = frames[together[0]]
-    return size, f"size, the largest distance between two points in frame {first}, {size:.1f} px"
+    return size, f"size, the largest distance between two points in frame {frames[together[0]]}, {size:.1f} px"
 
 
 def match(

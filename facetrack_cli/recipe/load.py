@@ -274,20 +274,20 @@ def _problems(details: ErrorDetails, root: Node) -> Iterator[Problem]:
         return
     node, keys = root.at(path)
     where = ".".join(keys).replace(".[", "[") or "the recipe"
-    if kind in ("missing", "union_tag_not_found"):
+    if kind in ("missing", "no_type"):
         key = "type" if kind != "missing" else path[-1] if isinstance(path[-1], str) else f"[{path[-1] + 1}]"
         yield Problem(node.key or node.span, f'{where} lacks "{key}"; add it')
     elif kind == "extra_forbidden":
         yield Problem(node.key or node.span, f'unknown key "{where}"; correct it, or remove it')
-    elif kind == "union_tag_invalid":
+    elif kind == "wrong_type":
         chosen, _ = node.at(["type"])
-        yield Problem(chosen.span, f"{where}.type is one of {details['ctx']['expected_tags']}, not {_shown(chosen)}")
+        yield Problem(chosen.span, f"{where}.type is one of {details['ctx']['known']}, not {_shown(chosen)}")
     elif path[-1:] == ("[key]",):  # how pydantic calls the name itself in a mapping from any name
         rule = "a name has small letters, digits and _, and begins with a letter"
         yield Problem(node.key or node.span, f"{where}: {rule}")
     elif kind != "too_short" or len(node.plain()) < details["ctx"]["min_length"]:  # wrong items do not count there
         said = details["msg"].replace("Tuple", "List").replace("tuple", "list")
-        said = "must be a mapping of keys" if kind in ("model_type", "model_attributes_type", "dict_type") else said
+        said = "must be a mapping of keys" if kind in ("model_type", "dict_type") else said
         yield Problem(_value_span(node), f"{where}: {said}" + f", not {_shown(node)}" * (", not " not in said))
 
 

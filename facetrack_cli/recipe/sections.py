@@ -152,9 +152,10 @@ class Kind(Component):
     def _named(cls, given: Any, info: ValidationInfo) -> Any:
         name = given.get("type") if isinstance(given, dict) else None
         section = _find(cls, name) if isinstance(name, str) else type(given)
-        if section is None or not issubclass(section, cls):  # pydantic says what is wrong
-            return TypeAdapter(_union(cls)).validate_python(given)
-        return section.model_validate(given, context=info.context)
+        if section is not None and issubclass(section, cls):
+            return section.model_validate(given, context=info.context)
+        wrong = "model_type" if not isinstance(given, dict) else "wrong_type" if "type" in given else "no_type"
+        raise PydanticCustomError(wrong, "names no type", {"known": ", ".join(map(repr, registered(cls)))})
 
 
 class TargetSettings(Kind):
@@ -259,7 +260,7 @@ def _find(kind: type[Kind], name: str) -> type[Kind] | None:
 
 
 def _union(kind: type[Kind]) -> Any:
-    """All types of a kind, as pydantic takes them."""
+    """All types of a kind, for the JSON Schema."""
     types = tuple(registered(kind).values())
     return Annotated[typing.Union[types], Field(discriminator="type")] if len(types) > 1 else types[0]  # noqa: UP007
 
@@ -494,5 +495,4 @@ class ScaledSettings(TargetSettings):
 
     def mistakes(self) -> Iterable[Refusal]:
         if not self.scale[0] < 1 < self.scale[1]:
-            message = "target.scale is [least, largest], with 1, the size at the start, between them"
-            yield Refusal(("scale",), message)
+            yield Refusal(("scale",), "target.scale is [least, largest], with 1, the size at the start, between them")

@@ -6,8 +6,6 @@ links to the files of its runs. First comes what happened in a run: when each pa
 source frames that show it, and why.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import hashlib
@@ -512,8 +510,7 @@ def _still(folder: Path, clip: ClipStatus) -> Image | None:
     image = cv2.imdecode(np.frombuffer(images[at].data, np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     size = (_STILL_PX, max(round(_STILL_PX * image.shape[0] / image.shape[1]), 1))
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return Image(_jpeg(np.asarray(small, np.uint8), 80), size)
+    return Image(_jpeg(np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8), 80), size)
 
 
 def encoded(document: str) -> bytes:

@@ -102,10 +102,8 @@ class FolderLease:
     def check(self) -> None:
         """OutputError if the lease was taken over while this process was suspended, or cut off."""
         if not self._is_ours():
-            raise OutputError(
-                f"{self._folder}: another facetrack has taken this folder over, since this one gave no sign of life "
-                f"for {LEASE_S:.0f} s; what it writes there stays, nothing was replaced"
-            )
+            why = f"this one gave no sign of life for {LEASE_S:.0f} s; what it writes there stays, nothing was replaced"
+            raise OutputError(f"{self._folder}: another facetrack has taken this folder over, since {why}")
 
     def prepare(self, files: Sequence[Path], gone: Sequence[Path] = ()) -> None:
         """Note, on the disk, that the temporary files of these paths replace them, and that those `gone` are removed.

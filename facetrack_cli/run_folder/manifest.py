@@ -7,8 +7,6 @@ Whether a job and a clip are the same again is told by checksums: of the clip, o
 that the job asks for.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json
@@ -23,14 +21,7 @@ from typing import Any, ClassVar, Final, Literal
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from facetrack_cli.core import __version__
-from facetrack_cli.core.errors import (
-    BusyError,
-    FacetrackError,
-    InputError,
-    OutputError,
-    from_system,
-    reading,
-)
+from facetrack_cli.core.errors import BusyError, FacetrackError, InputError, OutputError, from_system, reading
 from facetrack_cli.core.files import (
     FULL,
     MAX_TABLE_BYTES,
@@ -117,8 +108,7 @@ class Manifest(RunSummary):
 
     def record(self) -> dict[str, Any]:
         """The contents as JSON has them. What the tables say of the ending and the clip is not repeated."""
-        left_out = {"variable_fps", "evidence", "source_sha256"}
-        return dict(_ADAPTER.dump_python(self, mode="json", exclude=left_out))
+        return dict(_ADAPTER.dump_python(self, mode="json", exclude={"variable_fps", "evidence", "source_sha256"}))
 
     @property
     def is_failure(self) -> bool:
@@ -133,13 +123,11 @@ def read_manifest(folder: Path) -> Manifest | None:
     """The run.json of a folder; None if there is none. InputError for a file that is not as we write it."""
     path = folder / NAME
     try:
-        return _ADAPTER.validate_json(read_bounded(path))
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable") from e
+        with reading(path), contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            return _ADAPTER.validate_json(read_bounded(path))
     except ValidationError as e:
         raise InputError(f"{path}: is not as facetrack run writes it; remove it, or make the run again") from e
+    return None
 
 
 def check_belongs(path: Path) -> None:
@@ -148,10 +136,8 @@ def check_belongs(path: Path) -> None:
     if run is None:
         return
     if path.name not in run.files or run.files[path.name].sha256 != digest([path]):
-        raise InputError(
-            f"{path}: is not as its run wrote it, as {NAME} beside it says: it was edited, or is of another run; "
-            "copy it elsewhere to read it as it is"
-        )
+        what = f"is not as its run wrote it, as {NAME} beside it says: it was edited, or is of another run"
+        raise InputError(f"{path}: {what}; copy it elsewhere to read it as it is")
 
 
 def outdated(folder: Path, init: Path | None) -> Iterator[str]:

@@ -1,7 +1,5 @@
 """How far the runs of a batch are, by the files in their folders; nothing is written there. And the file of a batch."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import statistics
@@ -157,10 +155,7 @@ def name_of(clip: ClipStatus) -> str:
 
 
 def survey(folder: Path) -> Status:
-    """How far the runs in the folder of a batch, or of one run, are; of one that is not joined yet, its chunks.
-
-    Raises InputError for any other path.
-    """
+    """How far the runs in a batch's folder are, or a run, or its chunks before they are joined. InputError of none."""
     with reading(folder):
         if _is_run(folder):
             return Status(folder, (clip_status(folder, ".", ""),))

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
@@ -32,7 +32,7 @@ from facetrack_cli.runs.record import ClipFacts, Recorder, Rows, outputs
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import read_init
-from facetrack_cli.start.search import searching
+from facetrack_cli.start.search import Search
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.people import under_names
@@ -199,8 +199,7 @@ class Recording:
         if not self._into.outcome.frames:
             if result.start is None:
                 raise InputError(f"{self.job.out}: the first result has no start; write results of track_frames")
-            clip = ClipFacts(str(self.job.clip), result.frame.size, self._rate)
-            self._into.begin(clip, result.start, {}, result)
+            self._into.begin(ClipFacts(str(self.job.clip), result.frame.size, self._rate), result.start, {}, result)
         self._into.write(result)
 
     def __exit__(self, kind: Any = None, error: BaseException | None = None, trace: Any = None) -> None:
@@ -272,9 +271,8 @@ def frame_of(image: Image, index: int, time_s: float, size: tuple[int, int] | No
     """An image as a frame. InputError for what is no image, or not of the `size` (width, height) of those before."""
     image = np.asarray(image)
     if image.dtype != np.uint8 or not image.size or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
-        raise InputError(
-            f"image {index}: is {image.dtype} {image.shape}; give (height, width, 3) uint8, blue first, or grey"
-        )
+        remedy = "give (height, width, 3) uint8, blue first, or grey"
+        raise InputError(f"image {index}: is {image.dtype} {image.shape}; {remedy}")
     if image.ndim == 2:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
     frame = Frame(index, time_s, image)
@@ -326,7 +324,7 @@ class Tracker:
         self._by: DetectorName | None = None if isinstance(begin, Start) else begin
         self._size: tuple[int, int] | None = None
         self._next, self._last_s = 0, -1.0
-        self._search: Generator[Start | None, Frame | None, None] | None = None
+        self._search: Search | None = None
         self._waiting: list[Frame] = []  # for a start
         self._tracker: Any = None
         self._at = TrackState()
@@ -351,9 +349,8 @@ class Tracker:
         """
         at = self._next / self.fps if time_s is None else float(time_s)
         if not at > self._last_s:
-            raise InputError(
-                f"image {self._next}: its time, {at:g} s, is not after {self._last_s:g} s, that of the last"
-            )
+            last = f"{self._last_s:g} s, that of the last"
+            raise InputError(f"image {self._next}: its time, {at:g} s, is not after {last}")
         frame = frame_of(image, self._next, at, self._size)
         self._size, self._last_s, self._next = frame.size, at, self._next + 1
         return [None, *self._advance(frame, again=True)][-1]
@@ -371,7 +368,7 @@ class Tracker:
         self._waiting += [] if frame is None else [frame]
         if self.start is None:
             try:
-                self._seek(frame)
+                self._seek(ended=frame is None)
             except InputError:
                 several = self._search is not None and len(self._waiting) > 1
                 self._search, self._waiting = None, []
@@ -391,14 +388,12 @@ class Tracker:
         for result in track(self._tracker, iter(waiting), self.recipe.seed, clip=IMAGES, at=self._at):
             yield replace(result, start=start) if result.frame.index == start.frame else result
 
-    def _seek(self, frame: Frame | None) -> None:
-        """Look for the start in one more frame, or at their end (None). InputError where there is none in them all."""
+    def _seek(self, *, ended: bool = False) -> None:
+        """Look for the start in the last frame that waits, or as they have ended. InputError where none has it."""
         if self._search is None:
             complete = partial(with_names, self.recipe, IMAGES)
-            search = searching(self.recipe.points, detector(self._by), IMAGES, complete)
-            next(search)
-            self._search = search
-        self.start = self._search.send(frame)
+            self._search = Search(self.recipe.points, detector(self._by), complete, 0.0)
+        self.start = self._search.among(self._waiting, IMAGES, ended=ended)
 
     def save(self, path: str | Path) -> None:
         """Write all that it knows, also while no target is found.
@@ -430,7 +425,7 @@ class Tracker:
         self.start, self._at, self._size, self._next, self._last_s, kept = KIND.read(path, make)
         for index, time_s, image in kept:
             self._waiting.append(Frame(index, time_s, image))
-            self._seek(self._waiting[-1])
+            self._seek()
         if self._at.states and self.start is not None and self._size is not None:
             self._tracker = tracker_for(self.recipe, self.start, self._size)
 

@@ -11,8 +11,6 @@ Of the inputs of a command line a folder of images is one clip. In a folder that
 of them is a clip; in one that holds none of these, those of its sub-folders are.
 """
 
-from __future__ import annotations
-
 import contextlib
 import glob
 import itertools
@@ -127,10 +125,7 @@ def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress)
 
 
 def run_shared(
-    jobs: Sequence[Job],
-    turn: Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]],
-    stop: Stop,
-    progress: Progress,
+    jobs: Sequence[Job], turn: Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]], stop: Stop, progress: Progress
 ) -> Iterator[Outcome]:
     """Run `jobs` by `turn`; each outcome is yielded as it ends. A job that fails does not stop the others.
 

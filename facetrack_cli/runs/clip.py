@@ -340,12 +340,9 @@ def _face(rows: Trajectory, began: Box, points: Mapping[str, Point]) -> Box | No
     there = np.isfinite(rows.x + rows.y) & (rows.status != "lost")
     for k in np.flatnonzero(there).tolist():
         if parts[k] not in points:
-            side = max(float(np.sqrt(rows.w[k] * rows.h[k])), 2.0)
-            return square(np.array([rows.x[k], rows.y[k]]), side)
-    moved = [
-        (rows.x[k] - points[p][0], rows.y[k] - points[p][1]) for k, p in enumerate(parts) if there[k] and p in points
-    ]
-    if not moved or BOX in parts:
+            return square(np.array([rows.x[k], rows.y[k]]), max(float(np.sqrt(rows.w[k] * rows.h[k])), 2.0))
+    by = [(rows.x[k] - points[p][0], rows.y[k] - points[p][1]) for k, p in enumerate(parts) if there[k] and p in points]
+    if not by or BOX in parts:
         return None
-    x, y = np.mean(moved, axis=0).tolist()
+    x, y = np.mean(by, axis=0).tolist()
     return began[0] + x, began[1] + y, began[2], began[3]

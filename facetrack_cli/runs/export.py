@@ -1,7 +1,5 @@
 """A trajectory in the formats of other programs, and as an annotated video."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -105,11 +103,9 @@ def content(
     takes, around, recipe = EXPORTS[form].takes.split(), box or "windows", header_value(table, "recipe", "name")
     if "box" in takes and len(table.targets) > 1:
         raise UsageError(f"{form} holds one target; choose with --target among {', '.join(table.targets)}")
+    scorer, folder = f"facetrack-{recipe}" if recipe else "facetrack", path.parent if path else Path.cwd()
     values: dict[str, Any] = {"clips": clips, "many": many, "written": datetime.now(), "around": around}
-    values |= {
-        "folder": path.parent if path else Path.cwd(),
-        "scorer": f"facetrack-{recipe}" if recipe else "facetrack",
-    }
+    values |= {"folder": folder, "scorer": scorer}
     if "video" in takes:
         values["video"] = _playable(table, media, say)
     elif form in OF_MEDIA:

@@ -4,8 +4,6 @@ They are written all or none, with the video drawn again from rows. A run given 
 its filters knew in every frame, which is kept meanwhile in `posterior.npz`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from copy import deepcopy
@@ -18,8 +16,8 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from pydantic import ValidationError
 
-from facetrack_cli.core.errors import InputError, OutputError, reading
-from facetrack_cli.core.files import FULL, check_plain, discard, publish, temporary_path, writing
+from facetrack_cli.core.errors import InputError, reading
+from facetrack_cli.core.files import cannot_write, check_plain, discard, publish, temporary_path, writing
 from facetrack_cli.core.models import shipped_folder, shipped_recipes
 from facetrack_cli.core.npz import Kind, Stored, flatten, restore, write_arrays
 from facetrack_cli.core.numbers import dumps
@@ -148,9 +146,8 @@ def recipe_of(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) 
     except ValidationError as e:
         first = e.errors()[0]
         wrong = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}"
-        raise InputError(
-            f"{main}: this version of facetrack does not know its recipe ({wrong}); make the run again"
-        ) from None
+        unknown = f"this version of facetrack does not know its recipe ({wrong})"
+        raise InputError(f"{main}: {unknown}; make the run again") from None
 
 
 def _place(main: Path, values: dict[str, Any], folders: Sequence[Path]) -> None:
@@ -243,9 +240,7 @@ def rewrite(
             check()
             manifest.commit(lock, folder, written, run, gone)
     except OSError as e:
-        remedy = "free some space" if e.errno in FULL else "make it writable"
-        at = written[-1] if written else folder
-        raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
+        raise cannot_write(written[-1] if written else folder, e, "make it writable, and save again") from e
     finally:
         for path in written:
             discard(path)
@@ -284,8 +279,7 @@ def repaint(
                 video.write(overlay.draw(FrameResult(frame, recorded(frame.index, rows.at(frame.index)))), frame.time_s)
                 report(done, total)
             if done < total:
-                missing = first + done
-                raise InputError(f"{clip}: has no frame {missing}, which the run has; name its clip with --clip")
+                raise InputError(f"{clip}: has no frame {first + done}, which the run has; name its clip with --clip")
         except BaseException:
             video.discard()
             raise
@@ -373,8 +367,7 @@ def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:
 
     def make(stored: Stored) -> dict[str, Beliefs]:
         if stored.text("corrections") != dumps(rows.header["init"].get("corrections", [])):
-            again = "run again with --init and --smooth"
-            raise InputError(f"{path}: was kept before the run was corrected; {again}")
+            raise InputError(f"{path}: was kept before the run was corrected; run again with --init and --smooth")
         beliefs: dict[str, dict[int, tuple[Belief, ...]]] = {name: {} for name in stored.texts("targets")}
         block = 0
         while str(block) in stored:

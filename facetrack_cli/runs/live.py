@@ -141,15 +141,10 @@ def received(address: str, say: Callable[[str], None]) -> Iterator[Image]:
 
     Each time it is said. InputError for what gives no image at first.
     """
-    network = "://" in address
-    options = {}
-    if network:  # there alone a description of a stream may open more of it
-        options = {
-            "format_whitelist": f"{_FORMATS},rtsp,rtp,sdp",
-            "protocol_whitelist": _PROTOCOLS,
-            "rtsp_transport": "tcp",
-        }
-    wait = 0.0
+    network, wait = "://" in address, 0.0
+    # on a network alone a description of a stream may open more of it
+    listed = {"format_whitelist": f"{_FORMATS},rtsp,rtp,sdp", "protocol_whitelist": _PROTOCOLS}
+    options = {**listed, "rtsp_transport": "tcp"} if network else {}
     while True:
         try:
             for frame in _decoded(address, options, address):
@@ -168,17 +163,17 @@ def received(address: str, say: Callable[[str], None]) -> Iterator[Image]:
 
 
 def piped(stream: BinaryIO) -> Iterator[Frame]:
-    """The frames of a pipe in any format of video that needs no seeking; MJPEG has no times.
-
-    InputError for what is no video, or too large.
-    """
+    """The frames of a pipe, of any format that needs no seeking; MJPEG has no times. InputError as of `_decoded`."""
     # read() would wait until a whole block has come
     now = SimpleNamespace(read=stream.read1 if hasattr(stream, "read1") else stream.read)
     yield from _decoded(now, {"format_whitelist": _FORMATS}, _PIPE)
 
 
 def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
-    """The frames of a device, an address or a file that is read as it comes; the time of one that has none is nan."""
+    """The frames of a device, an address or a file that is read as it comes; nan is the time of one that has none.
+
+    InputError for what is no video, or too large.
+    """
     import av
 
     silence()
@@ -194,8 +189,7 @@ def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
             check_pixels(Path(name), video.codec_context.width, video.codec_context.height)
             for index, raw in enumerate(container.decode(video)):
                 began = raw.time if began is None else began
-                time_s = (raw.time or 0.0) - (began or 0.0)
-                yield Frame(index, time_s if timed else math.nan, pixels(raw))
+                yield Frame(index, (raw.time or 0.0) - (began or 0.0) if timed else math.nan, pixels(raw))
     except (OSError, ValueError, EOFError) as error:
         raise InputError(f"{name}: {reason(error)}; {_REMEDY}") from None
 

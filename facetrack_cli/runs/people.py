@@ -1,7 +1,5 @@
 """A film that was tracked, named: who each track is of, a picture of each person, and the run's files under names."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -117,10 +117,8 @@ class ClipRequest:
         origin = self.origin(start)
         if at < self.start or (self.stop is not None and at >= self.stop):
             asked = f"from {self.start} on" if self.stop is None else f"{self.start} to {self.stop - 1}"
-            raise InputError(
-                f"{self.clip}: {origin} begins at frame {at}, but frames {asked} were asked for; "
-                "change --start or --stop, or begin elsewhere with --init or --box"
-            )
+            remedy = "change --start or --stop, or begin elsewhere with --init or --box"
+            raise InputError(f"{self.clip}: {origin} begins at frame {at}, but frames {asked} were asked for; {remedy}")
         if start is not None:
             if start.origin not in DETECTORS and recipe.heads:
                 start = replace(start, detector=start.detector or detector().name)
@@ -186,10 +184,7 @@ def frames_of(
 
 
 def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: str) -> Start:
-    """The start with what it does not say: points of a target that is a box alone, targets that the recipe names.
-
-    `first` gives its frame.
-    """
+    """The start with what it lacks: points in a lone box, targets that the recipe names; `first` gives its frame."""
     if not start.targets:
         raise InputError(f"{start.origin}: has no targets; give one, with a box or points")
     if recipe.followed:
@@ -232,10 +227,8 @@ def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
             targets = {name or "face": TargetStart(boxes.get(name), whole.get(name, {})) for name in truth.targets}
             return Start(frame, targets, str(truth.path))
     what = ", ".join(points) if points else "a box"
-    other = "" if points else ", or take a recipe of points, as factorized"
-    raise InputError(
-        f"{truth.path}: no frame shows {what} of every target to begin with; give --init FILE or --box{other}"
-    )
+    remedy = "give --init FILE or --box" + ("" if points else ", or take a recipe of points, as factorized")
+    raise InputError(f"{truth.path}: no frame shows {what} of every target to begin with; {remedy}")
 
 
 def hands_moved(results: Iterable[FrameResult]) -> float:
@@ -398,9 +391,8 @@ def _check_options(job: Job, everyone: bool, kept: bool) -> None:
         who = f"recipe {job.recipe.name} follows the hands of one person"
         raise UsageError(f"--faces all: {who}; leave it out, and choose the signer with --box X,Y,W,H")
     if everyone and (job.lag or job.smooth):
-        raise UsageError(
-            "--faces all follows people over cuts, and no row is smoothed over a cut; leave one of them out"
-        )
+        why = "follows people over cuts, and no row is smoothed over a cut"
+        raise UsageError(f"--faces all {why}; leave one of them out")
     if everyone and job.out is None and not kept:
         raise UsageError("--faces all knows who is who at the end, and -o - writes as it goes; name a folder")
     if job.gallery is not None and not everyone:

@@ -61,9 +61,8 @@ class Progress:
         else:
             # the length that a file states is a guess
             of = "" if not total else f" of about {total}" if unit == "frames" else f" of {total}"
-            self.say(
-                f"{self._name}{self._doing}: {done}{of} {unit}{'' if speed is None else f', {speed:.1f} frames/s'}"
-            )
+            rate = "" if speed is None else f", {speed:.1f} frames/s"
+            self.say(f"{self._name}{self._doing}: {done}{of} {unit}{rate}")
 
     def say(self, line: str) -> None:
         """A line that stays."""

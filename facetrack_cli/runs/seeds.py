@@ -81,7 +81,6 @@ class SeedPlan:
 class SeedRun:
     """One seed's trajectory. `frames_per_s` is the tracker's alone: decoding is not counted, nor the first frame."""
 
-    label: str
     seed: int
     trajectory: Trajectory
     frames_per_s: float
@@ -98,15 +97,9 @@ class PlanResult:
 
 
 def run_plans(
-    plans: Sequence[SeedPlan],
-    workers: int = 1,
-    stopped: Stop | None = None,
-    report: Report = silent,
+    plans: Sequence[SeedPlan], workers: int = 1, stopped: Stop | None = None, report: Report = silent
 ) -> Generator[PlanResult, None, None]:
-    """Run all plans, in `workers` processes; each is yielded as it ends, in their order.
-
-    Once `stopped` says so, nothing more is yielded.
-    """
+    """Run all plans, in `workers` processes, until `stopped` says so; each is yielded as it ends, in their order."""
     stopped = stopped or Stop()
     each = [len(plan.seeds) * _length(plan.clip, plan.fps, plan.start.frame, plan.stop) for plan in plans]
     total = sum(each) if all(each) else 0  # of the frames, if all clips state how many they have
@@ -162,10 +155,8 @@ def _work(task: tuple[SeedPlan, tuple[int, ...]], stop: Stop, report: Callable[[
             raise InputError(f"{plan.clip}: frame {plan.start.frame}, where {plan.start.origin} begins, cannot be read")
     about: dict[str, Any] = {"path": source.path, "header": {"source": {"size": list(source.size)}}}
     warnings = (*source.warnings, *notes)
-    return [
-        SeedRun(plan.label, seed, log.trajectory(**about), (count - 1) / max(spent, 1e-9), warnings)
-        for seed, log, spent in zip(seeds, logs, seconds, strict=True)
-    ]
+    both = zip(seeds, logs, [(count - 1) / max(spent, 1e-9) for spent in seconds], strict=True)
+    return [SeedRun(seed, log.trajectory(**about), rate, warnings) for seed, log, rate in both]
 
 
 @cache

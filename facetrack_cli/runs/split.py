@@ -7,8 +7,6 @@ Two tracks of a target agree in a frame if the boxes around its parts overlap by
 agree if every target does, in `SHARE` of the frames that both have. None of this is in the papers.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -192,13 +190,10 @@ def agreeing(ours: Trajectory, theirs: Trajectory) -> Mask:
     """(T,) whether two tracks of one target agree, of the T frames of both in which either shows it."""
     frames = np.intersect1d(ours.frames, theirs.frames)
     # a part without a window is one pixel
-    sized = (
-        replace(rows, w=np.nan_to_num(rows.w, nan=1.0), h=np.nan_to_num(rows.h, nan=1.0)) for rows in (ours, theirs)
-    )
+    sized = (replace(own, w=np.nan_to_num(own.w, nan=1.0), h=np.nan_to_num(own.h, nan=1.0)) for own in (ours, theirs))
     a, b = (enclose(rows.take(np.isin(rows.frame, frames)).parts) for rows in sized)
     shown = np.isfinite(a.x), np.isfinite(b.x)
-    agree: Mask = (shown[0] & shown[1] & (iou(a.boxes, b.boxes) >= OVERLAP))[shown[0] | shown[1]]
-    return agree
+    return np.asarray((shown[0] & shown[1] & (iou(a.boxes, b.boxes) >= OVERLAP))[shown[0] | shown[1]])
 
 
 def _named(later: Trajectory, pairs: Mapping[str, str], taken: Collection[str]) -> dict[str, str]:

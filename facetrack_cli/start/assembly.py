@@ -88,10 +88,8 @@ def _target(recipe: Recipe, start: Start, name: str) -> Target:
         from facetrack_cli.trackers.hands.target import HandTarget
 
         first = recipe.followed[0]
-        boxes = [None if (hand_start := start.targets.get(hand)) is None else hand_start.box for hand in recipe.later]
-        return HandTarget(
-            name, first, recipe.later.index(name), recipe.hands, box_of(start, first), (boxes[0], boxes[1])
-        )
+        left, right = (start.targets.get(hand, TargetStart()).box for hand in recipe.later)
+        return HandTarget(name, first, recipe.later.index(name), recipe.hands, box_of(start, first), (left, right))
     key = name if name in recipe.filters else ""
     filter_settings = recipe.filters[key]
     if filter_settings.head is not None:
@@ -109,21 +107,16 @@ def tracker_for(recipe: Recipe, start: Start, size: tuple[int, int]) -> Tracker:
     """As `build_tracker`, for a clip of this (width, height); raises also where start or windows do not fit it."""
     check_start(start, size, recipe.points)
     tracker = build_tracker(recipe, start)
-    check_windows(recipe, tracker, size, start.origin)
-    return tracker
-
-
-def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int], origin: str) -> None:
-    """Refuse windows and boxes, given by `origin`, larger than the frame (width, height): memory without bound."""
-    for target in tracker:
+    for target in tracker:  # windows and boxes larger than the frame would take memory without bound
         for part, (w, h) in target.windows.items():
             if recipe.points and part == BOX:
                 continue  # a face may fill the frame
             if max(w / size[0], h / size[1]) > 1 and max(w, h) > MIN_WINDOW_PX:
                 larger = f"larger than the frame of {size[0]}x{size[1]}; make it smaller"
                 if not recipe.points:
-                    raise InputError(f"{origin}: the box of {target.name}, {w:g}x{h:g} pixels, is {larger}")
+                    raise InputError(f"{start.origin}: the box of {target.name}, {w:g}x{h:g} pixels, is {larger}")
                 raise recipe.error("target.windows", f"the window of {part} would be {w:.0f}x{h:.0f} pixels, {larger}")
+    return tracker
 
 
 def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:

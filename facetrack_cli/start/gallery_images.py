@@ -191,9 +191,7 @@ def read_faces(
     numbers: list[int] = []
     faces: list[tuple[Rows, Rows, float]] = []  # patches, negatives and proportion of each face
     seen: dict[bytes, str] = {}
-    looks = (
-        (person.name, *look) for person in people for item in person.items for look in faces_of(item, reading, warn)
-    )
+    looks = ((owner.name, *look) for owner in people for item in owner.items for look in faces_of(item, reading, warn))
     for looked, (name, at, frame, box) in enumerate(looks, 1):
         advance(looked)
         skipped[name] += 1

@@ -221,8 +221,7 @@ def _of_entry(entry: Node, targets: Sequence[str]) -> Iterator[Node]:
     for name, node in keys.items():
         _check_key(node, name, (*targets, *HANDS, *OF_CORRECTIONS))  # hands may appear after the start
         fields = _fields(node, f"the correction of {name}", "points: or absent: below the name", OF_CORRECTIONS)
-        of = Node(node.span, name, node.key)
-        yield Node(node.span, {"target": of, "frame": frame, **fields}, node.key)
+        yield Node(node.span, {"target": Node(node.span, name, node.key), "frame": frame, **fields}, node.key)
 
 
 def _check(record: StartRecord, tree: Node) -> None:

@@ -8,8 +8,6 @@ motion is carried over it. Two tracks of one face are one too many, and the late
 of the whole film (`trackers/people/descriptor.py`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, TypeAlias

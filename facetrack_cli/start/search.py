@@ -9,9 +9,7 @@ a hand may shake, is laid on its first picture. Where nobody is certain the fram
 those of the first frame: noise averages out, and a mouth that moves keeps its first shape. Nothing here is random.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -180,16 +178,15 @@ def search_start(
     InputError
         No frame of the `clip` shows all that.
     """
-    check_parts(parts)
     finder, coming = detector or Haar(), iter(frames)
-    search = first = _Search(parts, finder, complete, 0.0)
+    search = first = Search(parts, finder, complete, 0.0)
     rivals = search.through(coming, SEARCHED_S)
     last, looked = (first.frames[-1], first.times[-1]) if first.frames else (0, 0.0)
     for frame in () if rivals else coming:
         last = frame.index
         if frame.time_s - looked < min(max(STEP * frame.time_s, LOOK_S), MAX_STEP_S):
             continue
-        search = _Search(parts, finder, complete, search.closer_from)
+        search = Search(parts, finder, complete, search.closer_from)
         rivals = search.through(chain([frame], coming), WAIT_S + STILL_S, least=WAIT_S)
         first.lacking, last, looked = first.lacking or search.lacking, search.frames[-1], search.times[-1]
         if rivals:
@@ -199,35 +196,31 @@ def search_start(
     return search.start(rivals if faces == "all" else rivals[:1], rivals)
 
 
-def searching(
-    parts: Sequence[str], detector: Detector, clip: str, complete: Callable[[Frame, Start], Start]
-) -> Generator[Start | None, Frame | None, None]:
-    """A search that is sent the first frames, one by one, and None at their end; it yields the start once it is known.
+class Search:
+    """The search for a face in frames, one after another."""
 
-    InputError as `search_start`, after `SEARCHED_FRAMES` at the latest: whoever sends frames keeps them all.
-    """
-    check_parts(parts)
-    search, rivals = _Search(parts, detector, complete, 0.0), None
-    for _ in range(SEARCHED_FRAMES):
-        frame = yield None
-        if frame is None or (rivals := search.take(frame, SEARCHED_S)) is not None:
-            break
-    rivals = search.ended() if rivals is None else rivals
-    if not rivals:
-        raise search.nobody(clip, search.frames[-1] if search.frames else 0)
-    yield search.start(rivals[:1], rivals)
-
-
-class _Search:
     def __init__(
         self, parts: Sequence[str], detector: Detector, complete: Callable[[Frame, Start], Start], closer_from: float
     ) -> None:
+        check_parts(parts)
         self.parts, self.detector, self.complete, self.closer_from = parts, detector, complete, closer_from
         self.candidates: list[_Candidate] = []
         self.frames: list[int] = []
         self.times: list[float] = []
         self.ready: int | None = None  # the frame from which on it waits only for somebody to move
         self.lacking: NotHereError | None = None
+
+    def among(self, kept: Sequence[Frame], clip: str, *, ended: bool) -> Start | None:
+        """The start after the last of the frames that are `kept` so far, or at their end; None: the next are to tell.
+
+        InputError as `search_start`, of `SEARCHED_FRAMES` frames at the latest.
+        """
+        rivals = None if ended else self.take(kept[-1], SEARCHED_S)
+        if rivals is None and not ended and len(kept) < SEARCHED_FRAMES:
+            return None
+        if not (rivals := rivals or self.ended()):
+            raise self.nobody(clip, self.frames[-1] if self.frames else 0)
+        return self.start(rivals[:1], rivals)
 
     def through(self, frames: Iterable[Frame], most: float, *, least: float = 0.0) -> list[_Candidate]:
         """The faces in `most` seconds of the frames, as soon as they are certain; as `take`."""
@@ -259,10 +252,8 @@ class _Search:
 
     def _dark(self) -> bool:
         """Whether there are only faces to wait for until light falls on them."""
-        open_ = self._open()
-        return bool(open_) and all(
-            candidate.certain and len(candidate.looks) >= MIN_LOOKS and not candidate.lit for candidate in open_
-        )
+        able = [each.certain and len(each.looks) >= MIN_LOOKS and not each.lit for each in self._open()]
+        return bool(able) and all(able)
 
     def look(self, frame: Frame) -> None:
         self.frames.append(frame.index)
@@ -326,9 +317,8 @@ class _Search:
         moving = [candidate.lives for candidate in able]
         if not any(moving):  # one that changes ten times as much as another is the living one
             moving = [candidate.change >= max(other.change for other in able) / 10 for candidate in able]
-        order = sorted(
-            zip(moving, able, strict=True), key=lambda pair: (not pair[0], -pair[1].worth, pair[1].looks[0][:2])
-        )
+        both = zip(moving, able, strict=True)
+        order = sorted(both, key=lambda pair: (not pair[0], -pair[1].worth, pair[1].looks[0][:2]))
         return [candidate for _, candidate in order]
 
     def _wait(self, able: Sequence[_Candidate]) -> float:
@@ -374,8 +364,7 @@ class _Search:
         mean = np.sum(weight[..., None] * each, axis=0) / weight.sum(axis=0)[:, None]
         # to 0.01 px, as in an init file: a run from that file begins in the same place
         placed = (boxes[now, :2] + mean * boxes[now, 2:]).round(2).tolist()
-        points = {part: (x, y) for part, (x, y) in zip(self.parts, placed, strict=True)}
-        return TargetStart(looks[now].box, points)
+        return TargetStart(looks[now].box, {part: (x, y) for part, (x, y) in zip(self.parts, placed, strict=True)})
 
     def nobody(self, clip: str, last: int) -> InputError:
         if not self.frames:
@@ -409,5 +398,4 @@ def box_start(
         raise InputError(f"{clip}: {wrong}; draw it from the brows to the chin, or give the points with --init FILE")
     # to 0.01 px, as in an init file: a run from that file begins in the same place
     placed = {part: (round(points[part][0], 2), round(points[part][1], 2)) for part in parts}
-    target = TargetStart(box=box, points=placed)
-    return Start(frame.index, {"face": target}, "--box", detector=look.name, placed=True)
+    return Start(frame.index, {"face": TargetStart(box, placed)}, "--box", detector=look.name, placed=True)

@@ -357,8 +357,7 @@ def _kernel(sigma: float) -> Array:
 def gauss(signal: Array, sigma: float) -> Array:
     """Smoothed by a Gaussian of `sigma` samples; beyond its ends the signal is mirrored."""
     kernel = _kernel(sigma)
-    smooth: Array = np.convolve(np.pad(signal, len(kernel) // 2, mode="symmetric"), kernel, mode="valid")
-    return smooth
+    return np.asarray(np.convolve(np.pad(signal, len(kernel) // 2, mode="symmetric"), kernel, mode="valid"))
 
 
 def noise_of(signal: Array, kept: float = KEPT) -> float:

@@ -3,8 +3,6 @@
 At a variable rate a frame's number does not tell when the frame is shown; the rows of the run do.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, TypeAlias

@@ -104,9 +104,8 @@ class Pictures(AbstractContextManager["Pictures"]):
             pixels = np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
         if pixels.shape[2] == 4:
             alpha = pixels[..., 3:].astype(np.uint16)
-            pixels = (
-                pixels[..., :3] if alpha.min() == 255 else ((pixels[..., :3] * alpha + 127) // 255).astype(np.uint8)
-            )
+            rgb = pixels[..., :3]
+            pixels = rgb if alpha.min() == 255 else ((rgb * alpha + 127) // 255).astype(np.uint8)
         return np.ascontiguousarray(pixels[..., ::-1])
 
     def numbers(self, index: int) -> Any:
@@ -154,8 +153,7 @@ def _damaged() -> tuple[type[Exception], ...]:
     """What Pillow raises."""
     from PIL.Image import DecompressionBombError
 
-    known = OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError
-    return *known, DecompressionBombError
+    return OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError, DecompressionBombError
 
 
 def _sixteen(path: Path) -> Any:

@@ -358,11 +358,8 @@ class StatusBar:
         mark(strip, at, status, sign, 0.37 * cap, self._line, by_hand=bool(rows.by_hand.any()))
         left += round(1.5 * cap)
         lit = _LOST_TEXT if status == "lost" else _WHITE
-        for text, colour in (
-            (saying, lit),
-            (f"frame {result.frame.index}", _WHITE),
-            (clock(result.frame.time_s), _WHITE),
-        ):
+        frame, time = f"frame {result.frame.index}", clock(result.frame.time_s)
+        for text, colour in ((saying, lit), (frame, _WHITE), (time, _WHITE)):
             if left + font.width(text) <= right:
                 font.write(strip, text, left, base, colour)
                 left += font.width(text) + gap

@@ -125,8 +125,10 @@ class Source(AbstractContextManager["Source"], ABC):
     `aspect` is the width of a pixel over its height, `begins_s` the time of the clip's first frame.
     """
 
-    def __init__(self, path: Path, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
-        self.path, self.size, self.fps = path, size, fps
+    def __init__(
+        self, path: Path, file: Decoder | Pictures, size: tuple[int, int], fps: Fraction, start: int, stop: int | None
+    ):
+        self.path, self.size, self.fps, self._file = path, size, fps, file
         self.is_video, self.aspect, self.begins_s = False, Fraction(1), 0.0
         self.stream: int | None = None  # of a video, if one was named
         self.frames_hint: int | None = None  # the likely number of frames to come
@@ -135,22 +137,18 @@ class Source(AbstractContextManager["Source"], ABC):
         self.warnings: list[str] = []  # one line each
         self.complete = True  # False once it is known that frames are missing or wrong
         self._start, self._stop = start, stop
-        self._iterated = self._closed = False
+        self._closed = False
         self._lock = threading.Lock()  # what reads must not be closed while it is at work
 
+    @abstractmethod
     def __iter__(self) -> Iterator[Frame]:
-        """The frames. Raises InputError when the clip ends before the first, RuntimeError when iterated before."""
-        if self._iterated:
-            raise RuntimeError("a source is read only once; open it again")
-        self._iterated = True
-        return self._frames()
+        """The frames, once. Raises InputError when the clip ends before the first."""
 
-    @abstractmethod
-    def _frames(self) -> Iterator[Frame]: ...
-
-    @abstractmethod
     def close(self) -> None:
         """End the iteration, also from another thread, and free the file; once closed, closing again does nothing."""
+        self._closed = True
+        with self._lock:
+            self._file.close()
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -180,7 +178,7 @@ class VideoSource(Source):
                 unread = file.read(8)[4:] in _MP4_BOXES and hasattr(error, "log")  # it is FFmpeg's
                 lack = "its index (moov) is missing" if unread else missing_part(path)
             raise InputError(f"{path}: {f'cut short or damaged ({lack}); {AGAIN}' if lack else why}") from None
-        super().__init__(path, self.decoder.size, self.decoder.fps, start, stop)
+        super().__init__(path, self.decoder, self.decoder.size, self.decoder.fps, start, stop)
         self.is_video, self.stream = True, stream
         self.aspect, self.begins_s = self.decoder.aspect, self.decoder.begins_s
         if len(streams := self.decoder.streams) > 1:
@@ -190,12 +188,7 @@ class VideoSource(Source):
         if (claimed := self.decoder.claimed) is not None:
             self.frames_hint = max(min(claimed, stop or claimed) - start, 0)
 
-    def close(self) -> None:
-        self._closed = True
-        with self._lock:
-            self.decoder.close()
-
-    def _frames(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[Frame]:
         start, stop, period_s = self._start, self._stop, float(1 / self.fps)
         before_s, decoder = -1.0, self.decoder
         if start > MIN_JUMP_FRAMES:  # frames before are skipped where packets tell which frame is which
@@ -268,7 +261,7 @@ class FolderSource(Source):
     """
 
     def __init__(self, path: Path, pictures: Pictures, fps: Fraction, start: int, stop: int | None):
-        super().__init__(path, (0, 0), fps, start, stop)
+        super().__init__(path, pictures, (0, 0), fps, start, stop)
         self._pictures, self.files, self._resized, self.variable = pictures, pictures.files, False, False
         if start >= len(self.files):
             raise self._past_end(len(self.files))
@@ -282,11 +275,6 @@ class FolderSource(Source):
                 what = "{}: 16-bit images that use the numbers {} to {}".format(path, *pictures.levels)
                 self.warnings.append(f"{what}; these are black and white, so that all of it is seen")
 
-    def close(self) -> None:
-        self._closed = True
-        with self._lock:
-            self._pictures.close()
-
     def frame(self, index: int) -> Frame:
         """Any frame of the folder. Raises images.UnreadableError."""
         with self._lock:
@@ -297,7 +285,7 @@ class FolderSource(Source):
             self._resized, image = True, fitted(image, self.size)
         return Frame(index, float(index / self.fps), image)
 
-    def _frames(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[Frame]:
         total = len(self.files)
         with self._pictures:  # the last file, where somebody has closed the source meanwhile
             for index in range(total)[self._start : self._stop]:
@@ -321,12 +309,8 @@ def open_source(
     clock and refuses it. `stream` is the number of a video's stream (default: FFmpeg's own choice).
     Raises InputError when there is nothing to read, UsageError for impossible arguments.
     """
-    if start < 0:
-        raise UsageError(f"{path}: cannot start at frame {start}; frames count from 0")
     if stop is not None and stop <= start:
         raise UsageError(f"{path}: nothing to read from frame {start} up to {stop}; stop must be greater than start")
-    if fps is not None and fps <= 0:
-        raise UsageError(f"{path}: {fps} is no frame rate; give frames per second greater than 0")
     check_local(path)
     if (files := images.listing(path)) is None:
         check_file(path)

@@ -113,11 +113,6 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
 
     def write(self, image: Image, time_s: float) -> None:
         """Append one (H, W, 3) uint8 BGR frame, shown from `time_s` on the source's clock; times must not fall."""
-        width, height = self.size
-        if self._closed:
-            raise ValueError("write to a closed VideoWriter")
-        if image.shape != (height, width, 3) or image.dtype != np.uint8:
-            raise ValueError(f"frame is {image.dtype} {image.shape}, the video takes uint8 {(height, width, 3)}")
         self._first_s, self._last_s = (self._first_s, self._last_s) if self._frames else (time_s, time_s)
         longest_s = _LONGEST / self._timescale
         if (beyond_s := time_s - self._last_s - longest_s) > 0:
@@ -132,7 +127,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         self._tick = max(tick, self._tick + 1) if self._frames else tick
         try:
             if not self._frames:
-                self._pipe.write(_matroska_head(width, height, self._fps))
+                self._pipe.write(_matroska_head(*self.size, self._fps))
             self._pipe.write(_matroska_block(round(self._tick / self._timescale / _TICK_S), image.nbytes))
             self._pipe.write(np.ascontiguousarray(image).data)
         except OSError as error:

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.cli.options import FIGURES
+from facetrack_cli.cli.commands.finished import FIGURES
 from facetrack_cli.report.figures import page, style
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")

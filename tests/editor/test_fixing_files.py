@@ -107,7 +107,7 @@ def test_a_save_that_fails_leaves_the_folder_as_it_was(out, monkeypatch, name):
         fixer.put([NOSE])
         broken = {CORRECTED: (saving, "as_yaml", full), "annotated.mp4": (finished, "repaint", full)}
         patch.setattr(*broken.get(name, (finished, "write_rows", write)))
-        with pytest.raises(OutputError, match=r"No space left on device; free some space, and save again"):
+        with pytest.raises(OutputError, match=r"the disk is full .* or make it writable, and save again"):
             save(fixer)
         assert files_of(out) == before and fixer.changed
         patch.undo()

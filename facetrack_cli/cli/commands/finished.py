@@ -16,13 +16,12 @@ from facetrack_cli.core.errors import ExitCode, InputError, UsageError
 from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_MEDIA
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from facetrack_cli.editor.fixer import Fixer
     from facetrack_cli.trajectory.formats.tables import Clip
     from facetrack_cli.trajectory.people import Change, People
     from facetrack_cli.trajectory.views import Around, Clock
 
+FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
 Words: TypeAlias = tuple[tuple[str, ...], ...]
 _NAMES = words("A=B", "([^=]*)=(.*)", "give two names, as person_3=person_1")
 _TRACK = words("A@TIME=B", "(.*)@([^@=]*)=([^@]*)", "give a name, a time and a name, as person_2@1:23=person_1")
@@ -433,18 +432,22 @@ def plot_command(
       facetrack plot out/ --truth clip.truth.csv -o page.pdf
       facetrack plot out/ --measure mouth_opening,blink -o figure.pdf
     """
+    from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.report.figures.page import measures_figure, page_figure
+    from facetrack_cli.report.figures.style import need_matplotlib, render
     from facetrack_cli.run_folder.manifest import PLOT, read_run
     from facetrack_cli.trajectory.views import choose
 
-    def draw() -> Figure:
-        table = read_run(trajectory)
-        if measure is not None:
-            names = [name.strip() for name in measure.split(",")]
-            return measures_figure(choose(table, reference.target), names)
-        pairs = None if truth is None else reference.pairs(table, reference.read(truth), say)
-        return page_figure(choose(table, reference.target), pairs)
-
     out = out or (trajectory if trajectory.is_dir() else trajectory.parent) / PLOT
-    options.write_figure(out, draw, overwrite=overwrite)
+    form = out.suffix[1:].lower()
+    refuse((form not in FIGURES, f"{out}: cannot tell the kind of file; let its name end in .png, .svg or .pdf"))
+    check_new(out, overwrite=overwrite)
+    need_matplotlib()
+    table = read_run(trajectory)
+    if measure is None:
+        pairs = None if truth is None else reference.pairs(table, reference.read(truth), say)
+        figure = page_figure(choose(table, reference.target), pairs)
+    else:
+        figure = measures_figure(choose(table, reference.target), [name.strip() for name in measure.split(",")])
+    write_new(out, render(figure, form), overwrite=overwrite)
     say(f"{trajectory} -> {out}")

@@ -1,7 +1,5 @@
 """facetrack eval, compare and regress: a trajectory, recipes and an installation, against what is known to be right."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import math

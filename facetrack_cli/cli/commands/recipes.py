@@ -1,7 +1,5 @@
 """facetrack recipes, prior, gallery, models: what to choose from, and what is learned."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import sys
@@ -316,8 +314,7 @@ def fit_prior(
         return
     for path, frames, seen in files:
         say(f"{path}: {seen} of {frames} frames used, {frames - seen} skipped")
-    used = sum(seen for _, _, seen in files)
-    say(f"{out}: {len(prior.shapes)} shapes kept of {used}: {', '.join(prior.parts)}")
+    say(f"{out}: {len(prior.shapes)} shapes kept of {sum(seen for *_, seen in files)}: {', '.join(prior.parts)}")
     say(f"suggested sigma: {suggested_sigma(prior):.3f} ({' to '.join(scale)} is 1)")
 
 

@@ -164,12 +164,10 @@ def run_command(
         return _live(inputs, live, out, extent, recipe, faces, gallery)
     remote, csv_alone = cluster is not None, formats == ("csv",)
     replaced = "--overwrite would replace what the other shards did; remove the folder before them"
+    blind = f"--fail-on-lost: {recipe.name} cannot tell when it is lost; leave it out"
     whole = "goes over the whole clip, --split cuts it in chunks; give one of them"
     refuse(
-        (
-            fail_on_lost and not recipe.judges,
-            f"--fail-on-lost: {recipe.name} cannot tell when it is lost; leave it out",
-        ),
+        (fail_on_lost and not recipe.judges, blind),
         (remote and out == "-", "-o - streams one clip from this machine; name a folder, or leave --cluster out"),
         (remote and jobs > 1, "--cluster has workers of its own, -j those of this machine; give one of them"),
         (remote and split, "--split tracks its chunks with -j or --shard; leave --cluster out"),

@@ -1,7 +1,5 @@
 """Figures that set recipes, runs and seeds side by side. Axes: S seeds, T frames, n thresholds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -101,5 +99,4 @@ def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     scores = [score for entry in entries for score in entry.scores]
     frame, hidden = (np.unique(np.concatenate([getattr(score, of) for score in scores])) for of in ("frame", "hidden"))
     errors = {each.label: np.array([at(frame, one.frame, one.error) for one in each.scores]) for each in entries}
-    figure = error_over_time_figure(frame, errors, np.isin(frame, hidden), title=f"Error on {clip}")
-    yield "error.png", render(figure)
+    yield "error.png", render(error_over_time_figure(frame, errors, np.isin(frame, hidden), title=f"Error on {clip}"))

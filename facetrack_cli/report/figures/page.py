@@ -1,7 +1,5 @@
 """The page of `facetrack plot`: what happened in one trajectory, a panel each over one axis of time."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -273,9 +271,7 @@ class _Page:
     def _draw(
         self, axes: Axes, curves: Sequence[Curve], floor: float | None = None, share: bool = False, log: bool = False
     ) -> None:
-        """A line each; of many parts the median of each target within bands. The axis begins at `floor`, that of a
-        `share` is from 0 to 1.
-        """
+        """A line each; of many parts each target's median, in bands. An axis from `floor` on, of a `share` to 1."""
         for line, frame, value in () if self.many else curves:
             style.line(axes, frame, value, **line.look)
         for target, colour in self.colours.items() if self.many else ():
@@ -346,9 +342,8 @@ class _Page:
         """The panel of a measure, with bars where those of the `events` are that it tells."""
         measured = {target: each[name] for target, each in self.table.measures.items() if name in each}
         title = f"{'pose: ' if unit == DEGREES else ''}{name.replace('_', ' ')} ({unit})"
-        return Panel(
-            title, "band: a standard deviation", height, partial(self._measure, measured=measured, events=events)
-        )
+        draw = partial(self._measure, measured=measured, events=events)
+        return Panel(title, "band: a standard deviation", height, draw)
 
     def _measure(self, axes: Axes, measured: Mapping[str, Measured], events: Sequence[str]) -> None:
         axes.locator_params(axis="y", nbins=3)

@@ -3,8 +3,6 @@
 Lines show gaps. matplotlib is loaded with the first figure.
 """
 
-from __future__ import annotations
-
 import io
 import logging
 import warnings
@@ -47,7 +45,6 @@ CORRECTED: Final[Any] = {
     "marker": "^", "color": INK, "linestyle": "none", "markersize": 5, "clip_on": False, "zorder": 5,
 }  # fmt: skip
 
-_STEPS = (1, 2, 2.5, 5, 10)
 _STYLE: Final = Path(__file__).with_name("facetrack.mplstyle")
 
 
@@ -114,11 +111,16 @@ def clean(text: str, most: int) -> str:
     return f" {text}" if text.startswith("_") else text
 
 
-def limit(axes: Axes, floor: float | None = None, ticks: int = 4) -> None:
-    """The vertical axis of what is drawn, from `floor` on, with few ticks."""
+def _ticks(most: int, **how: Any) -> Any:
+    """Round numbers of an axis, not many more than `most`."""
     from matplotlib.ticker import MaxNLocator
 
-    axes.yaxis.set_major_locator(MaxNLocator(ticks, steps=_STEPS))
+    return MaxNLocator(most, steps=(1, 2, 2.5, 5, 10), **how)
+
+
+def limit(axes: Axes, floor: float | None = None, ticks: int = 4) -> None:
+    """The vertical axis of what is drawn, from `floor` on, with few ticks."""
+    axes.yaxis.set_major_locator(_ticks(ticks))
     if floor is not None:
         high = axes.get_ylim()[1]
         axes.set_ylim(floor, high + 0.06 * (high - floor))  # a line along the top is whole
@@ -126,23 +128,19 @@ def limit(axes: Axes, floor: float | None = None, ticks: int = 4) -> None:
 
 def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:
     """An axis of frames, which increase, with at most `most` ticks."""
-    from matplotlib.ticker import MaxNLocator
-
     axes.set_xlim(float(frame[0]) - 0.5, float(frame[-1]) + 0.5)
     axes.set_xlabel("frame")
-    axes.xaxis.set_major_locator(MaxNLocator(max(2, most - 1), integer=True, min_n_ticks=1, steps=_STEPS))
+    axes.xaxis.set_major_locator(_ticks(max(2, most - 1), integer=True, min_n_ticks=1))
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
     axes.tick_params(bottom=True)
 
 
 def time_axis(axes: Axes, table: Trajectory, most: int) -> None:
     """Above the axis of frames, when these are shown, where that is known."""
-    from matplotlib.ticker import MaxNLocator
-
     timed = np.isfinite(table.times)
     if timed.any():
         above = axes.secondary_xaxis("top")
-        above.xaxis.set_major_locator(MaxNLocator(max(2, most - 1), integer=True, min_n_ticks=1, steps=_STEPS))
+        above.xaxis.set_major_locator(_ticks(max(2, most - 1), integer=True, min_n_ticks=1))
         times = partial(np.interp, xp=table.frames[timed], fp=table.times[timed])
         above.xaxis.set_major_formatter(lambda frame, _: at_clock(float(times(frame))))
         above.tick_params(length=2, pad=2)

@@ -418,8 +418,7 @@ class Appearance(Likelihood):
     def distances(self, learned: Mixture, frame: Frame, x: Array) -> Array:
         """1 less the NCC of x (N, 1, 6) with S or with F, whichever is larger -> (N, 1), 0..1; 0 is a perfect match."""
         y = self.patches.read(frame, x, self.patches.factor(learned.state))
-        match = np.asarray(kernel.best_matches(y, learned.mu[1:]))
-        return np.clip(1.0 - match, 0.0, 1.0)[:, None]
+        return np.clip(1.0 - np.asarray(kernel.best_matches(y, learned.mu[1:])), 0.0, 1.0)[:, None]
 
     def expected(self, learned: Mixture) -> Rows:
         """(d,): the mean of the mixture in each pixel."""

@@ -4,17 +4,12 @@ All equations are those of Zhou, Chellappa & Moghaddam, "Adaptive Visual Trackin
 Filters", ICME 2003. No numerics are imported here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
 from facetrack_cli.recipe import sections
-
-if TYPE_CHECKING:
-    pass
 
 Points: TypeAlias = Annotated[int, Field(ge=6, le=128)]
 Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]

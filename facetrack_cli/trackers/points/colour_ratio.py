@@ -13,8 +13,6 @@ three times as large.
 Templates are learned in the first frame and then stay, except where a correction places a part.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -195,8 +195,7 @@ def fit_prior(
     read = [_shapes_of(path, table, names, stable, scale) for path, table in zip(paths, tables, strict=True)]
     every = np.concatenate([shapes for _, shapes in read])
     prior = ShapePrior(names, every[_spread_out(every.reshape(len(every), -1), max_shapes)], stable, scale)
-    files = tuple((path, frames, len(shapes)) for path, (frames, shapes) in zip(paths, read, strict=True))
-    return prior, files
+    return prior, tuple((path, frames, len(shapes)) for path, (frames, shapes) in zip(paths, read, strict=True))
 
 
 def suggested_sigma(prior: ShapePrior) -> float:

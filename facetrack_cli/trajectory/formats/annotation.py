@@ -382,9 +382,8 @@ def _with_tiers(root: ET.Element, table: Trajectory, offset: int = 0) -> tuple[s
                 put("LINGUISTIC_TYPE", _type(kind, names[kind]))
                 if kind in VOCABULARIES:
                     vocabulary = put("CONTROLLED_VOCABULARY", {"CV_ID": names[kind]})
-                    ET.SubElement(
-                        vocabulary, "DESCRIPTION", LANG_REF="eng"
-                    ).text = "motion of the target in the image plane"
+                    described = ET.SubElement(vocabulary, "DESCRIPTION", LANG_REF="eng")
+                    described.text = "motion of the target in the image plane"
                 for label in VOCABULARIES.get(kind, ()):
                     entry = ET.SubElement(vocabulary, "CV_ENTRY_ML", CVE_ID=f"cveid_{names[kind]}_{label}")
                     ET.SubElement(entry, "CVE_VALUE", LANG_REF="eng").text = label

@@ -30,8 +30,6 @@ OpenFace 2's FeatureExtraction (Baltrusaitis et al., FG 2018; its wiki page "Out
   of 500 width / 640 and 500 height / 480, through the image's centre.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
