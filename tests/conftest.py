@@ -4,6 +4,7 @@ import base64
 import gc
 import os
 import signal
+import sys
 import threading
 from collections import Counter
 from copy import copy
@@ -61,8 +62,9 @@ def model_file(shared: Path, patch: pytest.MonkeyPatch, name: str) -> Path:
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# images of containers often set this: every process that a test starts would compile all modules anew
+# images of containers often set this: each process, also of the next session, would compile all modules anew
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 hide_models()
 
@@ -154,7 +156,7 @@ def hashed(image):
 
 @pytest.fixture(scope="session", autouse=True)
 def seen_once():
-    """Detectors and dlib's network see an image once: many runs are of the same frames, and little else takes longer."""
+    """Detectors and dlib's network see an image once: many runs are of the same frames, little else takes longer."""
     with pytest.MonkeyPatch.context() as patch:
         for place, name in ((descriptor, "embedded"), (detectors, "_detect"), (detectors.YuNet, "_detect")):
             patch.setattr(place, name, once(getattr(place, name)))
