@@ -4,11 +4,16 @@ import base64
 import gc
 import os
 import signal
+import sys
+import threading
 from collections import Counter
+from copy import copy
 from functools import wraps
+from hashlib import sha1
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -57,8 +62,9 @@ def model_file(shared: Path, patch: pytest.MonkeyPatch, name: str) -> Path:
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# images of containers often set this: every process that a test starts would compile all modules anew
+# images of containers often set this: each process, also of the next session, would compile all modules anew
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 hide_models()
 
@@ -129,20 +135,31 @@ def pytest_collection_finish():
     gc.freeze()
 
 
-@pytest.fixture(scope="session", autouse=True)
-def embedded_once():
-    """A face is embedded once: dlib takes a hundred times as long as all else, and many runs are of the same frames."""
-    embedded, known = descriptor.embedded, {}
+def once(function):
+    """The function, which computes what it gives for each image once in a thread."""
+    known = {}
 
-    @wraps(embedded)
-    def remembered(chip):
-        key = descriptor.embedding_model(), chip.tobytes()
+    @wraps(function)
+    def remembered(*given):
+        own = threading.get_ident(), cv2.getNumThreads(), descriptor.embedding_model()
+        key = *own, *(hashed(one) if isinstance(one, np.ndarray) else getattr(one, "_model", one) for one in given)
         if key not in known:
-            known[key] = embedded(chip)
-        return known[key].copy()
+            known[key] = function(*given)
+        return copy(known[key])
 
+    return remembered
+
+
+def hashed(image):
+    return image.shape, image.dtype.str, sha1(np.ascontiguousarray(image)).digest()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def seen_once():
+    """Detectors and dlib's network see an image once: many runs are of the same frames, little else takes longer."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(descriptor, "embedded", remembered)
+        for place, name in ((descriptor, "embedded"), (detectors, "_detect"), (detectors.YuNet, "_detect")):
+            patch.setattr(place, name, once(getattr(place, name)))
         yield
 
 

@@ -137,7 +137,7 @@ def files_of(recipe: Recipe) -> list[Path]:
     return [resolve_file(recipe, file, key) for key, file in files.items()]
 
 
-@lru_cache(8)  # a run asks twice, once to see whether its calibration holds
+@lru_cache(64)  # a run asks twice, once to see whether its calibration holds, a comparison of many recipes more often
 def _made(path: Path, source: Source, overrides: tuple[str, ...]) -> Recipe:
     root = parse(source)
     if root is None or root.value is None:

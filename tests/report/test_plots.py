@@ -313,7 +313,7 @@ def test_error_over_time_has_the_median_and_what_is_hidden():
 def test_same_numbers_give_the_same_bytes_whatever_the_user_has_set(form):
     import matplotlib
 
-    table = track(parts=1)
+    table = track(parts=1, **BARE, w=None)
     first = plot_style.render(page.page_figure(table), form)
     with matplotlib.rc_context(
         {"lines.linewidth": 9, "font.size": 20, "svg.hashsalt": "other", "figure.dpi": 30, "xtick.direction": "in"}

@@ -113,12 +113,12 @@ def test_a_run_that_was_not_interrupted_keeps_no_checkpoint(tmp_path):
 
 @pytest.mark.parametrize("video, formats", [(False, ("csv", "json")), (True, ("csv", "json")), (True, ("csv",))])
 def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video, formats):
-    how = {"stop": 3 * EVERY, "video": video, "formats": formats}
+    how = {"stop": 2 * EVERY, "video": video, "formats": formats}
     asked = job("factorized", tmp_path / "out", **how)
     run(job("factorized", tmp_path / "whole", **how))
-    run(asked, 3 * EVERY)
+    run(asked, 2 * EVERY)
     done = run(asked)
-    assert done.resumed == 2 * EVERY and same(asked.out, tmp_path / "whole")
+    assert done.resumed == EVERY and same(asked.out, tmp_path / "whole")
     assert len(done.paths) == len(formats) + video, "a video that is drawn at the end is one of them"
 
 
@@ -147,7 +147,7 @@ def test_without_resuming_it_begins_at_its_start(interrupted, tmp_path, how):
 
 def test_opencvs_trackers_and_a_lag_begin_anew(tmp_path):
     for recipe, more in (("mil", {"box": (140.0, 120.0, 40.0, 40.0)}), ("factorized", {"lag": 3})):
-        asked = job(recipe, tmp_path / recipe, video=True, **more)
+        asked = job(recipe, tmp_path / recipe, video=True, stop=13, **more)
         run(asked, 11)
         assert not (asked.out / FOLDER).exists() and run(asked).resumed == 0
 
@@ -191,7 +191,7 @@ def test_a_disk_without_space_for_a_checkpoint_is_no_harm(tmp_path, monkeypatch)
     def full(kind, path, arrays):
         raise OutputError("the disk is full")
 
-    run(job("factorized", tmp_path / "whole", video=True))
+    run(job("factorized", tmp_path / "whole", video=True, stop=EVERY + 1))
     monkeypatch.setattr(Kind, "write", full)
-    done = run(job("factorized", tmp_path / "out", video=True))
+    done = run(job("factorized", tmp_path / "out", video=True, stop=EVERY + 1))
     assert not done.warnings and same(tmp_path / "out", tmp_path / "whole")

@@ -15,6 +15,7 @@ from facetrack_cli.core.types import Start
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from facetrack_cli.trajectory.writers import csv_frames
 from facetrack_cli.video.source import open_source
+from tests.support import media
 from tests.support.damage import raising
 from tests.support.samples import FOLDER
 from tests.support.sway import names
@@ -36,7 +37,11 @@ def images():
 
 def test_every_example_of_the_page_runs(tmp_path, monkeypatch):
     pytest.importorskip("pandas")
-    (tmp_path / "sample_videos").symlink_to(FOLDER)
+    (tmp_path / "sample_videos").mkdir()
+    for file in FOLDER.iterdir():
+        (tmp_path / "sample_videos" / file.name).symlink_to(file)
+    (tmp_path / "sample_videos" / CLIP.name).unlink()
+    media.ffmpeg("-i", CLIP, "-c", "copy", "-frames:v", "60", tmp_path / "sample_videos" / CLIP.name)
     monkeypatch.chdir(tmp_path)
     session = {}
     found = blocks(ROOT / "docs" / "python.md", "python")

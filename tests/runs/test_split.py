@@ -29,8 +29,8 @@ from tests.support import media
 from tests.support.samples import FOLDER as SAMPLES
 
 CLIP = SAMPLES / "expressions.mp4"  # 275 frames
-HIDDEN = range(105, 180)  # frames of dark.mp4 that show nothing
-SMALL = 0.625  # of its size, so that faces are found sooner
+HIDDEN = range(42, 72)  # frames of dark.mp4 that show nothing
+SMALL = 0.5  # of its size, so that faces are found sooner
 POINTS = {
     name: (x * SMALL, y * SMALL)
     for name, x, y in (
@@ -38,18 +38,18 @@ POINTS = {
         ("lip_upper", 159.0, 153.6), ("lip_lower", 159.0, 168.6),
     )
 }  # fmt: skip
-SPLIT = ("--config", "factorized", "--init", "haar", "--split", "60f")
-# at 5 frames/s chunks overlap by 25 frames
+SPLIT = ("--config", "factorized", "--init", "haar", "--split", "24f")
+# at 2 frames/s chunks overlap by 10 frames
 
 
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
-    """expressions.mp4 at 5 frames/s, so that it lasts for 55 s, and the same with a dark stretch."""
+    """A stretch of expressions.mp4 at 2 frames/s, so that it lasts for 46 s, and the same with a dark stretch."""
     folder = tmp_path_factory.mktemp("clips")
-    slow = f"scale={320 * SMALL}:-1,setpts=5*PTS"
+    slow = f"scale={320 * SMALL}:-1,trim=start_frame=96,setpts=12.5*(PTS-STARTPTS)"
     black = f"drawbox=t=fill:color=black:enable='between(n,{HIDDEN[0]},{HIDDEN[-1]})'"
     for name, text in (("slow.mp4", slow), ("dark.mp4", f"{slow},{black}")):
-        options = ("-r", "5", "-c:v", "libx264", "-preset", "veryfast", "-g", "20", "-bf", "2")
+        options = ("-r", "2", "-frames:v", "92", "-c:v", "libx264", "-preset", "veryfast", "-g", "20", "-bf", "2")
         media.ffmpeg("-i", CLIP, "-vf", text, *options, folder / name)
     start = Start(0, {"face": TargetStart(points=POINTS)}, "x", (Correction(60, "face", points=POINTS),))
     write_init(folder / "corrected.yaml", start)
@@ -70,31 +70,31 @@ def header_of(folder):
 def test_chunks_are_tracked_and_joined(facetrack, clips, monkeypatch):
     searched, search = [], plan.search_start
     monkeypatch.setattr(plan, "search_start", lambda *args, **how: searched.append(1) or search(*args, **how))
-    command, out, whole = ("run", "IN/slow.mp4", "--stop", "170", "--no-video", "-o"), Path("out"), Path("whole")
+    command, out, whole = ("run", "IN/slow.mp4", "--stop", "68", "--no-video", "-o"), Path("out"), Path("whole")
     assert facetrack(*command, "whole", *SPLIT[:4])[0] == 0
     code, _, err = facetrack(*command, "out", *SPLIT)
     assert code == 0 and len(searched) == 4, "for the whole clip, and once for each chunk"
     header = header_of(out)
-    assert [chunk["first"] for chunk in header["chunks"]] == [0, 60, 120]
+    assert [chunk["first"] for chunk in header["chunks"]] == [0, 24, 48]
     assert [seam["agrees"] for seam in header["seams"]] == [True] * 2
-    assert [seam["frame"] for seam in header["seams"]] == [72, 132]  # the middle of the frames that both have
-    assert header["complete"] and header["frames_tracked"] == 170 and header["split"] == {"length": "60f"}
+    assert [seam["frame"] for seam in header["seams"]] == [29, 53]  # the middle of the frames that both have
+    assert header["complete"] and header["frames_tracked"] == 68 and header["split"] == {"length": "24f"}
     # the rows are those of the chunks, the first of which is as the whole run
     rows = frames_of(out)
-    assert len(rows) == 170 and rows[:72] == frames_of(whole)[:72]
-    for chunk, (first, stop) in enumerate([(0, 72), (72, 132), (132, 170)]):
+    assert len(rows) == 68 and rows[:29] == frames_of(whole)[:29]
+    for chunk, (first, stop) in enumerate([(0, 29), (29, 53), (53, 68)]):
         assert {*rows[first:stop]} <= {*frames_of(out / "chunks" / f"{chunk:05d}")}
     alone, joined = read_trajectory(whole), read_trajectory(out)
     assert np.array_equal(alone.frame, joined.frame) and np.array_equal(alone.time_s, joined.time_s)
     lost = len(np.unique(joined.frame[joined.status == "lost"]))
-    assert f"some part called lost in {lost} of 170 frames; begins in frame 0" in err
+    assert f"some part called lost in {lost} of 68 frames; begins in frame 0" in err
     assert np.hypot(alone.x - joined.x, alone.y - joined.y).mean() < 2.5
     code, _, err = facetrack(*command, "out", *SPLIT)
     assert code == 0 and "done before" in err
 
 
 def test_shards_share_the_chunks_and_the_last_joins_them(facetrack, clips):
-    command = ("run", "IN/slow.mp4", *SPLIT, "--stop", "115", "--no-video", "-o")
+    command = ("run", "IN/slow.mp4", *SPLIT, "--stop", "46", "--no-video", "-o")
     code, _, err = facetrack(*command, "out", "--shard", "1/2")
     assert code == 0 and "1 of 2 chunks are not done; who ends the last one joins them" in err
     assert not Path("out/run.json").exists()
@@ -113,7 +113,7 @@ def test_shards_share_the_chunks_and_the_last_joins_them(facetrack, clips):
 
 
 def test_what_no_chunk_found_is_missing_and_said(facetrack, clips, no_plot):
-    code, _, err = facetrack("run", "IN/dark.mp4", *SPLIT, "--stop", "230", "-o", "out")
+    code, _, err = facetrack("run", "IN/dark.mp4", *SPLIT, "-o", "out")
     assert code == 0, err
     out = Path("out")
     header, table = header_of(out), read_trajectory(out)
@@ -124,15 +124,15 @@ def test_what_no_chunk_found_is_missing_and_said(facetrack, clips, no_plot):
     assert any("two chunks differ" in line or "no rows of frames" in line for line in header["warnings"])
     assert all(line in err for line in header["warnings"])
     # the report has the place as an event, and does not call it corrected
-    history = history_of(table, Clock(table, 5.0), read_header(table).seams)
+    history = history_of(table, Clock(table, 2.0), read_header(table).seams)
     assert history.corrections == ()
-    events = reasons(table, history, "x", 0, 229)
-    assert any(kind == "seam" for frame in key_frames(history, events, 0, 229) for kind, *_ in events[frame])
+    events = reasons(table, history, "x", 0, 91)
+    assert any(kind == "seam" for frame in key_frames(history, events, 0, 91) for kind, *_ in events[frame])
     page = make_report(out).html.decode()
     assert "Two chunks differ" in page
-    assert "--split 60f" in page
+    assert "--split 24f" in page
     with open_source(out / "annotated.mp4") as source:
-        assert sum(1 for _ in source) == 230
+        assert sum(1 for _ in source) == 92
 
 
 def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, monkeypatch):
@@ -143,14 +143,14 @@ def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, monkeypat
             raise FacetrackError("a fuse blew")
         return run(job, *others)
 
-    command = ("run", "IN/slow.mp4", *SPLIT, "--stop", "170", "--no-video", "-o", "out")
+    command = ("run", "IN/slow.mp4", *SPLIT, "--stop", "68", "--no-video", "-o", "out")
     with monkeypatch.context() as patch:
         patch.setattr(batch, "run", breaking)
         code, _, err = facetrack(*command)
     assert code == 5 and "chunks/00001: " in err
-    assert not header_of(Path("out"))["complete"] and header_of(Path("out"))["frames_tracked"] < 170
+    assert not header_of(Path("out"))["complete"] and header_of(Path("out"))["frames_tracked"] < 68
     code, _, err = facetrack(*command, "--retry-failed")
-    assert code == 0 and header_of(Path("out"))["frames_tracked"] == 170, err
+    assert code == 0 and header_of(Path("out"))["frames_tracked"] == 68, err
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_a_search_that_is_stopped_has_not_failed(facetrack, clips, monkeypatch):
         raise InputError("no face found")
 
     monkeypatch.setattr(Job, "find", stopped)
-    code, _, err = facetrack("run", "IN/slow.mp4", *SPLIT, "--stop", "60", "--no-video", "-o", "out")
+    code, _, err = facetrack("run", "IN/slow.mp4", *SPLIT, "--stop", "24", "--no-video", "-o", "out")
     assert code == 143 and "terminated before the first frame" in err and "no face" not in err
     assert not Path("out/run.json").exists()
 
