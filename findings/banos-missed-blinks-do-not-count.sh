@@ -9,7 +9,8 @@
 # correctly". Take F1 = 0 where it is nan, and no continuity of missed events, before you average.
 # Packages: banos 1.0.0, pandas 2.3.3, numpy 2.4.6, scipy 1.17.1.
 # Data: a clip of 300 frames with two nods, a smile and three blinks, and four recognisers that are right but for blinks, made here.
-# Output seen (means of the clip):
+# Numbers are means of the clip.
+# Output seen:
 #   all right: precision 1.0, recall 1.0, f1 1.0, so 1.0, tp 1.0, ic 1.0
 #   one of three blinks: precision 1.0, recall 0.778, f1 0.833, so 1.0, tp 1.0, ic 1.0
 #   no blink: precision 1.0, recall 0.667, f1 1.0, so 1.0, tp 1.0, ic 1.0

@@ -10,7 +10,8 @@
 # part by part, each in a folder of its own.
 # Packages: pupil-labs-neon-recording 2.1.6, pupil-labs-video 1.0.14, numpy 2.4.6, pandas 2.3.3.
 # Data: a folder with two parts of a second at 200 Hz, 10 s apart; the gaze is where the second it was measured in says, made here.
-# Output seen (how late the gaze is, in ms, that is shown at the time):
+# Numbers are how late the gaze is, in ms, that is shown at a time.
+# Output seen:
 #   first part whole: at .975 s 0, at 10 s 0, at 10.5 s 0, last time 10.995
 #   first part has 20 values less: at .975 s 9100, at 10 s 100, at 10.5 s 100, last time 10.895
 #   first part has 20 times less: at .5 s 0, at 10 s -9100, at 10.5 s -100, last time 10.995
