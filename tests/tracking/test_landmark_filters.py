@@ -175,7 +175,7 @@ def test_in_another_stabilized_image_all_is_as_it_would_have_been_there():
         if there is not None:
             there = there.after(TURN.to_frame(zs[t]), SHOWN)
         if t == 12:
-            there = here.mapped(TURN.to_frame)
+            there = here.mapped(TURN.turn, complex(*TURN.centre) - TURN.turn * complex(MIDDLE, MIDDLE))
             np.testing.assert_allclose(there.at, TURN.to_frame(here.at))
     np.testing.assert_allclose(there.at, TURN.to_frame(here.at))
     for name in ("var", "motion_var", "noise_var", "visible"):
@@ -231,6 +231,7 @@ def test_all_sensors_in_one_call_are_the_plain_twin(seed, parts):
     for mine, plain in zip((together, shift, apart), twin.fused(*readings[:3], at), strict=True):
         np.testing.assert_allclose(mine, plain, rtol=1e-9, atol=1e-9)
     all_, differ, cross = compared(readings, at, cov, visible)
+    differ = np.zeros(parts, bool) if differ is None else differ
     for mine, plain in zip((*all_[:3], differ, cross), twin.compared(*readings[:3], at, cov, visible), strict=True):
         np.testing.assert_allclose(mine, plain, rtol=1e-9, atol=1e-9)
     odds = np.where(rng.random((3, parts)) < 0.5, np.nan, rng.normal(0, 4, (3, parts)))
@@ -242,3 +243,16 @@ def test_all_sensors_in_one_call_are_the_plain_twin(seed, parts):
         assert mine is not old
     for mine, old in zip(biases[:5], before, strict=True):
         np.testing.assert_array_equal(mine, old, err_msg="a state is not changed")
+    alone = biases.updated(z, at, cov, visible, np.full_like(odds, np.nan), cross)
+    for mine, plain in zip(biases.updated(z, at, cov, visible, None, cross), alone, strict=True):
+        np.testing.assert_array_equal(mine, plain)
+
+
+def test_places_in_another_stabilized_image_are_those_of_its_map():
+    rng = np.random.default_rng(2)
+    x, at, bias = rng.normal(80, 30, (7, 4, 2)), rng.normal(80, 30, (4, 2)), rng.normal(0, 3, (3, 4, 2))
+    shift = TURN.to_frame(np.zeros(2))
+    new = [np.empty_like(values) for values in (x, at, bias)]
+    landmark_kernels.relay((TURN.turn.real, TURN.turn.imag, *shift), x, at, bias, *new)
+    for mine, plain in zip(new, (TURN.to_frame(x), TURN.to_frame(at), TURN.to_frame(bias) - shift), strict=True):
+        np.testing.assert_allclose(mine, plain, rtol=1e-12, atol=1e-10)

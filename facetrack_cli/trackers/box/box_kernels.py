@@ -438,3 +438,55 @@ def arrive(z, parents, log_w, sigma, walk, u, e, shown, hidden, x):
             x[n, 3 + i] = v + b * (z[n, i] - chosen[i] - v) + noise * chosen[2] * e[n, i]
         x[n, 2], x[n, 5] = min(max(math.exp(z[n, 2]), least), most), 0.0
     return returns, size
+
+
+@exact("f8:2 f8:1 f8:1 f8x5 f8:3")
+def carry(x, noise, step, walk, moved):
+    """`moved` (N, 1, 6) of particles x (N, 6) by a `step` (2,), with their mean velocities.
+
+    `walk` has the walk's scale, velocity, acceleration, and the limits of the scale. The scales of each two particles
+    change by `noise` (N / 2,), standard normal, and by its opposite.
+    """
+    scale, a, b, least, most = walk
+    for n in range(len(x)):
+        grown, out = math.exp(scale * noise[n // 2]), moved[n, 0]
+        out[2] = min(max(x[n, 2] * grown if n % 2 == 0 else x[n, 2] / grown, least), most)
+        for i in range(2):
+            out[i], out[3 + i] = x[n, i] + step[i], a * (1.0 - b) * x[n, 3 + i] + b * step[i]
+        out[5] = x[n, 5]
+
+
+@exact("f8:2 f8:1 f8x2 b1 f8:2 f8:3 f8:1")
+def sum_up(x, log_w, size, best, state, cov, side_std):
+    """The `Estimate` (`state`, `cov`, `side_std`) of a `VisibleBoxSpace` of boxes of a `size`, by particles x (N, 6).
+
+    Returns the effective sample size of the weights. What counts are particles that are visible, or if the target
+    rather is hidden, those.
+    """
+    w, shown, total, squares, own = np.exp(log_w), 0.0, 0.0, 0.0, 0.0
+    for n in range(len(x)):
+        shown, squares = shown + w[n] * x[n, 5], squares + w[n] ** 2
+    for n in range(len(x)):
+        w[n] *= x[n, 5] if shown >= 0.5 else 1.0 - x[n, 5]
+        total += w[n]
+    state[0], cov[0], spread, likeliest = 0.0, 0.0, 0.0, 0
+    for n in range(len(x)):
+        w[n] /= total
+        own += w[n] ** 2
+        likeliest = n if w[n] > w[likeliest] else likeliest
+        for i in range(5):
+            state[0, i] += w[n] * x[n, i]
+    for n in range(len(x)):
+        u, v = x[n, 0] - state[0, 0], x[n, 1] - state[0, 1]
+        spread += w[n] * (x[n, 2] - state[0, 2]) ** 2
+        cov[0, 0, 0], cov[0, 1, 1] = cov[0, 0, 0] + w[n] * u * u, cov[0, 1, 1] + w[n] * v * v
+        cov[0, 0, 1] += w[n] * u * v
+    more = (1.0 + own) / max(1.0 - own, 1e-12)  # as `engine.spaces.estimate` says
+    cov[0, 1, 0] = cov[0, 0, 1]
+    for i in range(2):
+        cov[0, i, 0], cov[0, i, 1] = more * cov[0, i, 0], more * cov[0, i, 1]
+        side_std[i] = size[i] * math.sqrt(spread * more)
+    if best:
+        state[0] = x[likeliest]
+    state[0, 5] = shown
+    return 1.0 / squares

@@ -27,7 +27,6 @@ A hidden point lies where the visible ones say, up to s. Whether it is visible i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -89,7 +88,9 @@ class BiasFilter(NamedTuple):
         kernels.read(z, visible, *self[:5], self.keep, EYES, *said[:3])
         return said
 
-    def updated(self, z: Array, state: Array, cov: Array, visible: Array, log_odds: Array, cross: Array) -> BiasFilter:
+    def updated(
+        self, z: Array, state: Array, cov: Array, visible: Array, log_odds: Array | None, cross: Array
+    ) -> BiasFilter:
         """The filter after a frame.
 
         Parameters
@@ -97,11 +98,13 @@ class BiasFilter(NamedTuple):
         z : (S, K, 2), the measurements; nan where there is none
         state, cov : (K, 2) and (K, 2, 2), where the particle filter has the parts
         visible : (K,), probability that a part is visible
-        log_odds : (S, K), log odds by this frame that a sensor sees the part; nan where they follow from `state` alone
+        log_odds : (S, K), log odds by this frame that a sensor sees the part; nan where they follow from `state` alone,
+            None if all do
         cross : (S, K), a sensor's share of the squared distance from an independent one, in square pixels; `state`
             alone would flatter a sensor that has moved it
         """
         after = [values.copy() for values in self[:5]]
+        log_odds = np.full_like(cross, np.nan) if log_odds is None else log_odds
         kernels.learn(z, state, cov, visible, log_odds, cross, self.min_std, self.keep, EYES, *after)
         return BiasFilter._make([*after, self.min_std, self.keep])
 
@@ -146,22 +149,25 @@ def fused(readings: SensorReading, before: Array) -> tuple[Array, Array, bool]:
     parts'; whether the detector is too far from regression and network in any part.
     """
     at, shift = np.empty_like(before), np.empty(2)
-    apart = kernels.fuse(*(values.copy() for values in readings[:3]), before, EYES, at, shift)
+    apart = kernels.fuse(*readings[:3], before, EYES, at, shift)
     return at, shift, apart
 
 
-def compared(readings: SensorReading, at: Array, cov: Array, visible: Array) -> tuple[SensorReading, Mask, Array]:
+def compared(
+    readings: SensorReading, at: Array, cov: Array, visible: Array
+) -> tuple[SensorReading, Mask | None, Array]:
     """The sensors' readings beside that of windows, of parts at `at` (K, 2) with `cov` (K, 2, 2), `visible` (K,).
 
     Returns
     -------
     S + 1 readings, those of sensors without the shift that the parts have in common (then the head has slipped, and no
-    sensor errs); (K,), the parts of which two cannot both be right; `cross` as in `BiasFilter.updated`.
+    sensor errs); (K,), the parts of which two cannot both be right, None if there are none; `cross` as in
+    `BiasFilter.updated`.
     """
     (sensors, parts), differ = readings.sure.shape, np.empty(len(at), np.bool_)
     all_ = np.empty((sensors + 1, parts, 2)), np.empty((sensors + 1, parts)), np.empty((sensors + 1, parts))
-    kernels.compare(*readings[:3], at, cov, visible, *all_, differ, cross := np.empty_like(readings.sure))
-    return SensorReading(*all_, readings.area), differ, cross
+    any_ = kernels.compare(*readings[:3], at, cov, visible, *all_, differ, cross := np.empty_like(readings.sure))
+    return SensorReading(*all_, readings.area), differ if any_ else None, cross
 
 
 def in_common(offsets: Array, mask: Mask) -> Array:
@@ -250,10 +256,12 @@ class LandmarkFilter(NamedTuple):
         cov[:, 0, 0] = cov[:, 1, 1] = self.var + self.bias_std**2
         return cov
 
-    def mapped(self, to: Callable[[Array], Array]) -> LandmarkFilter:
-        """In another stabilized image; the similarity `to` maps places of this image to it."""
-        places = to(np.concatenate([self.rest, self.carried, self.at, *self.last])).reshape(5, -1, 2)
-        return self._replace(rest=places[0], carried=places[1], offset=places[2] - places[1], last=places[3:])
+    def mapped(self, turned: complex, shift: complex) -> LandmarkFilter:
+        """In another stabilized image, to which places of this one come as `Similarity.into` says."""
+        places = self.rest, self.offset, self.carried, self.last
+        new = [np.empty_like(values) for values in places]
+        kernels.relay_landmarks((turned.real, turned.imag, shift.real, shift.imag), *places, *new)
+        return self._replace(rest=new[0], offset=new[1], carried=new[2], last=new[3])
 
     def after(self, z: Array | None, log_odds: Array | float) -> LandmarkFilter:
         """A frame later.

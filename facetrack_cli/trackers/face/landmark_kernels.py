@@ -115,7 +115,8 @@ def _join(z, var, sure, one, other, k):
 
 @exact("f8:3 f8:2 f8:2 f8:2 f8 f8:2 f8:1")
 def fuse(z, var, sure, before, eyes, fused, shift):
-    """The results of `landmark_filters.fused`: `fused` (K, 2), `shift` (2,), returned `apart`. Overwrites readings."""
+    """The results of `landmark_filters.fused`: `fused` (K, 2), `shift` (2,), returned `apart`."""
+    z, var, sure = z.copy(), var.copy(), sure.copy()
     apart, off, seen = False, np.empty_like(before), np.empty(len(before), np.bool_)
     for k in range(len(before)):
         _join(z, var, sure, BY_REGRESSION, BY_NETWORK, k)
@@ -133,8 +134,11 @@ def fuse(z, var, sure, before, eyes, fused, shift):
 
 @exact("f8:3 f8:2 f8:2 f8:2 f8:3 f8:1 f8:3 f8:2 f8:2 b1:1 f8:2")
 def compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross):
-    """The results of `landmark_filters.compared`: readings `own`, `spread`, `certain` (S + 1, K), `differ`, `cross`."""
-    last, off, seen, shift = len(z), np.empty_like(at), np.empty(len(at), np.bool_), np.empty(2)
+    """The results of `landmark_filters.compared`: readings `own`, `spread`, `certain` (S + 1, K), `differ`, `cross`.
+
+    Returns whether any part differs.
+    """
+    any_, last, off, seen, shift = False, len(z), np.empty_like(at), np.empty(len(at), np.bool_), np.empty(2)
     for s in range(last):
         for k in range(len(at)):
             off[k, 0], off[k, 1], seen[k] = z[s, k, 0] - at[k, 0], z[s, k, 1] - at[k, 1], sure[s, k] > 0.0
@@ -148,10 +152,12 @@ def compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross)
         for one in range(1, last + 1):
             for other in range(one):
                 differ[k] |= _apart(own, spread, certain, one, other, k)
+        any_ |= differ[k]
         both = min(sure[BY_REGRESSION, k], sure[BY_NETWORK, k]) > 0.0
         if both and not _apart(z, var, sure, BY_REGRESSION, BY_NETWORK, k):
             squared = (z[0, k, 0] - z[BY_NETWORK, k, 0]) ** 2 + (z[0, k, 1] - z[BY_NETWORK, k, 1]) ** 2
             cross[BY_REGRESSION, k] = cross[BY_NETWORK, k] = 0.25 * squared
+    return any_
 
 
 @exact("f8:3 f8:2 f8:3 f8:1 f8:2 f8:2 f8:1 f8 f8 f8:3 f8:2 f8:2 f8:2 f8:2")
@@ -240,6 +246,34 @@ def follow(seen, z, log_odds, eyes, rest, offset, var, motion_var, noise_var, vi
         noise = noise_var[j] + rate * (min(bend, 4.0 * noise_var[j]) - noise_var[j])
         noise_var[j] = min(max(noise, (LANDMARK_NOISE[0] * eyes) ** 2), (LANDMARK_NOISE[1] * eyes) ** 2)
         motion_var[j] = max(motion_var[j] + rate * (moved - motion_var[j]), least[j] ** 2)
+
+
+@part
+def _relay(to, x, out):
+    """Places x (J, 2) times the complex number a + ib, plus u + iv, of `to`."""
+    a, b, u, v = to
+    for j in range(len(x)):
+        out[j, 0], out[j, 1] = a * x[j, 0] - b * x[j, 1] + u, b * x[j, 0] + a * x[j, 1] + v
+
+
+@exact("f8x4 f8:2 f8:2 f8:2 f8:3 f8:2 f8:2 f8:2 f8:3")
+def relay_landmarks(to, rest, offset, carried, last, new_rest, new_offset, new_carried, new_last):
+    """The places of a `LandmarkFilter` in another stabilized image."""
+    _relay(to, rest, new_rest)
+    _relay((to[0], to[1], 0.0, 0.0), offset, new_offset)
+    _relay(to, carried, new_carried)
+    for i in range(len(last)):
+        _relay(to, last[i], new_last[i])
+
+
+@exact("f8x4 f8:3 f8:2 f8:3 f8:3 f8:2 f8:3")
+def relay(to, x, state, bias, new_x, new_state, new_bias):
+    """Particles x (N, K, 2), their `state` (K, 2) and the `bias` (S, K, 2) of sensors in another stabilized image."""
+    for n in range(len(x)):
+        _relay(to, x[n], new_x[n])
+    _relay(to, state, new_state)
+    for s in range(len(bias)):
+        _relay((to[0], to[1], 0.0, 0.0), bias[s], new_bias[s])
 
 
 @exact("f8:2 f8:3 f8:1 i8 f8 f8:2 f8:2 f8:1 f8 f8 f8 f8:2 i8:1")
