@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from facetrack_cli.engine.kernels.compiled import exact, fast, inline
+from facetrack_cli.engine.kernels.compiled import exact, fast, inline, moments
 
 COLOURS = 1 << 15  # of 5 bits a channel
 CHANNELS = 31  # 18 signed orientations, 9 unsigned ones, 4 of texture
@@ -456,37 +456,27 @@ def carry(x, noise, step, walk, moved):
         out[5] = x[n, 5]
 
 
-@exact("f8:2 f8:1 f8x2 b1 f8:2 f8:3 f8:1")
-def sum_up(x, log_w, size, best, state, cov, side_std):
-    """The `Estimate` (`state`, `cov`, `side_std`) of a `VisibleBoxSpace` of boxes of a `size`, by particles x (N, 6).
+@exact("f8:3 f8:1 f8x2 f8:2 f8:3 f8:1")
+def sum_up(x, log_w, size, state, cov, side_std):
+    """The estimate `state`, `cov`, `side_std` of a box of a `size` by particles x (N, 1, 6), as `engine.spaces` says.
 
     Returns the effective sample size of the weights. What counts are particles that are visible, or if the target
     rather is hidden, those.
     """
-    w, shown, total, squares, own = np.exp(log_w), 0.0, 0.0, 0.0, 0.0
+    w, shown, total, squares, own, spread = np.exp(log_w), 0.0, 0.0, 0.0, 0.0, 0.0
     for n in range(len(x)):
-        shown, squares = shown + w[n] * x[n, 5], squares + w[n] ** 2
+        shown, squares = shown + w[n] * x[n, 0, 5], squares + w[n] ** 2
     for n in range(len(x)):
-        w[n] *= x[n, 5] if shown >= 0.5 else 1.0 - x[n, 5]
+        w[n] *= x[n, 0, 5] if shown >= 0.5 else 1.0 - x[n, 0, 5]
         total += w[n]
-    state[0], cov[0], spread, likeliest = 0.0, 0.0, 0.0, 0
     for n in range(len(x)):
         w[n] /= total
         own += w[n] ** 2
-        likeliest = n if w[n] > w[likeliest] else likeliest
-        for i in range(5):
-            state[0, i] += w[n] * x[n, i]
+    more = np.full(1, (1.0 + own) / max(1.0 - own, 1e-12))
+    moments(x, w, more, state, cov)
     for n in range(len(x)):
-        u, v = x[n, 0] - state[0, 0], x[n, 1] - state[0, 1]
-        spread += w[n] * (x[n, 2] - state[0, 2]) ** 2
-        cov[0, 0, 0], cov[0, 1, 1] = cov[0, 0, 0] + w[n] * u * u, cov[0, 1, 1] + w[n] * v * v
-        cov[0, 0, 1] += w[n] * u * v
-    more = (1.0 + own) / max(1.0 - own, 1e-12)  # as `engine.spaces.estimate` says
-    cov[0, 1, 0] = cov[0, 0, 1]
+        spread += w[n] * (x[n, 0, 2] - state[0, 2]) ** 2
     for i in range(2):
-        cov[0, i, 0], cov[0, i, 1] = more * cov[0, i, 0], more * cov[0, i, 1]
-        side_std[i] = size[i] * math.sqrt(spread * more)
-    if best:
-        state[0] = x[likeliest]
+        side_std[i] = size[i] * math.sqrt(spread * more[0])
     state[0, 5] = shown
     return 1.0 / squares

@@ -44,13 +44,12 @@ class VisibleBoxSpace(BoxSpace):
 
     def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
         """The mean of the particles that count, and P(visible)."""
-        return self.summed(particles, best=best)[0]
+        return self.summed(particles)[0]
 
-    def summed(self, particles: Particles, *, best: bool) -> tuple[Estimate, float]:
+    def summed(self, particles: Particles) -> tuple[Estimate, float]:
         """As `estimate`, and the effective sample size of all particles."""
-        x, mean = np.ascontiguousarray(particles.x[:, 0]), Estimate(np.empty((1, 6)), np.empty((1, 2, 2)), np.empty(2))
-        ess = sum_up(x, particles.log_w, self.size, best, *mean)
-        return mean, ess
+        mean = Estimate(np.empty((1, 6)), np.empty((1, 2, 2)), np.empty(2))
+        return mean, sum_up(np.ascontiguousarray(particles.x), particles.log_w, self.size, *mean)
 
     def presence(self, particles: Particles, estimated: Estimate) -> Array:
         """(1,): the probability that the target is visible and its centre within half a box of the estimate."""
@@ -81,7 +80,7 @@ class VisibleWalk(Motion):
         e, u = (np.repeat(noise, 2, axis=0)[: len(x)] for noise in (rng.standard_normal((n, 5)), rng.random((n, 1))))
         e[1::2] *= -1
         moved = x.copy()
-        moved[:, 0, VISIBLE] = self._visible(x)
+        moved[:, 0, VISIBLE] = self.expect(x)[:, 0, VISIBLE]
         step = np.where(u < moved[:, 0, VISIBLE, None], *self.sigma) * x[:, 0, 2:3]
         moved[:, 0, 3:5] = one.velocity * x[:, 0, 3:5] + np.sqrt(one.acceleration) * step * e[:, :2]
         moved[:, 0, :2] += moved[:, 0, 3:5] + np.sqrt(1 - one.acceleration) * step * e[:, 2:4]
@@ -104,11 +103,10 @@ class VisibleWalk(Motion):
     @cached_property
     def _ahead(self) -> tuple[Array, Array]:
         """What `expect` multiplies by, (6, 6), and adds: one of six small steps takes as long."""
-        one, matrix, offset = self.settings, np.eye(6), np.zeros(6)
-        show = one.show * (1 - one.elsewhere)
-        matrix[[3, 4], [0, 1]] = matrix[[3, 4], [3, 4]] = one.velocity
-        matrix[VISIBLE, VISIBLE], offset[VISIBLE] = 1 - one.hide - show, show
-        return matrix, offset
+        one, matrix, show = self.settings, np.eye(6), self.settings.show * (1 - self.settings.elsewhere)
+        matrix[3:5, :2] = matrix[3:5, 3:5] = one.velocity * np.eye(2)
+        matrix[VISIBLE, VISIBLE] = 1 - one.hide - show
+        return matrix, show * (np.arange(6) == VISIBLE)
 
     def forecast(self, particles: Particles) -> tuple[Array, Array]:
         """Mean and standard deviation (3,) of place and log scale a frame later, where the target is visible."""
@@ -150,11 +148,6 @@ class VisibleWalk(Motion):
             matrix[place, speed] = matrix[speed, speed] = one.velocity
             cov[place, speed] = cov[speed, place] = one.acceleration * var
         return Linear(matrix[None], np.zeros((1, 5)), cov[None])
-
-    def _visible(self, x: Array) -> Array:
-        """(N,): P(visible) a frame later. What returns elsewhere is not counted."""
-        one, before = self.settings, x[:, 0, VISIBLE]
-        return np.asarray(before * (1 - one.hide) + (1 - before) * one.show * (1 - one.elsewhere))
 
 
 def visible_walk(settings: VisibleWalkSettings, context: Context) -> VisibleWalk:
@@ -269,5 +262,5 @@ class BoxTarget(ParticleTarget):
     def _moved(self, state: ParticleState, x: Array) -> tuple[ParticleState, Info]:
         """With the particles at x, of the same weights."""
         particles = state.particles._replace(x=x)
-        estimated, ess = self.space.summed(particles, best=self.best)
+        estimated, ess = self.space.summed(particles)
         return state._replace(particles=particles, estimated=estimated), Info(np.full(1, ess))

@@ -132,12 +132,8 @@ def fuse(z, var, sure, before, eyes, fused, shift):
     return apart
 
 
-@exact("f8:3 f8:2 f8:2 f8:2 f8:3 f8:1 f8:3 f8:2 f8:2 b1:1 f8:2")
-def compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross):
-    """The results of `landmark_filters.compared`: readings `own`, `spread`, `certain` (S + 1, K), `differ`, `cross`.
-
-    Returns whether any part differs.
-    """
+@part
+def _compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross):
     any_, last, off, seen, shift = False, len(z), np.empty_like(at), np.empty(len(at), np.bool_), np.empty(2)
     for s in range(last):
         for k in range(len(at)):
@@ -160,8 +156,8 @@ def compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross)
     return any_
 
 
-@exact("f8:3 f8:2 f8:3 f8:1 f8:2 f8:2 f8:1 f8 f8 f8:3 f8:2 f8:2 f8:2 f8:2")
-def learn(z, state, cov, visible, log_odds, cross, least, keep, eyes, bias, var, noise, reliability, error_rate):
+@part
+def _learn(z, state, cov, visible, log_odds, cross, least, keep, eyes, bias, var, noise, reliability, error_rate):
     """The fields of a `BiasFilter` after a frame, overwritten; `least` (S,) are the least r."""
     parts, off, seen, shift = len(visible), np.empty_like(state), np.empty(len(visible), np.bool_), np.empty(2)
     lowest, drift, astray, most = np.inf, (DRIFT * eyes) ** 2, (ASTRAY * eyes) ** 2, (MAX_NOISE * eyes) ** 2
@@ -203,6 +199,25 @@ def learn(z, state, cov, visible, log_odds, cross, least, keep, eyes, bias, var,
             wide = noise[s, k] + LEARNS * use * (max(squared, cross[s, k]) - noise[s, k])
             noise[s, k] = min(max(wide, least[s] ** 2), most)
             var[s, k] *= 1.0 - use * var[s, k] / total
+
+
+@exact("f8:3 f8:2 f8:2 f8:2 f8:3 f8:1 f8:3 f8:2 f8:2 b1:1 f8:2 f8:2 f8:3 f8:1 f8 f8 f8:3 f8:2 f8:2 f8:2 f8:2")
+def learn(
+    z, var, sure, at, cov, visible, own, spread, certain, differ, cross, odds, measured, least, keep, eyes, bias, b_var,
+    noise, right, wrong,
+):  # fmt: skip
+    """The fields of a `BiasFilter` after a frame, from `bias` on, overwritten, by the `odds` (S + 1, K) of a `Judge`.
+
+    Without `odds`, there are the readings `own`, `spread`, `certain` (S + 1, K) for it, and if any part differs, True
+    is returned and nothing learned. `differ` (K,): in which two cannot both be right. `cross` (S, K): a sensor's share
+    of the squared distance from an independent one, in square pixels; the filter's place alone would flatter a sensor
+    that has moved it.
+    """
+    if len(odds) == 0 and _compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross):
+        return True
+    odds = np.full_like(certain, np.nan) if len(odds) == 0 else odds
+    _learn(measured, at, cov, visible, odds, cross, least, keep, eyes, bias, b_var, noise, right, wrong)
+    return False
 
 
 @exact("b1 f8:2 f8:1 f8 f8:2 f8:2 f8:1 f8:1 f8:1 f8:1 f8:2 f8:3 f8:1")
@@ -256,19 +271,9 @@ def _relay(to, x, out):
         out[j, 0], out[j, 1] = a * x[j, 0] - b * x[j, 1] + u, b * x[j, 0] + a * x[j, 1] + v
 
 
-@exact("f8x4 f8:2 f8:2 f8:2 f8:3 f8:2 f8:2 f8:2 f8:3")
-def relay_landmarks(to, rest, offset, carried, last, new_rest, new_offset, new_carried, new_last):
-    """The places of a `LandmarkFilter` in another stabilized image."""
-    _relay(to, rest, new_rest)
-    _relay((to[0], to[1], 0.0, 0.0), offset, new_offset)
-    _relay(to, carried, new_carried)
-    for i in range(len(last)):
-        _relay(to, last[i], new_last[i])
-
-
 @exact("f8x4 f8:3 f8:2 f8:3 f8:3 f8:2 f8:3")
 def relay(to, x, state, bias, new_x, new_state, new_bias):
-    """Particles x (N, K, 2), their `state` (K, 2) and the `bias` (S, K, 2) of sensors in another stabilized image."""
+    """Places x (N, K, 2) and `state` (K, 2), and offsets `bias` (S, K, 2), in another stabilized image."""
     for n in range(len(x)):
         _relay(to, x[n], new_x[n])
     _relay(to, state, new_state)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import cmath
 import math
-from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -33,7 +31,7 @@ class Similarity(NamedTuple):
     @property
     def turn(self) -> complex:
         """What places, as complex numbers about the middle, are multiplied by."""
-        return cmath.rect(self.scale, self.angle)
+        return complex(self.scale * math.cos(self.angle), self.scale * math.sin(self.angle))
 
     @property
     def matrix(self) -> Array:
@@ -155,7 +153,7 @@ def growth(x: Array, rest: Array) -> float:
     return math.sqrt(wide / max(before, 1e-9))
 
 
-def slope(pair: Array | Sequence[Sequence[float]]) -> float:
+def slope(pair: Array | tuple[Any, ...]) -> float:
     """The angle of the line from one place to another, in radians."""
     (x, y), (u, v) = pair.tolist() if isinstance(pair, np.ndarray) else pair
     return math.atan2(v - y, u - x)

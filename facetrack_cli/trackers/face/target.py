@@ -29,7 +29,7 @@ import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.geometry import centre, square
-from facetrack_cli.core.types import Array, Frame, Info, TargetStart
+from facetrack_cli.core.types import Array, Frame, Info, Mask, TargetStart
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Motion, Names
 from facetrack_cli.engine.target import ParticleState
@@ -39,7 +39,7 @@ from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import AGAIN, KNOWN, STAYS, Sighting
 from facetrack_cli.trackers.face.landmark_filters import Facing, LandmarkFilter
 from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK, relay
-from facetrack_cli.trackers.face.motion import MeasuredWalk, modes
+from facetrack_cli.trackers.face.motion import MeasuredWalk, SensorReading, modes
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity, mapped
 from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, moved
 from facetrack_cli.trackers.face.window_ncc import WindowNcc, doubted
@@ -268,9 +268,9 @@ class FaceTarget(FaceParts):
                 return self._unseen(state._replace(head=head, stranger_time=frame.time_s), head_info, frame)
         features, info = self._tracked(rng, state.features, view)
         at, cov, visible = features.estimated.state, features.estimated.cov, features.learned.visible
-        odds, cross = self._judged(state.features, view, at, cov)
-        biases = state.bias_filters.updated(view.places, at, cov, visible, None if odds is None else odds[:-1], cross)
-        features = features._replace(learned=doubted(features.learned, None if odds is None else odds[-1]))
+        judge = partial(self._judged, state.features.learned, view, at)
+        biases, odds = state.bias_filters.updated(view.places, view.readings, at, cov, visible, judge)
+        features = features._replace(learned=doubted(features.learned, odds))
         facing = state.facing if self.sensors.detector is None else state.facing.predicted()
         others, mesh, eyes = state.others, view.landmarks.others, state.eyes
         if mesh is None:
@@ -315,21 +315,15 @@ class FaceTarget(FaceParts):
 
         return self.features.advanced(rng, features, view.image, (), measured)
 
-    def _judged(self, features: ParticleState, view: FaceView, at: Array, cov: Array) -> tuple[Array | None, Array]:
-        """Log odds (S + 1, K) by this frame that sensors and windows see the parts; `cross` of `BiasFilter.updated`.
-
-        They are judged where some of them are too far apart to be right together; elsewhere, nan. None: in no part.
-        """
-        all_, differ, cross = filters.compared(view.readings, at, cov, features.learned.visible)
-        if differ is None:
-            return None, cross
-        odds, index = np.full(all_.sure.shape, np.nan), all_.sure.any(axis=1)
-        judged = all_._replace(z=all_.z[index], var=all_.var[index], sure=all_.sure[index])
+    def _judged(self, learned: Any, view: FaceView, at: Array, readings: SensorReading, differ: Mask) -> Array:
+        """As a `filters.Judge`, by the windows `learned` before this frame, of parts at `at` (K, 2)."""
+        odds, index = np.full(readings.sure.shape, np.nan), readings.sure.any(axis=1)
+        judged = readings._replace(z=readings.z[index], var=readings.var[index], sure=readings.sure[index])
         windows, places = self.features.likelihood, modes(judged)[0]
-        by_windows = windows.score(windows.look(features.learned, view.image, at), view.image, places, at)
+        by_windows = windows.score(windows.look(learned, view.image, at), view.image, places, at)
         by_regression = self.sensors.log_odds_at(view.landmarks.channels, places)
         odds[index] = np.where(differ, filters.who_is_right(judged, by_windows, by_regression), np.nan)
-        return odds, cross
+        return odds
 
     def _posed(self, state: FaceState, view: FaceView) -> FaceState:
         """With the pose by the detected box, and by the line of parts left and right, or else of the eyes."""
@@ -343,8 +337,7 @@ class FaceTarget(FaceParts):
             turns = [] if eyes is None else [stabilized.slope(eyes)]
         if turns:
             pose[0], var[0] = _updated(pose[0], var[0], sum(turns) / len(turns), _BY_PAIRS)
-        if view.checked:
-            state = state._replace(facing=state.facing.updated(detected=view.detection is not None))
+        facing = state.facing.updated(detected=view.detection is not None) if view.checked else state.facing
         if detection is not None:
             box = detection.box
             # how the detected face lies in the head's box, along the axes of the frame
@@ -353,7 +346,7 @@ class FaceTarget(FaceParts):
             offsets = (math.log(box[2] / FACE), *lies.tolist())
             for i, (offset, std, most) in enumerate(zip(offsets, (size, *_BY_BOX[1:]), _MAX_POSE, strict=True), 1):
                 pose[i], var[i] = _updated(pose[i], var[i], offset, std, most)
-        return state._replace(pose=np.array(pose), pose_var=np.array(var))
+        return state._replace(pose=np.array(pose), pose_var=np.array(var), facing=facing)
 
     def _restabilized(self, state: FaceState, old: Similarity) -> FaceState:
         """With the points, which are in the stabilized image of the `old` map, in that of the state's own."""
