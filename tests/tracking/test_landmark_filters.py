@@ -15,7 +15,6 @@ from facetrack_cli.trackers.face.landmark_filters import (
     BiasFilter,
     Facing,
     LandmarkFilter,
-    compared,
     fused,
     who_is_right,
 )
@@ -175,7 +174,7 @@ def test_in_another_stabilized_image_all_is_as_it_would_have_been_there():
         if there is not None:
             there = there.after(TURN.to_frame(zs[t]), SHOWN)
         if t == 12:
-            there = here.mapped(TURN.to_frame)
+            there = here.mapped(TURN.turn, complex(*TURN.centre) - TURN.turn * complex(MIDDLE, MIDDLE))
             np.testing.assert_allclose(there.at, TURN.to_frame(here.at))
     np.testing.assert_allclose(there.at, TURN.to_frame(here.at))
     for name in ("var", "motion_var", "noise_var", "visible"):
@@ -230,15 +229,33 @@ def test_all_sensors_in_one_call_are_the_plain_twin(seed, parts):
     assert shift.all() or parts < 14, "a head is moved"
     for mine, plain in zip((together, shift, apart), twin.fused(*readings[:3], at), strict=True):
         np.testing.assert_allclose(mine, plain, rtol=1e-9, atol=1e-9)
-    all_, differ, cross = compared(readings, at, cov, visible)
-    for mine, plain in zip((*all_[:3], differ, cross), twin.compared(*readings[:3], at, cov, visible), strict=True):
-        np.testing.assert_allclose(mine, plain, rtol=1e-9, atol=1e-9)
-    odds = np.where(rng.random((3, parts)) < 0.5, np.nan, rng.normal(0, 4, (3, parts)))
-    before = [values.copy() for values in biases[:5]]
-    after = biases.updated(z, at, cov, visible, odds, cross)
-    plain = twin.updated(z, at, cov, visible, odds, cross, biases.min_std, biases.keep, *before)
+    odds = np.where(rng.random((4, parts)) < 0.5, np.nan, rng.normal(0, 4, (4, parts)))
+    *all_, differ, cross = twin.compared(*readings[:3], at, cov, visible)
+    asked, before = [], [values.copy() for values in biases[:5]]
+
+    def judge(said, differs):
+        asked.append(True)
+        for mine, plain in zip((*said[:3], differs), (*all_, differ), strict=True):
+            np.testing.assert_allclose(mine, plain, rtol=1e-9, atol=1e-9)
+        return odds
+
+    after, own = biases.updated(z, readings, at, cov, visible, judge)
+    assert bool(asked) == differ.any()
+    np.testing.assert_array_equal(np.nan if own is None else own, odds[-1] if asked else np.nan)
+    said = odds[:-1] if asked else np.full((3, parts), np.nan)
+    plain = twin.updated(z, at, cov, visible, said, cross, biases.min_std, biases.keep, *before)
     for mine, written, old in zip(after[:5], plain, biases[:5], strict=True):
         np.testing.assert_allclose(mine, written, rtol=1e-9, atol=1e-9)
         assert mine is not old
     for mine, old in zip(biases[:5], before, strict=True):
         np.testing.assert_array_equal(mine, old, err_msg="a state is not changed")
+
+
+def test_places_in_another_stabilized_image_are_those_of_its_map():
+    rng = np.random.default_rng(2)
+    x, at, bias = rng.normal(80, 30, (7, 4, 2)), rng.normal(80, 30, (4, 2)), rng.normal(0, 3, (3, 4, 2))
+    shift = TURN.to_frame(np.zeros(2))
+    new = [np.empty_like(values) for values in (x, at, bias)]
+    landmark_kernels.relay((TURN.turn.real, TURN.turn.imag, *shift), x, at, bias, *new)
+    for mine, plain in zip(new, (TURN.to_frame(x), TURN.to_frame(at), TURN.to_frame(bias) - shift), strict=True):
+        np.testing.assert_allclose(mine, plain, rtol=1e-12, atol=1e-10)

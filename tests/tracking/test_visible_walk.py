@@ -67,6 +67,22 @@ def test_the_kernel_is_what_its_plain_twin_says(seed, many, n):
         np.testing.assert_allclose(x[k, 3:5], naive.velocity(z[k], parents[which % many], sigma, walk, e[k]))
 
 
+@given(seed=st.integers(0, 10_000), n=st.integers(2, 9), hidden=st.booleans())
+def test_particles_that_are_carried_and_what_they_come_to_are_those_of_the_plain_twins(seed, n, hidden):
+    rng = np.random.default_rng(seed)
+    x, log_w, step = rng.normal(0, 3, (n, 6)), normalise(rng.normal(0, 1, n)), rng.normal(0, 2, 2)
+    x[:, 2], x[:, 5] = rng.uniform(0.5, 2, n), rng.uniform(0, 0.4, n) if hidden else rng.random(n)
+    noise, walk = rng.normal(0, 1, (n + 1) // 2), (0.3, 0.5, 0.7, 0.9, 1.1)
+    kernels.carry(x, noise, step, walk, moved := np.empty((n, 1, 6)))
+    np.testing.assert_allclose(moved[:, 0], naive.carried(x, noise, step, *walk), rtol=1e-12)
+    particles = Particles(x[:, None], log_w)
+    found, ess = VisibleBoxSpace((12.0, 8.0)).summed(particles)
+    *expected, samples = naive.summed(x, np.exp(log_w), (12.0, 8.0))
+    for mine, plain in zip(found, expected, strict=True):
+        np.testing.assert_allclose(mine[0] if mine.ndim > 1 else mine, plain, rtol=1e-6)
+    assert ess == pytest.approx(samples)
+
+
 @given(seed=st.integers(0, 10_000), far=st.sampled_from([1.0, 100.0]))
 def test_a_mixture_is_that_of_its_normal_densities(seed, far):
     rng = np.random.default_rng(seed)

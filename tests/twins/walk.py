@@ -40,3 +40,30 @@ def log_mixture(z, mean, std, log_w):
     ]
     logs = [[w - each / 2 for w, each in zip(log_w, row, strict=True)] for row in squares]
     return [max(row) + math.log(math.fsum(math.exp(one - max(row)) for one in row)) for row in logs]
+
+
+def carried(x, noise, step, scale, velocity, acceleration, least, most):
+    """Particles x (N, 6), all moved by a step; of each two, one grows as the other shrinks."""
+    found = []
+    for n, (px, py, s, vx, vy, visible) in enumerate(x):
+        grown = s * math.exp((-1) ** n * scale * noise[n // 2])
+        # the mean of v_t = velocity v + acceleration (step - velocity v)
+        v = [velocity * v + acceleration * (d - velocity * v) for v, d in zip((vx, vy), step, strict=True)]
+        found.append([px + step[0], py + step[1], min(max(grown, least), most), *v, visible])
+    return found
+
+
+def summed(x, w, size):
+    """State, covariance and spread of the sides of a box by particles x (N, 6) with weights, and how many count."""
+    shown = math.fsum(one * p[5] for one, p in zip(w, x, strict=True))
+    counts = [one * (p[5] if shown >= 0.5 else 1 - p[5]) for one, p in zip(w, x, strict=True)]
+    counts = [one / math.fsum(counts) for one in counts]
+    mean = [math.fsum(one * p[i] for one, p in zip(counts, x, strict=True)) for i in range(5)]
+    n = 1 / math.fsum(one**2 for one in counts)
+    more = (n + 1) / (n - 1)
+
+    def spread(i, j):
+        return more * math.fsum(one * (p[i] - mean[i]) * (p[j] - mean[j]) for one, p in zip(counts, x, strict=True))
+
+    cov = [[spread(i, j) for j in range(2)] for i in range(2)]
+    return [*mean, shown], cov, [side * math.sqrt(spread(2, 2)) for side in size], 1 / math.fsum(one**2 for one in w)

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from facetrack_cli.engine.kernels.compiled import exact, fast, inline
+from facetrack_cli.engine.kernels.compiled import exact, fast, inline, moments
 
 COLOURS = 1 << 15  # of 5 bits a channel
 CHANNELS = 31  # 18 signed orientations, 9 unsigned ones, 4 of texture
@@ -438,3 +438,45 @@ def arrive(z, parents, log_w, sigma, walk, u, e, shown, hidden, x):
             x[n, 3 + i] = v + b * (z[n, i] - chosen[i] - v) + noise * chosen[2] * e[n, i]
         x[n, 2], x[n, 5] = min(max(math.exp(z[n, 2]), least), most), 0.0
     return returns, size
+
+
+@exact("f8:2 f8:1 f8:1 f8x5 f8:3")
+def carry(x, noise, step, walk, moved):
+    """`moved` (N, 1, 6) of particles x (N, 6) by a `step` (2,), with their mean velocities.
+
+    `walk` has the walk's scale, velocity, acceleration, and the limits of the scale. The scales of each two particles
+    change by `noise` (N / 2,), standard normal, and by its opposite.
+    """
+    scale, a, b, least, most = walk
+    for n in range(len(x)):
+        grown, out = math.exp(scale * noise[n // 2]), moved[n, 0]
+        out[2] = min(max(x[n, 2] * grown if n % 2 == 0 else x[n, 2] / grown, least), most)
+        for i in range(2):
+            out[i], out[3 + i] = x[n, i] + step[i], a * (1.0 - b) * x[n, 3 + i] + b * step[i]
+        out[5] = x[n, 5]
+
+
+@exact("f8:3 f8:1 f8x2 f8:2 f8:3 f8:1")
+def sum_up(x, log_w, size, state, cov, side_std):
+    """The estimate `state`, `cov`, `side_std` of a box of a `size` by particles x (N, 1, 6), as `engine.spaces` says.
+
+    Returns the effective sample size of the weights. What counts are particles that are visible, or if the target
+    rather is hidden, those.
+    """
+    w, shown, total, squares, own, spread = np.exp(log_w), 0.0, 0.0, 0.0, 0.0, 0.0
+    for n in range(len(x)):
+        shown, squares = shown + w[n] * x[n, 0, 5], squares + w[n] ** 2
+    for n in range(len(x)):
+        w[n] *= x[n, 0, 5] if shown >= 0.5 else 1.0 - x[n, 0, 5]
+        total += w[n]
+    for n in range(len(x)):
+        w[n] /= total
+        own += w[n] ** 2
+    more = np.full(1, (1.0 + own) / max(1.0 - own, 1e-12))
+    moments(x, w, more, state, cov)
+    for n in range(len(x)):
+        spread += w[n] * (x[n, 0, 2] - state[0, 2]) ** 2
+    for i in range(2):
+        side_std[i] = size[i] * math.sqrt(spread * more[0])
+    state[0, 5] = shown
+    return 1.0 / squares

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.resampling import effective_sample_size, normalise, summed, systematic
 from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate
 from facetrack_cli.engine.target import FrameModel, ParticleState, ParticleTarget
-from facetrack_cli.trackers.box.box_kernels import arrive, log_mixture
+from facetrack_cli.trackers.box.box_kernels import arrive, carry, log_mixture, sum_up
 from facetrack_cli.trackers.box.settings import GuidedSettings, VisibleWalkSettings
 
 VISIBLE = 5  # the coordinate of a box that may be hidden that is P(visible)
@@ -43,10 +44,12 @@ class VisibleBoxSpace(BoxSpace):
 
     def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
         """The mean of the particles that count, and P(visible)."""
-        log_w = self.counted(particles)
-        found = super().estimate(Particles(particles.x, log_w), effective_sample_size(log_w)[None], best=best)
-        found.state[0, VISIBLE] = np.exp(particles.log_w) @ particles.x[:, 0, VISIBLE]
-        return found
+        return self.summed(particles)[0]
+
+    def summed(self, particles: Particles) -> tuple[Estimate, float]:
+        """As `estimate`, and the effective sample size of all particles."""
+        mean = Estimate(np.empty((1, 6)), np.empty((1, 2, 2)), np.empty(2))
+        return mean, sum_up(np.ascontiguousarray(particles.x), particles.log_w, self.size, *mean)
 
     def presence(self, particles: Particles, estimated: Estimate) -> Array:
         """(1,): the probability that the target is visible and its centre within half a box of the estimate."""
@@ -77,7 +80,7 @@ class VisibleWalk(Motion):
         e, u = (np.repeat(noise, 2, axis=0)[: len(x)] for noise in (rng.standard_normal((n, 5)), rng.random((n, 1))))
         e[1::2] *= -1
         moved = x.copy()
-        moved[:, 0, VISIBLE] = self._visible(x)
+        moved[:, 0, VISIBLE] = self.expect(x)[:, 0, VISIBLE]
         step = np.where(u < moved[:, 0, VISIBLE, None], *self.sigma) * x[:, 0, 2:3]
         moved[:, 0, 3:5] = one.velocity * x[:, 0, 3:5] + np.sqrt(one.acceleration) * step * e[:, :2]
         moved[:, 0, :2] += moved[:, 0, 3:5] + np.sqrt(1 - one.acceleration) * step * e[:, 2:4]
@@ -87,22 +90,23 @@ class VisibleWalk(Motion):
 
     def carried(self, rng: np.random.Generator, x: Array, step: Array) -> Array:
         """x (N, 1, 6) a frame later, where all are known to have moved by `step` (2,): with the mean velocities."""
-        moved, one = x.copy(), self.settings
-        grown, scale = np.exp(one.scale * rng.standard_normal((len(x) + 1) // 2)), moved[:, 0, 2]
-        scale[::2] *= grown
-        scale[1::2] /= grown[: len(x) // 2]
-        np.minimum(np.maximum(scale, self.limits[0], out=scale), self.limits[1], out=scale)
-        moved[:, 0, :2] += step
-        moved[:, 0, 3:5] = one.velocity * (1 - one.acceleration) * x[:, 0, 3:5] + one.acceleration * step
+        one, noise = self.settings, rng.standard_normal((len(x) + 1) // 2)
+        walk = one.scale, one.velocity, one.acceleration, *self.limits
+        carry(x[:, 0], noise, step, walk, moved := np.empty_like(x))
         return moved
 
     def expect(self, x: Array) -> Array:
         """The mean of p(x_t | x_{t-1} = x), (N, 1, 6)."""
-        moved = x.copy()
-        moved[:, 0, 3:5] *= self.settings.velocity
-        moved[:, 0, :2] += moved[:, 0, 3:5]
-        moved[:, 0, VISIBLE] = self._visible(x)
-        return moved
+        matrix, offset = self._ahead
+        return np.asarray(x @ matrix + offset)
+
+    @cached_property
+    def _ahead(self) -> tuple[Array, Array]:
+        """What `expect` multiplies by, (6, 6), and adds: one of six small steps takes as long."""
+        one, matrix, show = self.settings, np.eye(6), self.settings.show * (1 - self.settings.elsewhere)
+        matrix[3:5, :2] = matrix[3:5, 3:5] = one.velocity * np.eye(2)
+        matrix[VISIBLE, VISIBLE] = 1 - one.hide - show
+        return matrix, show * (np.arange(6) == VISIBLE)
 
     def forecast(self, particles: Particles) -> tuple[Array, Array]:
         """Mean and standard deviation (3,) of place and log scale a frame later, where the target is visible."""
@@ -144,11 +148,6 @@ class VisibleWalk(Motion):
             matrix[place, speed] = matrix[speed, speed] = one.velocity
             cov[place, speed] = cov[speed, place] = one.acceleration * var
         return Linear(matrix[None], np.zeros((1, 5)), cov[None])
-
-    def _visible(self, x: Array) -> Array:
-        """(N,): P(visible) a frame later. What returns elsewhere is not counted."""
-        one, before = self.settings, x[:, 0, VISIBLE]
-        return np.asarray(before * (1 - one.hide) + (1 - before) * one.show * (1 - one.elsewhere))
 
 
 def visible_walk(settings: VisibleWalkSettings, context: Context) -> VisibleWalk:
@@ -239,12 +238,13 @@ def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model
 class BoxTarget(ParticleTarget):
     """A target followed as a box that may be hidden, by a walk with velocity."""
 
+    space: VisibleBoxSpace
     motion: VisibleWalk
 
     def carried(self, rng: Generator, state: ParticleState, shift: Array) -> tuple[ParticleState, Info]:
         """As `advanced`, where others see the box `shift` (2,) from where it is expected."""
         before = state.estimated.state
-        step = self.motion.expect(before[None])[0, 0, :2] + shift - before[0, :2]
+        step = self.motion.settings.velocity * before[0, 3:5] + shift
         return self._moved(state, self.motion.carried(rng, state.particles.x, step))
 
     def unseen(
@@ -262,6 +262,5 @@ class BoxTarget(ParticleTarget):
     def _moved(self, state: ParticleState, x: Array) -> tuple[ParticleState, Info]:
         """With the particles at x, of the same weights."""
         particles = state.particles._replace(x=x)
-        ess = np.full(1, effective_sample_size(particles.log_w))
-        estimated = self.space.estimate(particles, ess, best=self.best)
-        return state._replace(particles=particles, estimated=estimated), Info(ess)
+        estimated, ess = self.space.summed(particles)
+        return state._replace(particles=particles, estimated=estimated), Info(np.full(1, ess))

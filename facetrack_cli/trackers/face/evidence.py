@@ -222,8 +222,8 @@ def look_of(still: Frame) -> Array:
     left, top, width, height = (round(value) for value in BOX)
     grey = cv2.cvtColor(still.bgr[top : top + height, left : left + width], cv2.COLOR_BGR2GRAY)
     small = cv2.resize(grey, (SIDE, SIDE), interpolation=cv2.INTER_AREA).astype(np.float64).ravel()
-    small -= small.mean()
-    return np.asarray(small / max(float(np.linalg.norm(small)), 1e-9))
+    small -= np.add.reduce(small) / len(small)
+    return np.asarray(small / max(math.sqrt(small @ small), 1e-9))
 
 
 def likeness(views: Sequence[View], look: Array) -> float:

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -53,6 +53,12 @@ NO_FACE: Final = -1.0  # log odds where the network sees no face
 MOTION, NOISE = 0.05 * EYES, 0.015 * EYES  # s and r at first, pixels
 MIN_MOTION: Final = 0.02 * EYES
 BIAS: Final = 0.08 * EYES  # lasting error of the network itself
+
+
+Judge: TypeAlias = Callable[[SensorReading, Mask], Array]
+"""Of S + 1 readings, the last that of windows, those of sensors without the shift that the parts have in common (then
+the head has slipped, and no sensor errs), of which some differ in parts (K,): log odds (S + 1, K) by this frame that
+each sees the part, nan where they follow from its distance from the particle filter's place."""
 
 
 class BiasFilter(NamedTuple):
@@ -89,21 +95,26 @@ class BiasFilter(NamedTuple):
         kernels.read(z, visible, *self[:5], self.keep, EYES, *said[:3])
         return said
 
-    def updated(self, z: Array, state: Array, cov: Array, visible: Array, log_odds: Array, cross: Array) -> BiasFilter:
-        """The filter after a frame.
+    def updated(
+        self, z: Array, readings: SensorReading, at: Array, cov: Array, visible: Array, judge: Judge
+    ) -> tuple[BiasFilter, Array | None]:
+        """The filter after a frame, and log odds (K,) that windows see the parts; None if nobody contradicts them.
 
         Parameters
         ----------
-        z : (S, K, 2), the measurements; nan where there is none
-        state, cov : (K, 2) and (K, 2, 2), where the particle filter has the parts
-        visible : (K,), probability that a part is visible
-        log_odds : (S, K), log odds by this frame that a sensor sees the part; nan where they follow from `state` alone
-        cross : (S, K), a sensor's share of the squared distance from an independent one, in square pixels; `state`
-            alone would flatter a sensor that has moved it
+        z, readings : (S, K, 2), the measurements, nan where there is none; the same without biases
+        at, cov, visible : (K, 2), (K, 2, 2) and (K,), where the particle filter has the parts, and P(visible)
+        judge : what says who is right, where some are too far apart to be right together
         """
-        after = [values.copy() for values in self[:5]]
-        kernels.learn(z, state, cov, visible, log_odds, cross, self.min_std, self.keep, EYES, *after)
-        return BiasFilter._make([*after, self.min_std, self.keep])
+        (sensors, parts), differ, cross = self.var.shape, np.empty(len(at), np.bool_), np.empty_like(self.var)
+        all_ = np.empty((sensors + 1, parts, 2)), np.empty((sensors + 1, parts)), np.empty((sensors + 1, parts))
+        after, own, nothing = [values.copy() for values in self[:5]], None, np.empty((0, 0))
+        given = *readings[:3], at, cov, visible, *all_, differ, cross
+        if kernels.learn(*given, nothing, z, self.min_std, self.keep, EYES, *after):
+            odds = judge(SensorReading(*all_, readings.area), differ)
+            kernels.learn(*given, odds, z, self.min_std, self.keep, EYES, *after)
+            own = odds[-1]
+        return BiasFilter._make([*after, self.min_std, self.keep]), own
 
     def landmark_odds(self, landmarks: PlacedPoints, at: Array) -> Array:
         """(J,): log odds that landmarks are visible, less where the network errs in the nearest of its parts (K, 2)."""
@@ -146,22 +157,8 @@ def fused(readings: SensorReading, before: Array) -> tuple[Array, Array, bool]:
     parts'; whether the detector is too far from regression and network in any part.
     """
     at, shift = np.empty_like(before), np.empty(2)
-    apart = kernels.fuse(*(values.copy() for values in readings[:3]), before, EYES, at, shift)
+    apart = kernels.fuse(*readings[:3], before, EYES, at, shift)
     return at, shift, apart
-
-
-def compared(readings: SensorReading, at: Array, cov: Array, visible: Array) -> tuple[SensorReading, Mask, Array]:
-    """The sensors' readings beside that of windows, of parts at `at` (K, 2) with `cov` (K, 2, 2), `visible` (K,).
-
-    Returns
-    -------
-    S + 1 readings, those of sensors without the shift that the parts have in common (then the head has slipped, and no
-    sensor errs); (K,), the parts of which two cannot both be right; `cross` as in `BiasFilter.updated`.
-    """
-    (sensors, parts), differ = readings.sure.shape, np.empty(len(at), np.bool_)
-    all_ = np.empty((sensors + 1, parts, 2)), np.empty((sensors + 1, parts)), np.empty((sensors + 1, parts))
-    kernels.compare(*readings[:3], at, cov, visible, *all_, differ, cross := np.empty_like(readings.sure))
-    return SensorReading(*all_, readings.area), differ, cross
 
 
 def in_common(offsets: Array, mask: Mask) -> Array:
@@ -250,10 +247,12 @@ class LandmarkFilter(NamedTuple):
         cov[:, 0, 0] = cov[:, 1, 1] = self.var + self.bias_std**2
         return cov
 
-    def mapped(self, to: Callable[[Array], Array]) -> LandmarkFilter:
-        """In another stabilized image; the similarity `to` maps places of this image to it."""
-        places = to(np.concatenate([self.rest, self.carried, self.at, *self.last])).reshape(5, -1, 2)
-        return self._replace(rest=places[0], carried=places[1], offset=places[2] - places[1], last=places[3:])
+    def mapped(self, turned: complex, shift: complex) -> LandmarkFilter:
+        """In another stabilized image, to which places of this one come as `Similarity.into` says."""
+        places = np.concatenate([self.carried[None], self.last]), self.rest, self.offset[None]
+        new = [np.empty_like(values) for values in places]
+        kernels.relay((turned.real, turned.imag, shift.real, shift.imag), *places, *new)
+        return self._replace(rest=new[1], offset=new[2][0], carried=new[0][0], last=new[0][1:])
 
     def after(self, z: Array | None, log_odds: Array | float) -> LandmarkFilter:
         """A frame later.

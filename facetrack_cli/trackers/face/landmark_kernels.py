@@ -115,7 +115,8 @@ def _join(z, var, sure, one, other, k):
 
 @exact("f8:3 f8:2 f8:2 f8:2 f8 f8:2 f8:1")
 def fuse(z, var, sure, before, eyes, fused, shift):
-    """The results of `landmark_filters.fused`: `fused` (K, 2), `shift` (2,), returned `apart`. Overwrites readings."""
+    """The results of `landmark_filters.fused`: `fused` (K, 2), `shift` (2,), returned `apart`."""
+    z, var, sure = z.copy(), var.copy(), sure.copy()
     apart, off, seen = False, np.empty_like(before), np.empty(len(before), np.bool_)
     for k in range(len(before)):
         _join(z, var, sure, BY_REGRESSION, BY_NETWORK, k)
@@ -131,10 +132,9 @@ def fuse(z, var, sure, before, eyes, fused, shift):
     return apart
 
 
-@exact("f8:3 f8:2 f8:2 f8:2 f8:3 f8:1 f8:3 f8:2 f8:2 b1:1 f8:2")
-def compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross):
-    """The results of `landmark_filters.compared`: readings `own`, `spread`, `certain` (S + 1, K), `differ`, `cross`."""
-    last, off, seen, shift = len(z), np.empty_like(at), np.empty(len(at), np.bool_), np.empty(2)
+@part
+def _compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross):
+    any_, last, off, seen, shift = False, len(z), np.empty_like(at), np.empty(len(at), np.bool_), np.empty(2)
     for s in range(last):
         for k in range(len(at)):
             off[k, 0], off[k, 1], seen[k] = z[s, k, 0] - at[k, 0], z[s, k, 1] - at[k, 1], sure[s, k] > 0.0
@@ -148,14 +148,16 @@ def compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross)
         for one in range(1, last + 1):
             for other in range(one):
                 differ[k] |= _apart(own, spread, certain, one, other, k)
+        any_ |= differ[k]
         both = min(sure[BY_REGRESSION, k], sure[BY_NETWORK, k]) > 0.0
         if both and not _apart(z, var, sure, BY_REGRESSION, BY_NETWORK, k):
             squared = (z[0, k, 0] - z[BY_NETWORK, k, 0]) ** 2 + (z[0, k, 1] - z[BY_NETWORK, k, 1]) ** 2
             cross[BY_REGRESSION, k] = cross[BY_NETWORK, k] = 0.25 * squared
+    return any_
 
 
-@exact("f8:3 f8:2 f8:3 f8:1 f8:2 f8:2 f8:1 f8 f8 f8:3 f8:2 f8:2 f8:2 f8:2")
-def learn(z, state, cov, visible, log_odds, cross, least, keep, eyes, bias, var, noise, reliability, error_rate):
+@part
+def _learn(z, state, cov, visible, log_odds, cross, least, keep, eyes, bias, var, noise, reliability, error_rate):
     """The fields of a `BiasFilter` after a frame, overwritten; `least` (S,) are the least r."""
     parts, off, seen, shift = len(visible), np.empty_like(state), np.empty(len(visible), np.bool_), np.empty(2)
     lowest, drift, astray, most = np.inf, (DRIFT * eyes) ** 2, (ASTRAY * eyes) ** 2, (MAX_NOISE * eyes) ** 2
@@ -199,6 +201,25 @@ def learn(z, state, cov, visible, log_odds, cross, least, keep, eyes, bias, var,
             var[s, k] *= 1.0 - use * var[s, k] / total
 
 
+@exact("f8:3 f8:2 f8:2 f8:2 f8:3 f8:1 f8:3 f8:2 f8:2 b1:1 f8:2 f8:2 f8:3 f8:1 f8 f8 f8:3 f8:2 f8:2 f8:2 f8:2")
+def learn(
+    z, var, sure, at, cov, visible, own, spread, certain, differ, cross, odds, measured, least, keep, eyes, bias, b_var,
+    noise, right, wrong,
+):  # fmt: skip
+    """The fields of a `BiasFilter` after a frame, from `bias` on, overwritten, by the `odds` (S + 1, K) of a `Judge`.
+
+    Without `odds`, there are the readings `own`, `spread`, `certain` (S + 1, K) for it, and if any part differs, True
+    is returned and nothing learned. `differ` (K,): in which two cannot both be right. `cross` (S, K): a sensor's share
+    of the squared distance from an independent one, in square pixels; the filter's place alone would flatter a sensor
+    that has moved it.
+    """
+    if len(odds) == 0 and _compare(z, var, sure, at, cov, visible, own, spread, certain, differ, cross):
+        return True
+    odds = np.full_like(certain, np.nan) if len(odds) == 0 else odds
+    _learn(measured, at, cov, visible, odds, cross, least, keep, eyes, bias, b_var, noise, right, wrong)
+    return False
+
+
 @exact("b1 f8:2 f8:1 f8 f8:2 f8:2 f8:1 f8:1 f8:1 f8:1 f8:2 f8:3 f8:1")
 def follow(seen, z, log_odds, eyes, rest, offset, var, motion_var, noise_var, visible, carried, last, least):
     """The fields of a `LandmarkFilter` a frame later, overwritten; z (J, 2) counts where the sensor has `seen` a face.
@@ -240,6 +261,24 @@ def follow(seen, z, log_odds, eyes, rest, offset, var, motion_var, noise_var, vi
         noise = noise_var[j] + rate * (min(bend, 4.0 * noise_var[j]) - noise_var[j])
         noise_var[j] = min(max(noise, (LANDMARK_NOISE[0] * eyes) ** 2), (LANDMARK_NOISE[1] * eyes) ** 2)
         motion_var[j] = max(motion_var[j] + rate * (moved - motion_var[j]), least[j] ** 2)
+
+
+@part
+def _relay(to, x, out):
+    """Places x (J, 2) times the complex number a + ib, plus u + iv, of `to`."""
+    a, b, u, v = to
+    for j in range(len(x)):
+        out[j, 0], out[j, 1] = a * x[j, 0] - b * x[j, 1] + u, b * x[j, 0] + a * x[j, 1] + v
+
+
+@exact("f8x4 f8:3 f8:2 f8:3 f8:3 f8:2 f8:3")
+def relay(to, x, state, bias, new_x, new_state, new_bias):
+    """Places x (N, K, 2) and `state` (K, 2), and offsets `bias` (S, K, 2), in another stabilized image."""
+    for n in range(len(x)):
+        _relay(to, x[n], new_x[n])
+    _relay(to, state, new_state)
+    for s in range(len(bias)):
+        _relay((to[0], to[1], 0.0, 0.0), bias[s], new_bias[s])
 
 
 @exact("f8:2 f8:3 f8:1 i8 f8 f8:2 f8:2 f8:1 f8 f8 f8 f8:2 i8:1")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -36,7 +36,8 @@ class Similarity(NamedTuple):
     @property
     def matrix(self) -> Array:
         """(2, 2): [[a, -b], [b, a]] of the map."""
-        return np.array([[self.turn.real, -self.turn.imag], [self.turn.imag, self.turn.real]])
+        turn = self.turn
+        return np.array([[turn.real, -turn.imag], [turn.imag, turn.real]])
 
     def to_frame(self, x: Array) -> Array:
         """Places (..., 2) of the stabilized image in the frame."""
@@ -52,8 +53,9 @@ class Similarity(NamedTuple):
 
     def into(self, other: Similarity) -> tuple[complex, complex]:
         """What takes places x of this map's stabilized image to that of another map, as `mapped` does."""
-        turned, apart = self.turn / other.turn, complex(*self.centre) - complex(*other.centre)
-        return turned, apart / other.turn + (1 - turned) * complex(MIDDLE, MIDDLE)
+        turn = other.turn
+        turned, apart = self.turn / turn, complex(*self.centre.tolist()) - complex(*other.centre.tolist())
+        return turned, apart / turn + (1 - turned) * complex(MIDDLE, MIDDLE)
 
     def is_near(self, other: Similarity, pixels: float) -> bool:
         """Whether the face's box lies within so many pixels of the stabilized image of where another map has it."""
@@ -151,7 +153,7 @@ def growth(x: Array, rest: Array) -> float:
     return math.sqrt(wide / max(before, 1e-9))
 
 
-def slope(pair: Array) -> float:
-    """The angle of the line from one place to another, (2, 2), in radians."""
-    across, down = (pair[1] - pair[0]).tolist()
-    return math.atan2(down, across)
+def slope(pair: Array | tuple[Any, ...]) -> float:
+    """The angle of the line from one place to another, in radians."""
+    (x, y), (u, v) = pair.tolist() if isinstance(pair, np.ndarray) else pair
+    return math.atan2(v - y, u - x)

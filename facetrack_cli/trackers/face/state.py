@@ -116,9 +116,9 @@ class FaceParts:
 
     def map_to_frame(self, head: Array, pose: Array) -> Similarity:
         """The stabilized image of a face that lies by `pose` (4,) in a head at `head` (1, D)."""
-        x, y, scale = head[0, :3].tolist()
-        middle = np.array([x, y]) + self.side * scale * pose[2:]
-        return Similarity(middle, self.side * scale * math.exp(pose[1]) / FACE, float(pose[0]))
+        (x, y, scale), (roll, size, across, down) = head[0, :3].tolist(), pose.tolist()
+        side = self.side * scale
+        return Similarity(np.array([x + side * across, y + side * down]), side * math.exp(size) / FACE, roll)
 
     def footprint(self, state: FaceState, *, ahead: bool) -> Footprint | None:
         return self.head.footprint(state.head, ahead=ahead)

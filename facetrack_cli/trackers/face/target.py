@@ -29,7 +29,7 @@ import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.geometry import centre, square
-from facetrack_cli.core.types import Array, Frame, Info, TargetStart
+from facetrack_cli.core.types import Array, Frame, Info, Mask, TargetStart
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Motion, Names
 from facetrack_cli.engine.target import ParticleState
@@ -38,8 +38,8 @@ from facetrack_cli.trackers.face import landmark_filters as filters
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import AGAIN, KNOWN, STAYS, Sighting
 from facetrack_cli.trackers.face.landmark_filters import Facing, LandmarkFilter
-from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK
-from facetrack_cli.trackers.face.motion import MeasuredWalk, modes
+from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK, relay
+from facetrack_cli.trackers.face.motion import MeasuredWalk, SensorReading, modes
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity, mapped
 from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, moved
 from facetrack_cli.trackers.face.window_ncc import WindowNcc, doubted
@@ -56,12 +56,10 @@ DOUBT: Final = 8.0  # log odds, below which the detector looks at once
 STEADY: Final = 4.0  # pixels of the stabilized image, which a face is at most from where it is expected, in between
 _FORGETS: Final = 0.95  # share of the log odds that is left after a frame in which the head is lost
 _FACES: Final = 4  # that are compared with the one that is lost
-# standard deviations of the pose in a frame, of that by a detected box, and of that by parts left and right
-_POSE: Final = np.array([math.radians(1.5), 0.012, 0.004, 0.004])
-_BY_BOX: Final = np.array([np.inf, 0.15, 0.1, 0.1])
-_BY_EYES: Final = 0.06  # of its size, where the detector sees the eyes
-_BY_PAIRS: Final = np.array([math.radians(3), np.inf, np.inf, np.inf])
-_MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over
+_POSE_VAR: Final = np.array([math.radians(1.5), 0.012, 0.004, 0.004]) ** 2  # of the pose in a frame
+# standard deviations of size and offset by a detected box; of size where the detector sees the eyes; of roll by parts
+_BY_BOX, _BY_EYES, _BY_PAIRS = (0.15, 0.1, 0.1), 0.06, math.radians(3)
+_MAX_POSE: Final = (0.7, 0.3, 0.3)  # of size and offset; a face may lie, and a head may turn over
 
 
 @dataclass(frozen=True)
@@ -270,9 +268,9 @@ class FaceTarget(FaceParts):
                 return self._unseen(state._replace(head=head, stranger_time=frame.time_s), head_info, frame)
         features, info = self._tracked(rng, state.features, view)
         at, cov, visible = features.estimated.state, features.estimated.cov, features.learned.visible
-        odds, cross = self._judged(state.features, view, at, cov)
-        biases = state.bias_filters.updated(view.places, at, cov, visible, odds[:-1], cross)
-        features = features._replace(learned=doubted(features.learned, odds[-1]))
+        judge = partial(self._judged, state.features.learned, view, at)
+        biases, odds = state.bias_filters.updated(view.places, view.readings, at, cov, visible, judge)
+        features = features._replace(learned=doubted(features.learned, odds))
         facing = state.facing if self.sensors.detector is None else state.facing.predicted()
         others, mesh, eyes = state.others, view.landmarks.others, state.eyes
         if mesh is None:
@@ -317,50 +315,50 @@ class FaceTarget(FaceParts):
 
         return self.features.advanced(rng, features, view.image, (), measured)
 
-    def _judged(self, features: ParticleState, view: FaceView, at: Array, cov: Array) -> tuple[Array, Array]:
-        """Log odds (S + 1, K) by this frame that sensors and windows see the parts; `cross` of `BiasFilter.updated`.
-
-        They are judged where some of them are too far apart to be right together; elsewhere, nan.
-        """
-        all_, differ, cross = filters.compared(view.readings, at, cov, features.learned.visible)
-        odds = np.full(all_.sure.shape, np.nan)
-        if differ.any():
-            index = all_.sure.any(axis=1)
-            judged = all_._replace(z=all_.z[index], var=all_.var[index], sure=all_.sure[index])
-            windows, places = self.features.likelihood, modes(judged)[0]
-            by_windows = windows.score(windows.look(features.learned, view.image, at), view.image, places, at)
-            by_regression = self.sensors.log_odds_at(view.landmarks.channels, places)
-            odds[index] = np.where(differ, filters.who_is_right(judged, by_windows, by_regression), np.nan)
-        return odds, cross
+    def _judged(self, learned: Any, view: FaceView, at: Array, readings: SensorReading, differ: Mask) -> Array:
+        """As a `filters.Judge`, by the windows `learned` before this frame, of parts at `at` (K, 2)."""
+        odds, index = np.full(readings.sure.shape, np.nan), readings.sure.any(axis=1)
+        judged = readings._replace(z=readings.z[index], var=readings.var[index], sure=readings.sure[index])
+        windows, places = self.features.likelihood, modes(judged)[0]
+        by_windows = windows.score(windows.look(learned, view.image, at), view.image, places, at)
+        by_regression = self.sensors.log_odds_at(view.landmarks.channels, places)
+        odds[index] = np.where(differ, filters.who_is_right(judged, by_windows, by_regression), np.nan)
+        return odds
 
     def _posed(self, state: FaceState, view: FaceView) -> FaceState:
         """With the pose by the detected box, and by the line of parts left and right, or else of the eyes."""
-        pose, var = state.pose, state.pose_var + _POSE**2
-        turns = [turn for pair, at in self._pairs if math.isfinite(turn := stabilized.slope(view.fused[pair]) - at)]
+        pose, var, places = state.pose.tolist(), (state.pose_var + _POSE_VAR).tolist(), view.fused.tolist()
+        lines = ((stabilized.slope((places[left], places[right])), at) for (left, right), at in self._pairs)
+        turns = [slope - at for slope, at in lines if math.isfinite(slope)]
         # a box drawn by hand may differ from the detector's box
         detection = view.detection if self.sensors.searched else None
         if view.log_odds <= 0:  # the points are not seen
             eyes = None if detection is None else detection.eyes
-            turns = [] if eyes is None else [stabilized.slope(np.array(eyes))]
+            turns = [] if eyes is None else [stabilized.slope(eyes)]
         if turns:
-            pose, var = _updated(pose, var, np.array([sum(turns) / len(turns), 0, 0, 0]), _BY_PAIRS)
-        if view.checked:
-            state = state._replace(facing=state.facing.updated(detected=view.detection is not None))
+            pose[0], var[0] = _updated(pose[0], var[0], sum(turns) / len(turns), _BY_PAIRS)
+        facing = state.facing.updated(detected=view.detection is not None) if view.checked else state.facing
         if detection is not None:
             box = detection.box
             # how the detected face lies in the head's box, along the axes of the frame
-            lies = Similarity(np.zeros(2), math.exp(pose[1]) / FACE, float(pose[0])).to_frame(np.array(centre(box)))
-            std = _BY_BOX if detection.eyes is None else np.array([np.inf, _BY_EYES, *_BY_BOX[2:]])
-            pose, var = _updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), std)
-        return state._replace(pose=pose, pose_var=var)
+            lies = Similarity(np.zeros(2), math.exp(pose[1]) / FACE, pose[0]).to_frame(np.array(centre(box)))
+            size = _BY_BOX[0] if detection.eyes is None else _BY_EYES
+            offsets = (math.log(box[2] / FACE), *lies.tolist())
+            for i, (offset, std, most) in enumerate(zip(offsets, (size, *_BY_BOX[1:]), _MAX_POSE, strict=True), 1):
+                pose[i], var[i] = _updated(pose[i], var[i], offset, std, most)
+        return state._replace(pose=np.array(pose), pose_var=np.array(var), facing=facing)
 
     def _restabilized(self, state: FaceState, old: Similarity) -> FaceState:
         """With the points, which are in the stabilized image of the `old` map, in that of the state's own."""
         turned, shift = old.into(self.map_to_frame(state.head.estimated.state, state.pose))
-        to = partial(mapped, turned=turned, shift=shift)
-        biases = state.bias_filters._replace(bias=mapped(state.bias_filters.bias, turned, 0))
-        others, eyes = (landmarks and landmarks.mapped(to) for landmarks in (state.others, state.eyes))
-        return state._replace(features=moved(state.features, to), bias_filters=biases, others=others, eyes=eyes)
+        features, biases, estimated = state.features, state.bias_filters, state.features.estimated
+        before = features.particles.x, estimated.state, biases.bias
+        x, at, bias = (np.empty_like(values) for values in before)
+        relay((turned.real, turned.imag, shift.real, shift.imag), *before, x, at, bias)
+        particles, estimated = features.particles._replace(x=x), estimated._replace(state=at)
+        others, eyes = (landmarks and landmarks.mapped(turned, shift) for landmarks in (state.others, state.eyes))
+        features = features._replace(particles=particles, estimated=estimated)
+        return state._replace(features=features, bias_filters=biases._replace(bias=bias), others=others, eyes=eyes)
 
     def _laid_out(self, similarity: Similarity, detection: Detection | None) -> Similarity:
         """The map of a face as the detector lays it out, so that views of any start look alike.
@@ -372,15 +370,15 @@ class FaceTarget(FaceParts):
         return detection.similarity.within(similarity)
 
     @cached_property
-    def _pairs(self) -> list[tuple[list[int], float]]:
+    def _pairs(self) -> list[tuple[tuple[int, int], float]]:
         """Parts left and right of each other, whose line turns with the face and not with an expression.
 
         With the slope of each line when the face is upright.
         """
         parts, x0, level = self.features.parts, self.features.x0, self.sensors.searched
         names = [(part, part.replace("left", "right")) for part in parts if "left" in part]
-        pairs = [[parts.index(left), parts.index(right)] for left, right in names if right in parts]
-        return [(pair, 0.0 if level else stabilized.slope(x0[pair])) for pair in pairs]
+        pairs = [(parts.index(left), parts.index(right)) for left, right in names if right in parts]
+        return [(pair, 0.0 if level else stabilized.slope(x0[list(pair)])) for pair in pairs]
 
     # --- a face that is lost -------------------------------------------------------------------------------------
 
@@ -433,7 +431,7 @@ def _picture(frame: Frame, face: Similarity) -> Picture:
     return Picture.of(frame, face._replace(scale=face.scale * FACE))
 
 
-def _updated(pose: Array, var: Array, offset: Array, std: Array) -> tuple[Array, Array]:
-    """A pose (4,) and its variances after a measurement that is `offset` from it, with standard deviations `std`."""
+def _updated(value: float, var: float, offset: float, std: float, most: float = math.inf) -> tuple[float, float]:
+    """A value of a pose and its variance after a measurement `offset` from it, of standard deviation `std`."""
     gain = var / (var + std**2)
-    return np.minimum(np.maximum(pose + gain * offset, -_MAX_POSE), _MAX_POSE), (1 - gain) * var
+    return min(max(value + gain * offset, -most), most), (1 - gain) * var

@@ -218,11 +218,12 @@ def _kept(templates: Templates, windows: Channels, new: Mask, forgets: Mask) -> 
     return Templates(stored, number, used, age)
 
 
-def doubted(learned: WindowState, odds: Array) -> WindowState:
+def doubted(learned: WindowState, odds: Array | None) -> WindowState:
     """After log odds (K,) by other sensors that windows follow the parts; only doubt counts, nan says nothing."""
-    against = np.maximum(np.fmin(odds, 0), -kernels.BY_WINDOW[1])
     p = np.minimum(np.maximum(learned.visible, kernels.BOUNDS[0]), kernels.BOUNDS[1])
-    return learned._replace(visible=1 / (1 + (1 - p) / p * np.exp(-against)))
+    if odds is not None:
+        p = 1 / (1 + (1 - p) / p * np.exp(-np.maximum(np.fmin(odds, 0), -kernels.BY_WINDOW[1])))
+    return learned._replace(visible=p)
 
 
 def channels(frame: Frame) -> Channels:
