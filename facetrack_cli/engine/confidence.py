@@ -28,11 +28,11 @@ A part is `lost` once its confidence has stayed under `lost_below` for `patience
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeAlias, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -40,7 +40,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Whole
-from facetrack_cli.engine.kernels.compiled import AS_IT_IS, HIDDEN, calibrate
+from facetrack_cli.engine.kernels.compiled import AS_IT_IS, HIDDEN, INIT, LOST, calibrate
 from facetrack_cli.recipe.model import LIKELY, ConfidenceSettings
 from facetrack_cli.trajectory.trajectory import SPREAD, Status, Trajectory
 
@@ -111,16 +111,19 @@ class Calibration(_StoredPart):
         map. A row is lost where p is below 1/2. Other rows that the tracker does not see are hidden: their target is
         seen, or their place is likely right.
         """
-        return replace(rows, **self.changed(vars(rows), boxes_of(rows), size))
+        values, status = np.array([getattr(rows, name) for name in CALIBRATED]), rows.status
+        how = np.where(status == "lost", LOST, np.where(status == "init", INIT, AS_IT_IS))
+        if self.changes(values, how, boxes_of(rows), size):
+            status = np.where(how == HIDDEN, "hidden", np.where(how == LOST, "lost", status))
+        spread = dict(zip(SPREAD, values[5:], strict=True))
+        return replace(rows, confidence=values[0], status=status, **spread)
 
-    def changed(self, columns: Mapping[str, Any], boxes: Mask, size: float) -> dict[str, Any]:
-        """As `applied`, the columns that change, of rows that are not made yet; `boxes` (R,) are those of boxes."""
-        values, status = np.array([columns[name] for name in _READ]), columns["status"]
-        how = np.empty(len(status), np.int64)
-        about = boxes, status == "lost", status == "init"
-        if calibrate(values, *about, size, *self._tables, self.lost, LIKELY, how):
-            status = np.where(how == AS_IT_IS, status, np.where(how == HIDDEN, "hidden", "lost"))
-        return {"confidence": values[0], "status": status, **dict(zip(SPREAD, values[5:], strict=True))}
+    def changes(self, values: Array, how: Whole, boxes: Mask, size: float) -> bool:
+        """As `applied`, to columns (10, R) in the order of `CALIBRATED`, and to how each row is seen, in place.
+
+        Returns whether any is seen otherwise.
+        """
+        return bool(calibrate(values, how, boxes, size, *self._tables, self.lost, LIKELY))
 
     @cached_property
     def _tables(self) -> tuple[Array, Array, Array, Whole, Array]:
@@ -139,7 +142,7 @@ class Calibration(_StoredPart):
         return slopes, np.array(ends), knots, counts, np.array([self.spread.get(kind, 1.0) for kind in kinds])
 
 
-_READ: Final = ("confidence", "w", "h", "ess", "particles", *SPREAD)
+CALIBRATED: Final = ("confidence", "w", "h", "ess", "particles", *SPREAD)
 
 
 def boxes_of(rows: Trajectory) -> Mask:

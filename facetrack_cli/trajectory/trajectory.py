@@ -372,7 +372,7 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
     columns = {name: values for name, values in others.items() if values is not None}
     for name, values in columns.items():
         columns[name] = np.asarray(values, dtype=_KINDS.get(name, float))[order]
-    columns = {**_unknown(len(frame)), **columns, "which": which, "frame": frame}
+    columns = {**unknown_columns(len(frame)), **columns, "which": which, "frame": frame}
     return Trajectory(tuple(names), **columns, **about)
 
 
@@ -382,7 +382,7 @@ def of_frame(names: Names, frame: Frame, diagnostics: Mapping[str, Diagnostics],
     An angle is that in the frame's pixels. What lies beyond the outermost pixels of the frame cannot be seen: it is
     hidden where it would be tracked.
     """
-    rows, values_of = len(names), dict(_unknown(len(names)))
+    rows, values_of = len(names), dict(unknown_columns(len(names)))
     values_of |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
     values_of |= {name: np.asarray(values, dtype=_KINDS.get(name, float)) for name, values in columns.items()}
     values_of["angle"] = shown_angle(values_of["angle"], frame.aspect)
@@ -398,7 +398,7 @@ def hide_outside(rows: Trajectory, size: tuple[int, int], seen: Sequence[str] = 
 
 
 @lru_cache
-def _unknown(rows: int) -> dict[str, Any]:
+def unknown_columns(rows: int) -> dict[str, Any]:
     """Columns of which nothing is known: read-only, and one value each in memory."""
     return {name: np.broadcast_to(np.array(value, _KINDS[name]), rows) for name, value in _UNKNOWN.items()}
 

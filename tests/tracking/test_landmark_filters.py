@@ -32,17 +32,22 @@ PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])
 @pytest.mark.parametrize("shown", [1.0, 0.7])
 def test_rows_of_a_face_are_those_of_the_plain_twin(shown):
     rng = np.random.default_rng(5)
-    at, seen, how = rng.uniform(0, 160, (9, 2)), rng.random(9), np.zeros(9, np.int64)
     root = rng.normal(size=(9, 2, 2)) * np.array([1, 1, 1, 9, 1, 1, 9, 1, 1])[:, None, None]
-    head, face = rng.normal(size=(2, 2)), Similarity(np.array([20.0, 0.0]), 1.3, 0.4)
-    at[8], how[1] = np.nan, 2
-    cov = root @ root.transpose(0, 2, 1) * np.where(np.isnan(at[:, :1, None]), np.nan, 1)
-    how_it_was, rows = how.copy(), np.empty((6, 9))
-    given = at, cov, seen, 4, shown, head @ head.T, face.matrix, face.centre, MIDDLE, 9.0, 0.5
-    landmark_kernels.show(*given, rows, how)
-    expected, hows = twin.shown(*given, how_it_was)
-    np.testing.assert_allclose(rows, expected, atol=1e-12)
-    assert how.tolist() == hows and set(hows) == {0, 1, 2}
+    head, face = root[8] @ root[8].T, Similarity(np.array([20.0, 60.0]), 1.3, 0.4)
+    at, below = rng.uniform(20, 140, (4, 2)), np.array([0, 3, 0, 2])
+    windows = at, root[:4] @ root[:4].transpose(0, 2, 1), rng.random(4), below, rng.random(4), rng.random((4, 2))
+    carried, var, visible = rng.uniform(60, 140, (8, 2)), rng.uniform(0, 9, 8), rng.random(8)
+    carried[7], visible[:3] = np.nan, 0.9
+    landmarks = carried, rng.normal(size=(8, 2)), var, np.full(8, 2.0), visible
+    for box in (0.0, 2.0):
+        known = [face.turn.real, face.turn.imag, *face.centre, MIDDLE, 1.3, 9.0, shown, 0.5, 3, 150, 99, 7.5, 30]
+        known = np.array([*known, 0.8, 50, 40, 12, 23, np.cos(0.4), np.sin(0.4), 3, np.nan, box])
+        rows, how, corners = np.empty((14, 13)), np.empty(13, np.int64), np.empty((13, 4, 2))
+        landmark_kernels.show(*windows, *landmarks, head, known, rows, how, corners)
+        expected, hows, outlines = twin.shown(*windows, *landmarks, head, known)
+        np.testing.assert_allclose(rows, expected, atol=1e-12)
+        np.testing.assert_allclose(corners, outlines, atol=1e-12)
+        assert how.tolist() == hows and set(hows) == {0, 1, 2} and how[4] == box
 
 
 def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():

@@ -97,16 +97,27 @@ def updated(z, state, cov, visible, log_odds, cross, least, keep, bias, var, noi
     return [np.array(values) for values in zip(*out, strict=True)]
 
 
-def shown(at, cov, seen, windows, shown, head, matrix, centre, middle, near, least, how):
-    """Rows (6, J) of a face, and how its parts are seen: 0 visible, 1 hidden, 2 lost."""
-    rows, how = [], list(how)
-    for j, (place, own, visible) in enumerate(zip(at, cov, seen, strict=True)):
-        spread = matrix @ own @ matrix.T + (1 - visible * shown) * head
-        right = shown * (1 - math.exp(-(near**2) / np.trace(spread)))
-        std, sure = np.sqrt(np.diag(spread)), right * visible if j < windows else right
-        rows.append([*(matrix @ (place - middle) + centre), *std, spread[0, 1], sure])
-        if j >= windows and visible < least:
-            how[j] = 1
-        if math.isnan(right) or right < least:
-            how[j] = 2
-    return np.array(rows).T, how
+def shown(at, cov, seen, below, ess, sides, carried, offset, var, bias_std, visible, head, known):
+    """Rows (14, R) of a face, how they are seen: 0 visible, 1 hidden, 2 lost, and the corners of its box."""
+    a, b, cx, cy, middle, scale, near, shown, least, patience, right, bottom, time, particles, *box = known
+    matrix, nothing, rows, how = np.array([[a, -b], [b, a]]), (math.nan,) * 3, [], []
+    own = [(v + o**2) * np.eye(2) for v, o in zip(var, bias_std, strict=True)]
+    points = [*zip(at, cov, seen, seen, below >= patience, scale * sides, ess, strict=True)]
+    others = zip(carried + offset, own, visible, np.ones(len(var)), strict=True)
+    points += [(*other, False, nothing[:2], math.nan) for other in others]
+    for j, (place, spread, visible_by, counts, doubted, size, count) in enumerate(points):
+        spread = matrix @ spread @ matrix.T + (1 - visible_by * shown) * head
+        right_by = shown * (1 - math.exp(-(near**2) / np.trace(spread)))
+        places, std = matrix @ (place - middle) + (cx, cy), np.sqrt(np.diag(spread))
+        rows.append([*places, math.nan, time, right_by * counts, *size, count, particles, *std, spread[0, 1]])
+        hidden = (j >= len(at) and visible_by < least) or bool(((places < 0) | (places > (right, bottom))).any())
+        how.append(2 if doubted or math.isnan(right_by) or right_by < least else int(hidden))
+    sure, w, h, head_ess, angle, cos, sin, std_w, std_h, status = box
+    of_box = [cx, cy, angle, time, sure, w, h, head_ess, particles, *np.sqrt(np.diag(head)), head[0, 1], std_w, std_h]
+    rows = [[*row, *nothing[:2]] for row in rows]
+    rows.insert(len(at), of_box)
+    how.insert(len(at), int(status) or int(not (0 <= cx <= right and 0 <= cy <= bottom)))
+    u, v = np.array([[-1, 1, 1, -1], [-1, -1, 1, 1]]) * [[(w - 1) / 2], [(h - 1) / 2]]
+    corners = np.full((len(rows), 4, 2), np.nan)
+    corners[len(at)] = np.stack([cx + cos * u - sin * v, cy + sin * u + cos * v], axis=1)
+    return np.array(rows).T, how, corners

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from facetrack_cli.engine.kernels.compiled import exact, invert_cdf, part, read_at
+from facetrack_cli.engine.kernels.compiled import AS_IT_IS, HIDDEN, LOST, exact, invert_cdf, part, read_at
 
 BY_REGRESSION, BY_DETECTOR, BY_NETWORK = 0, 1, 2  # the order of the sensors
 # of sensors; lengths in those between the eyes
@@ -34,7 +34,7 @@ LANDMARK_NOISE: Final = (0.005, 0.05)  # bounds of r, in lengths between the eye
 # of what is learned of windows, as window_ncc.py says
 MEMORY: Final = 50.0  # frames over which g and b are learned
 NEW_BELOW: Final = 0.7  # correlation with all templates below which a visible part gives a new one
-HIDDEN, SOFT = 0.45, 0.1
+DOUBTED, SOFT = 0.45, 0.1
 BY_WINDOW, BY_SENSOR = (-1.0, 6.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
 YOUNG: Final = 3  # frames
 UNLIKE: Final = 2.0  # below what a sensor usually says of a part, which then may be half covered
@@ -281,30 +281,53 @@ def relay(to, x, state, bias, new_x, new_state, new_bias):
         _relay((to[0], to[1], 0.0, 0.0), bias[s], new_bias[s])
 
 
-@exact("f8:2 f8:3 f8:1 i8 f8 f8:2 f8:2 f8:1 f8 f8 f8 f8:2 i8:1")
-def show(at, cov, seen, windows, shown, head, matrix, centre, middle, near, least, rows, how):
-    """Of parts at `at` (J, 2) of the stabilized image with `cov` (J, 2, 2), `seen` (J,): `rows` (6, J) in the frame.
+@exact("f8:2 f8:3 f8:1 i8:1 f8:1 f8:2 f8:2 f8:2 f8:1 f8:1 f8:1 f8:2 f8:1 f8:2 i8:1 f8:3")
+def show(
+    at, cov, seen, below, ess, sides, carried, offset, var, bias_std, visible, head, known, rows, how, corners
+):  # fmt: skip
+    """Of the parts of a face in a frame the `rows` (14, R), `how` (R,) they are seen, and `corners` (R, 4, 2).
 
-    These are x, y, their standard deviations and covariance, and the confidence. `matrix` (2, 2), `centre` (2,) and
-    `middle` are those of the map, `near` the pixels within which a part is right. The first parts have `windows`. Of
-    what is hidden, the head alone says where it is, with covariance `head` (2, 2). `how` (J,) becomes 1 of parts
-    without windows that are hidden, and 2 of all that are right with a probability below `least`.
+    First are points with windows, at `at` (K, 2) of the stabilized image with `cov` (K, 2, 2), `seen` (K,), and in
+    doubt since `below` frames; then the box, which has covariance `head` (2, 2); then those without windows, as their
+    `LandmarkFilter` says. `known` are numbers: the map, the picture, and the box, as `FaceParts._rows` lists them.
+
+    Rows are x, y, angle, time, confidence, w, h, ess, particles, and those of the spread. Of what is hidden, the head
+    alone says where it is. Hidden are also points without windows with `visible` below `least`, and what is beyond the
+    `right` and `bottom` of the picture. What is right with a probability below `least` is lost.
     """
-    a, b = matrix[0, 0], matrix[1, 0]
-    for j in range(len(at)):
-        u, v, p, q, r = at[j, 0] - middle, at[j, 1] - middle, cov[j, 0, 0], cov[j, 1, 1], cov[j, 0, 1]
-        rows[0, j], rows[1, j] = a * u - b * v + centre[0], b * u + a * v + centre[1]
-        doubt = 1.0 - seen[j] * shown
-        x = a * a * p - 2.0 * a * b * r + b * b * q + doubt * head[0, 0]
-        y = b * b * p + 2.0 * a * b * r + a * a * q + doubt * head[1, 1]
-        rows[2, j], rows[3, j] = math.sqrt(x), math.sqrt(y)
-        rows[4, j] = a * b * (p - q) + (a * a - b * b) * r + doubt * head[0, 1]
-        there = shown * (1.0 - math.exp(-near * near / (1e-9 if x + y < 1e-9 else x + y)))  # nan stays
-        rows[5, j] = there * (seen[j] if j < windows else 1.0)
-        if j >= windows and seen[j] < least:
-            how[j] = 1
-        if not there >= least:
-            how[j] = 2
+    a, b, cx, cy, middle, scale, near, shown, least, patience, right, bottom, time, particles = known[:14]
+    sure, w, h, head_ess, angle, cos, sin, std_w, std_h, status = known[14:]
+    k, rows[:], corners[:] = len(at), np.nan, np.nan
+    rows[3], rows[8] = time, particles
+    for i in range(len(how)):
+        if i == k:
+            rows[0, i], rows[1, i], rows[2, i], rows[4, i], rows[5, i], rows[6, i] = cx, cy, angle, sure, w, h
+            rows[7, i], rows[11, i], rows[12, i], rows[13, i], how[i] = head_ess, head[0, 1], std_w, std_h, int(status)
+            rows[9, i], rows[10, i] = math.sqrt(max(head[0, 0], 0.0)), math.sqrt(max(head[1, 1], 0.0))
+            for d in range(4):  # clockwise; the border runs through the middle of the outermost pixels
+                u, v = (w - 1.0) * (-0.5 if d % 3 == 0 else 0.5), (h - 1.0) * (-0.5 if d < 2 else 0.5)
+                corners[i, d, 0], corners[i, d, 1] = cx + cos * u - sin * v, cy + sin * u + cos * v
+        else:
+            if i < k:
+                u, v, p, q, r, s = at[i, 0], at[i, 1], cov[i, 0, 0], cov[i, 1, 1], cov[i, 0, 1], seen[i]
+                rows[5, i], rows[6, i], rows[7, i] = scale * sides[i, 0], scale * sides[i, 1], ess[i]
+            else:
+                j = i - k - 1
+                u, v, p = carried[j, 0] + offset[j, 0], carried[j, 1] + offset[j, 1], var[j] + bias_std[j] ** 2
+                q, r, s = p, 0.0, visible[j]
+            u, v, doubt = u - middle, v - middle, 1.0 - s * shown
+            rows[0, i], rows[1, i] = a * u - b * v + cx, b * u + a * v + cy
+            x = a * a * p - 2.0 * a * b * r + b * b * q + doubt * head[0, 0]
+            y = b * b * p + 2.0 * a * b * r + a * a * q + doubt * head[1, 1]
+            rows[9, i], rows[10, i] = math.sqrt(x), math.sqrt(y)
+            rows[11, i] = a * b * (p - q) + (a * a - b * b) * r + doubt * head[0, 1]
+            there = shown * (1.0 - math.exp(-near * near / (1e-9 if x + y < 1e-9 else x + y)))  # nan stays
+            rows[4, i] = there * (s if i < k else 1.0)
+            how[i] = HIDDEN if i > k and s < least else AS_IT_IS
+            if not there >= least or (i < k and below[i] >= patience):
+                how[i] = LOST
+        if how[i] == AS_IT_IS and (min(rows[0, i], rows[1, i]) < 0.0 or rows[0, i] > right or rows[1, i] > bottom):
+            how[i] = HIDDEN
 
 
 @exact("f8:2 i8:1 i8:2 f4:3 f8:2 f8:1 f8:1 f8:2 f8:3 f8:1 f8 f8:1 f8:1 f8:1 f8:2 b1:1 b1:1")
@@ -326,7 +349,7 @@ def judge(
             if like[k, t] > like[k, best]:
                 best = t
         q, said = (good[k] - r) / max(good[k] - beside[k], 0.05), min(max(odds[k], BY_SENSOR[0]), BY_SENSOR[1])
-        v = visible_after(visible[k], min(max((HIDDEN - q) / SOFT, BY_WINDOW[0]), BY_WINDOW[1]) + said)
+        v = visible_after(visible[k], min(max((DOUBTED - q) / SOFT, BY_WINDOW[0]), BY_WINDOW[1]) + said)
         r = read_at(maps[k], state[k, 0] - corner[k, 0], state[k, 1] - corner[k, 1])
         visible[k] = v
         good[k] += v / MEMORY * (r - good[k])

@@ -10,8 +10,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask, Particles
-from facetrack_cli.engine.confidence import Calibration
+from facetrack_cli.core.geometry import shown_angle
+from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask, Particles, Whole
+from facetrack_cli.engine.confidence import CALIBRATED, Calibration
+from facetrack_cli.engine.kernels.compiled import ABSENT, HIDDEN, INIT, LOST
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Belief
 from facetrack_cli.engine.spaces import Estimate
@@ -26,14 +28,14 @@ from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, Similarity
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
-from facetrack_cli.trajectory.trajectory import SPREAD, TargetResult, of_frame
+from facetrack_cli.trajectory.trajectory import PLACE, TargetResult, Trajectory, unknown_columns
 from facetrack_cli.video.shots import Passing
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
-_VALUES: Final = ("x", "y", *SPREAD[:3], "confidence", "w", "h", "ess", "angle", *SPREAD[3:], "particles")
-_HOW: Final = np.array(["tracked", "hidden", "lost"])  # as `landmark_kernels.show` counts them
-_LOST: Final = 2
-_CORNERS: Final = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])  # of a box, clockwise
+_VALUES: Final = ("x", "y", "angle", "time_s", *CALIBRATED)  # the rows of `landmark_kernels.show`
+_ANGLE, _CONFIDENCE = 2, 4
+_STATUSES: Final = ("tracked", "hidden", "lost", "init", "absent")  # by how a part is seen
+_TEXTS: Final = np.array(_STATUSES)
 
 
 class FaceState(NamedTuple):
@@ -89,6 +91,13 @@ def head_confidence(head: ParticleState) -> float:
     return float(head.judgement.confidence[0])
 
 
+def _without_window(names: tuple[str, ...], landmarks: LandmarkFilter | None) -> tuple[Array, ...]:
+    """What `landmark_kernels.show` takes of points without windows; nan where nothing is known of them."""
+    if landmarks is None:
+        return *np.full((2, len(names), 2), np.nan), *np.full((3, len(names)), np.nan)
+    return landmarks.carried, landmarks.offset, landmarks.var, landmarks.bias_std, landmarks.visible
+
+
 @dataclass(frozen=True)
 class FaceParts:
     """The parts of a face, and the rows that they have in a state.
@@ -139,59 +148,57 @@ class FaceParts:
         if self.sensors.mesh is not None:
             values[NETWORK.name] = state.bias_filters.reliability[kernels.BY_NETWORK].mean(keepdims=True)
         diagnostics = {self.name: Diagnostics(self.diagnostics, np.array([frame.index]), values)}
-        filtered = columns = self._columns(state, info.ess, face)
+        numbers, how, corners = self._rows(state, info.ess, face, frame)
+        filtered = how.copy()
         if self.calibration is not None:
-            changed = self.calibration.changed(columns, self._boxes, self.features.size * self.side / FACE)
-            columns = {**columns, **changed}
-        rows = of_frame(self._names, frame, diagnostics, **columns)
+            self.calibration.changes(numbers[_CONFIDENCE:], how, self._boxes, self.features.size * self.side / FACE)
+        if frame.aspect != 1:
+            numbers[_ANGLE] = shown_angle(numbers[_ANGLE], frame.aspect)
+        columns: dict[str, Any] = {**dict(zip(_VALUES, numbers, strict=True)), **self._same}
+        at = np.full(len(how), frame.index)
+        rows = Trajectory(frame=at, status=_TEXTS[how], corners=corners, diagnostics=diagnostics, **columns)
         cloud = face.to_frame(state.features.particles.x)
 
         def beliefs() -> tuple[Belief, ...]:
-            return self.beliefs(state, of_frame(self._names, frame, diagnostics, **filtered).unseen)
+            return self.beliefs(state, (filtered == HIDDEN) | (filtered == LOST))
 
         return TargetResult(rows, cloud, notes, beliefs)
 
-    def _columns(self, state: FaceState, head_ess: Array, face: Similarity) -> dict[str, Any]:
-        """Columns of all parts.
+    def _rows(self, state: FaceState, head_ess: Array, face: Similarity, frame: Frame) -> tuple[Array, Whole, Array]:
+        """The columns `_VALUES` of all parts, how they are seen, and corners, without calibration.
 
         The confidence of a point with a window is that it is visible, shown with the head and near. That of a point
         without a window is of its place alone; where it is not seen it is hidden. Points at nan are lost. The head's
         box is where the face is in it, as large as that, and turned by its roll.
         """
-        features, head, k, count = state.features, state.head, len(self.features.parts), len(self._names)
+        features, head, k, count = state.features, state.head, len(self.features.parts), len(self._boxes)
         points, box, judged = features.estimated, head.estimated, features.judgement
-        assert judged is not None and head.judgement is not None
-        at, cov, seen = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan), np.ones(count)
-        hows, end = np.zeros(count, np.int64), k + 1
-        at[:k], cov[:k], seen[:k] = points.state, points.cov, judged.confidence
-        hows[:k] = [_LOST * (status == "lost") for status in judged.status]
-        for names, landmarks in self._without_windows(state):
-            those, end = slice(end, end + len(names)), end + len(names)
-            if landmarks is not None:
-                at[those], cov[those], seen[those] = landmarks.at, landmarks.cov, landmarks.visible
-        values = np.full((len(_VALUES), count), np.nan)
-        shown, near = state.facing.shown * head_confidence(head), OFF * EYES * face.scale
-        place = face.matrix, face.centre, MIDDLE, near, self.settings.lost_below, values[:6], hows
-        kernels.show(at, cov, seen, k, shown, box.cov[0], *place)
-        values[6:8, :k], values[8, :k] = self.features.space.windows(points).T * face.scale, state.info.ess
-        status = _HOW[hows]
+        assert judged is not None and head.judgement is not None and self.features.confidence is not None
+        sure, roll, turn = head_confidence(head), math.remainder(face.angle, math.tau), face.turn
+        w, h = self.head.space.windows(box)[0].tolist()
+        grown = face.scale * FACE / math.sqrt(w * h)
+        std_w, std_h = (math.nan, math.nan) if box.side_std is None else box.side_std.tolist()
+        known = (
+            turn.real, turn.imag, *face.centre, MIDDLE, face.scale, OFF * EYES * face.scale, state.facing.shown * sure,
+            self.settings.lost_below, self.features.confidence.patience, frame.size[0] - 1, frame.size[1] - 1,
+            frame.time_s, len(features.particles.x) + len(head.particles.x),  # one number: both filters' together
+            sure, w * grown, h * grown, head_ess[0], math.degrees(roll), math.cos(roll), math.sin(roll),
+            std_w * grown, std_h * grown, _STATUSES.index(head.judgement.status[0]),
+        )  # fmt: skip
+        values, how, corners = np.empty((len(_VALUES), count)), np.empty(count, np.int64), np.empty((count, 4, 2))
+        windows = points.state, points.cov, judged.confidence, judged.below, state.info.ess
+        sides = self.features.space.windows(points)
+        others = [_without_window(*each) for each in self._without_windows(state)] or [_without_window((), None)]
+        more = others[0] if len(others) == 1 else map(np.concatenate, zip(*others, strict=True))
+        kernels.show(*windows, sides, *more, box.cov[0], np.array(known, np.float64), values, how, corners)
         if not state.frames:
-            status[:k][(hows[:k] < _LOST) & (np.array(judged.status) == "init")] = "init"
-            values[5, :k] = judged.confidence
+            how[:k][(how[:k] != LOST) & (np.array(judged.status) == "init")] = INIT
+            values[_CONFIDENCE, :k] = judged.confidence
         if features.absent is not None:
-            values[:, :k][:, features.absent], status[:k][features.absent] = np.nan, "absent"
-        status[k], roll = head.judgement.status[0], math.remainder(face.angle, math.tau)
-        sides = self.head.space.windows(box)[0]
-        grown = face.scale * FACE / math.sqrt(sides[0] * sides[1])
-        sides, spread = sides * grown, (math.nan, math.nan) if box.side_std is None else box.side_std * grown
-        std = np.sqrt(np.maximum(np.diagonal(box.cov[0]), 0.0))
-        sure = head_confidence(head), *sides, head_ess[0], math.degrees(roll)
-        values[:-1, k] = *face.centre, *std, box.cov[0, 0, 1], *sure, *spread
-        values[-1] = len(features.particles.x) + len(head.particles.x)  # of a target one number: both filters' together
-        outlines = np.full((count, 4, 2), np.nan)
-        # the border runs through the middle of the outermost pixels
-        outlines[k] = Similarity(face.centre, 1.0, roll).to_frame(MIDDLE + _CORNERS * (sides - 1))
-        return {**dict(zip(_VALUES, values, strict=True)), "status": status, "corners": outlines}
+            how[:k][features.absent] = ABSENT
+            for name, column in zip(_VALUES, values, strict=True):
+                column[:k][features.absent & (name in PLACE)] = np.nan
+        return values, how, corners
 
     def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
         """For the smoother: of the points in the stabilized image, of the head, and of the points without windows.
@@ -216,8 +223,13 @@ class FaceParts:
         return [(names, landmarks) for names, landmarks in groups if names]
 
     @cached_property
-    def _names(self) -> tuple[tuple[str, str], ...]:
-        return tuple((self.name, part) for part in self.parts)
+    def _same(self) -> Mapping[str, Any]:
+        """The columns that are the same in each frame."""
+        names = tuple((self.name, part) for part in self.parts)
+        unknown = {
+            name: column for name, column in unknown_columns(len(names)).items() if name not in (*_VALUES, "status")
+        }
+        return {**unknown, "names": names, "which": np.arange(len(names))}
 
     @cached_property
     def _boxes(self) -> Mask:
