@@ -239,26 +239,27 @@ class RunMonitor(Sink):
         rows = result.rows
         if not len(rows):  # nobody is there
             return
-        index, gone = int(rows.frame[0]), rows.status == "lost"
+        index, statuses = int(rows.frame[0]), rows.status.tolist()  # NumPy takes longer to compare few texts
+        lost = "lost" in statuses
         if not self.frames:
             self.first = index, float(rows.time_s[0])
         self.frames += 1
         self.several |= len(rows) > 1
-        if self.detector is not None and self.frames % EVERY_FRAMES == 0 and not gone.all():
+        if self.detector is not None and self.frames % EVERY_FRAMES == 0 and {*statuses} != {"lost"}:
             self._look(result, self.detector)
-        if gone.any():
+        if lost:
             self.lost_frames += 1
             self.lost = _grown(self.lost, index)
-        self.hidden_frames += bool((rows.status == "hidden").any())
-        confidence = rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")]
-        if confidence.size:
+        self.hidden_frames += "hidden" in statuses
+        confidence = rows.confidence[rows.status != "init"] if "init" in statuses else rows.confidence
+        if (confidence := confidence[np.isfinite(confidence)]).size:
             mean = mean_confidence(confidence)
             self.judged, self.sure = self.judged + 1, self.sure + mean
-            if not gone.any():
+            if not lost:
                 self.least = min(self.least, (mean, index))
-        hands = np.array([target in HANDS for target, _ in rows.names])[rows.which]
-        if not hands.any():
+        if not any(target in HANDS for target, _ in rows.names):
             return
+        hands = np.array([target in HANDS for target, _ in rows.names])[rows.which]
         seen = bool((hands & np.isin(rows.status, SEEN)).any())
         self.hands = max(self.hands, 0) + seen
         named = [reported.get(NAMED.name)[0] for target, reported in rows.diagnostics.items() if target in HANDS]

@@ -203,7 +203,8 @@ class Recorder:
                 self._checkpoint.parent.mkdir(exist_ok=True)
                 KIND.write(self._checkpoint, self._marked)
             self._marked = {}
-        self.outcome.warnings = (*self.outcome.warnings, *result.notes)[:_MAX_NOTES]
+        if any(target.notes for target in result.targets):
+            self.outcome.warnings = (*self.outcome.warnings, *result.notes)[:_MAX_NOTES]
         if result.targets or self.plan.everyone:
             for sink in self.sinks:
                 sink.write(result)

@@ -456,7 +456,7 @@ def places(table: Trajectory, frames: Whole) -> tuple[list[str], Array]:
 
 def mean_confidence(confidences: Array) -> float:
     """The mean of a frame's confidences, of the digits that a file has: it is the same from rows and from a file."""
-    return round(float(np.round(confidences, DECIMALS["confidence"]).mean()), 12)
+    return round(float(np.add.reduce(confidences.round(DECIMALS["confidence"]))) / len(confidences), 12)
 
 
 class TargetResult(NamedTuple):

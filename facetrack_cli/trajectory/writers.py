@@ -5,6 +5,7 @@ same rows, grouped by frame, with the diagnostics of each target, between a head
 footer (how the run ended). JSON lines are the header, a line a frame, and the footer, each with its `type`.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -54,18 +55,16 @@ class RunSummary:
         if not len(rows):  # of a film a frame may show nobody
             self.frames, self.lost_at_end = self.frames + 1, ()
             return
-        frames = set(rows.frame.tolist())
-        self.frames, last = self.frames + len(frames), max(frames)
-        [at] = (rows.status == "lost").nonzero()
-        at = at[np.lexsort((rows.which[at], rows.frame[at]))]
-        lost = ["/".join(rows.names[i]) for i in rows.which[at].tolist()]
-        for name in lost:
+        frame, which = rows.frame.tolist(), rows.which.tolist()
+        self.frames, last = self.frames + len(set(frame)), max(frame)
+        lost = [(frame[i], which[i]) for i, status in enumerate(rows.status.tolist()) if status == "lost"]
+        named = [(at, "/".join(rows.names[i])) for at, i in sorted(lost)]
+        for _, name in named:
             self.lost_frames[name] = self.lost_frames.get(name, 0) + 1
-        self.lost_at_end = tuple(name for name, frame in zip(lost, rows.frame[at], strict=True) if frame == last)
+        self.lost_at_end = tuple(name for at, name in named if at == last)
         for target, reported in rows.diagnostics.items():
-            nats = reported.get(EVIDENCE.name)
-            if (nats := nats[np.isfinite(nats)]).size:
-                self.evidence[target] = self.evidence.get(target, 0.0) + float(nats.sum())
+            if nats := [nat for nat in reported.get(EVIDENCE.name).tolist() if math.isfinite(nat)]:
+                self.evidence[target] = self.evidence.get(target, 0.0) + math.fsum(nats)
 
 
 FOOTER = ("complete", "stopped", "variable_fps", "lost_frames", "warnings", "evidence", "source_sha256")

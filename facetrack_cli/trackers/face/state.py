@@ -154,9 +154,9 @@ class FaceParts:
             self.calibration.changes(numbers[_CONFIDENCE:], how, self._boxes, self.features.size * self.side / FACE)
         if frame.aspect != 1:
             numbers[_ANGLE] = shown_angle(numbers[_ANGLE], frame.aspect)
-        columns: dict[str, Any] = {**dict(zip(_VALUES, numbers, strict=True)), **self._same}
-        at = np.full(len(how), frame.index)
-        rows = Trajectory(frame=at, status=_TEXTS[how], corners=corners, diagnostics=diagnostics, **columns)
+        rows = object.__new__(Trajectory)  # whose constructor has a call for each column
+        vars(rows).update(self._same, status=_TEXTS[how], corners=corners, diagnostics=diagnostics)
+        vars(rows).update(zip(_VALUES, numbers, strict=True), frame=np.full(len(how), frame.index))
         cloud = face.to_frame(state.features.particles.x)
 
         def beliefs() -> tuple[Belief, ...]:
@@ -226,10 +226,7 @@ class FaceParts:
     def _same(self) -> Mapping[str, Any]:
         """The columns that are the same in each frame."""
         names = tuple((self.name, part) for part in self.parts)
-        unknown = {
-            name: column for name, column in unknown_columns(len(names)).items() if name not in (*_VALUES, "status")
-        }
-        return {**unknown, "names": names, "which": np.arange(len(names))}
+        return {**unknown_columns(len(names)), "names": names, "which": np.arange(len(names)), "header": {}}
 
     @cached_property
     def _boxes(self) -> Mask:
