@@ -30,7 +30,7 @@ KERNELS: Mapping[str, str] = {
         ("trackers.face.image_kernels", "warp", f"head {_CELLS}"),
         ("trackers.face.window_kernels", "greatest matched", "likelihood=window_ncc"),
         ("trackers.face.landmark_kernels", "jump", "motion=jumping_walk"),
-        ("trackers.face.landmark_kernels", "learn follow relay fuse read show median_shift", "head"),
+        ("trackers.face.landmark_kernels", "learn follow relay read show median_shift", "head"),
         ("trackers.face.landmark_kernels", "judge", "likelihood=window_ncc"),
         ("trackers.appearance.appearance_kernels", "read_patches", "target=affine"),
         ("trackers.appearance.appearance_kernels", "log_densities update best_matches", "likelihood=appearance"),
