@@ -29,7 +29,7 @@ KERNELS: Mapping[str, str] = {
         ("trackers.face.image_kernels", "_channels place_eyes place find_corners looks", "head"),
         ("trackers.face.image_kernels", "see", f"head {_CELLS}"),
         ("trackers.face.window_kernels", "greatest matched", "likelihood=window_ncc"),
-        ("trackers.face.landmark_kernels", "step learn follow relay fuse read show median_shift", "head"),
+        ("trackers.face.landmark_kernels", "step learn follow relay read show median_shift", "head"),
         ("trackers.face.landmark_kernels", "judge", "likelihood=window_ncc"),
         ("trackers.appearance.appearance_kernels", "read_patches", "target=affine"),
         ("trackers.appearance.appearance_kernels", "log_densities update best_matches", "likelihood=appearance"),

@@ -15,7 +15,6 @@ from facetrack_cli.trackers.face.landmark_filters import (
     BiasFilter,
     Facing,
     LandmarkFilter,
-    fused,
     who_is_right,
 )
 from facetrack_cli.trackers.face.landmark_kernels import MAX_LOG_ODDS
@@ -227,10 +226,9 @@ def test_all_sensors_in_one_call_are_the_plain_twin(seed, parts):
     z, biases = any_readings(rng, at + rng.normal(0, 5, 2) + spread * rng.standard_normal((3, parts, 2)), at)
     visible, root = rng.choice([0.0, 0.3, 1.0], parts, p=[0.2, 0.2, 0.6]), rng.standard_normal((parts, 2, 2))
     cov = root @ root.transpose(0, 2, 1)
-    readings = biases.reading(z, visible)
+    readings, together, shift, apart = biases.reading(z, visible, at)
     for mine, plain in zip(readings[:3], twin.readings(z, visible, *biases[:5], biases.keep), strict=True):
         np.testing.assert_allclose(mine, plain, rtol=1e-9)
-    together, shift, apart = fused(readings, at)
     assert shift.all() or parts < 14, "a head is moved"
     for mine, plain in zip((together, shift, apart), twin.fused(*readings[:3], at), strict=True):
         np.testing.assert_allclose(mine, plain, rtol=1e-9, atol=1e-9)

@@ -118,7 +118,7 @@ def test_a_network_that_sees_no_face_places_nothing_and_the_regression_says_what
     np.testing.assert_array_equal(parts.odds, load_regression().fit(seen).odds)
     sensors, points, _ = begun(sensors_of(PARTS, FakeMesh([None]), ("chin",)), np.zeros((5, 2)))
     assert points is None
-    reading = sensors.reading(np.stack([parts.at, network, network]), np.ones(5))
+    reading, *_ = sensors.reading(np.stack([parts.at, network, network]), np.ones(5), parts.at)
     assert (sensors.bias[1:] == 0).all() and (reading.sure[1:] == 0).all() and (reading.sure[0] > 0).all()
 
 

@@ -89,11 +89,21 @@ class BiasFilter(NamedTuple):
         bias, var = np.where(seen, z - x0, 0.0), np.where(seen[..., 0], noise, (kernels.MAX_NOISE * EYES) ** 2)
         return cls(bias, var, noise, np.full_like(var, SURE), np.full_like(var, 1 - SURE), min_std, keep)
 
-    def reading(self, z: Array, visible: Array) -> SensorReading:
-        """Measurements z (S, K, 2) without their biases, of parts that are visible with a probability (K,)."""
+    def reading(self, z: Array, visible: Array, before: Array) -> tuple[SensorReading, Array, Array, bool]:
+        """Measurements z (S, K, 2) without their biases, of parts that were at `before` (K, 2), with P(visible) (K,).
+
+        Two readings in one have the product of their normal densities; where they are too far apart, the second counts.
+
+        Returns
+        -------
+        The readings; (K, 2), regression and network in one, nan where neither sees a part; (2,), how far all parts have
+        moved together, which the head has not followed: the mean under N(0, SLIP^2 I) of the shift, whose measurement
+        is the median of the parts'; whether the detector is too far from regression and network in any part.
+        """
         said = SensorReading(np.empty_like(z), np.empty_like(self.var), np.empty_like(self.var), AREA)
-        kernels.read(z, visible, *self[:5], self.keep, EYES, *said[:3])
-        return said
+        at, shift = np.empty_like(before), np.empty(2)
+        apart = kernels.read(z, visible, *self[:5], self.keep, before, EYES, *said[:3], at, shift)
+        return said, at, shift, apart
 
     def updated(
         self, z: Array, readings: SensorReading, at: Array, cov: Array, visible: Array, judge: Judge
@@ -143,22 +153,6 @@ def who_is_right(readings: SensorReading, *scores: Array) -> Array:
         member = (sets >> i) % 2 == 0
         odds.append(np.log(share[member].sum(axis=0) / share[~member].sum(axis=0)) - np.log(sure / (1 - sure)))
     return np.stack(odds)
-
-
-def fused(readings: SensorReading, before: Array) -> tuple[Array, Array, bool]:
-    """Where the sensors together have the parts, which were at `before` (K, 2).
-
-    Two readings in one have the product of their normal densities; where they are too far apart, the second counts.
-
-    Returns
-    -------
-    (K, 2), regression and network in one, nan where neither sees a part; (2,), how far all parts have moved together,
-    which the head has not followed: the mean under N(0, SLIP^2 I) of the shift, whose measurement is the median of the
-    parts'; whether the detector is too far from regression and network in any part.
-    """
-    at, shift = np.empty_like(before), np.empty(2)
-    apart = kernels.fuse(*readings[:3], before, EYES, at, shift)
-    return at, shift, apart
 
 
 def in_common(offsets: Array, mask: Mask) -> Array:

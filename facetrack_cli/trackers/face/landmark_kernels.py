@@ -83,22 +83,6 @@ def _apart(z, var, sure, one, other, k):
     return both and squared > MAX_SQUARED_DISTANCE * (var[one, k] + var[other, k])
 
 
-@exact("f8:3 f8:1 f8:3 f8:2 f8:2 f8:2 f8:2 f8 f8 f8:3 f8:2 f8:2")
-def read(z, visible, bias, var, noise, reliability, error_rate, keep, eyes, at, spread, sure):
-    """The reading `at`, `spread` and `sure` of measurements z, by the fields of a `BiasFilter`."""
-    least, drift = np.inf, (DRIFT * eyes) ** 2
-    for k in range(len(visible)):
-        least = min(least, visible[k])
-    for s in range(len(z)):
-        for k in range(len(visible)):
-            spread[s, k] = keep**2 * var[s, k] + drift + (noise[s, k] + (MISLED * eyes) ** 2 * (1.0 - least))
-            known = math.isfinite(z[s, k, 0]) and math.isfinite(z[s, k, 1])
-            right = _ahead(reliability[s, k], error_rate[s, k])
-            sure[s, k] = right * (BLIND + (1.0 - BLIND) * visible[k]) if known else 0.0
-            for i in range(2):
-                at[s, k, i] = z[s, k, i] - keep * bias[s, k, i] if known else 0.0
-
-
 @part
 def _join(z, var, sure, one, other, k):
     """Two readings of a part in the place of the first."""
@@ -113,9 +97,9 @@ def _join(z, var, sure, one, other, k):
     var[one, k] = sure[one, k] / total
 
 
-@exact("f8:3 f8:2 f8:2 f8:2 f8 f8:2 f8:1")
-def fuse(z, var, sure, before, eyes, fused, shift):
-    """The results of `landmark_filters.fused`: `fused` (K, 2), `shift` (2,), returned `apart`."""
+@part
+def _fuse(z, var, sure, before, eyes, fused, shift):
+    """`fused` (K, 2) and `shift` (2,) of readings as `BiasFilter.reading` says; whether they are too far apart."""
     z, var, sure = z.copy(), var.copy(), sure.copy()
     apart, off, seen = False, np.empty_like(before), np.empty(len(before), np.bool_)
     for k in range(len(before)):
@@ -130,6 +114,23 @@ def fuse(z, var, sure, before, eyes, fused, shift):
     share = 1.0 / (1.0 + _median(var[BY_REGRESSION], seen) / (SLIP * eyes) ** 2)
     shift[0], shift[1] = share * shift[0], share * shift[1]
     return apart
+
+
+@exact("f8:3 f8:1 f8:3 f8:2 f8:2 f8:2 f8:2 f8 f8:2 f8 f8:3 f8:2 f8:2 f8:2 f8:1")
+def read(z, visible, bias, var, noise, reliability, error_rate, keep, before, eyes, at, spread, sure, fused, shift):
+    """`BiasFilter.reading` of measurements z by its fields: the reading `at`, `spread`, `sure`, and what it returns."""
+    least, drift = np.inf, (DRIFT * eyes) ** 2
+    for k in range(len(visible)):
+        least = min(least, visible[k])
+    for s in range(len(z)):
+        for k in range(len(visible)):
+            spread[s, k] = keep**2 * var[s, k] + drift + (noise[s, k] + (MISLED * eyes) ** 2 * (1.0 - least))
+            known = math.isfinite(z[s, k, 0]) and math.isfinite(z[s, k, 1])
+            right = _ahead(reliability[s, k], error_rate[s, k])
+            sure[s, k] = right * (BLIND + (1.0 - BLIND) * visible[k]) if known else 0.0
+            for i in range(2):
+                at[s, k, i] = z[s, k, i] - keep * bias[s, k, i] if known else 0.0
+    return _fuse(at, spread, sure, before, eyes, fused, shift)
 
 
 @part

@@ -127,12 +127,12 @@ class FaceTarget(FaceParts):
         look like the target, the cut was one, and the face is searched for anywhere until it is recognised. So it is
         when somebody else has come before it.
         """
-        state = state._replace(frames=state.frames + 1)
+        frames = state.frames + 1
         if not self.alone or self.sensors.detector is None:
-            return self._step(rng, state, frame, footprints)
+            return self._step(rng, state._replace(frames=frames), frame, footprints)
         shots, event = state.shots.after(frame)
         cut_time = {"": state.cut_time, "none": None}.get(event, frame.time_s)
-        state = state._replace(shots=shots, cut_time=cut_time)
+        state = state._replace(frames=frames, shots=shots, cut_time=cut_time)
         stranger = state.stranger_time is not None
         if cut_time is None and not stranger:
             return self._step(rng, state, frame, footprints)
@@ -248,8 +248,8 @@ class FaceTarget(FaceParts):
             around.append(around[0] + (detected - before)[measured].mean(axis=0))
         landmarks = self.sensors.read(frame, similarity, image, around)
         places = np.array([landmarks.parts.at, detected, landmarks.network])
-        readings = state.bias_filters.reading(places, state.features.learned.visible)
-        at, shift, apart = filters.fused(readings, before)
+        visible = state.features.learned.visible
+        readings, at, shift, apart = state.bias_filters.reading(places, visible, before)
         log_odds = 0.0 if apart else landmarks.parts.log_odds
         return FaceView(similarity, image, due, detection, landmarks, places, readings, at, shift, log_odds)
 
