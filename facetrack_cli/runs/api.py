@@ -3,8 +3,6 @@
 `Tracker` takes one image at a time, for services and cameras.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -184,7 +182,7 @@ class Recording:
         chosen, self._rate = chosen_recipe(recipe, None, None), _rate(fps)
         self.job = Job(Path(clip), chosen, Path(out), formats=tuple(formats), video=video, overwrite=overwrite)
 
-    def __enter__(self) -> Recording:
+    def __enter__(self) -> "Recording":
         self._into = Recorder(resolve(self.job)).__enter__()
         self._into.open(outputs(self._into))
         return self

@@ -1,7 +1,5 @@
 """people.json: who is in a film, when, and how sure that is; and rows under the names that it gives."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -91,7 +89,7 @@ class People(BaseModel, extra="forbid", defer_build=True):
     corrections: tuple[str, ...] = ()
 
     @model_validator(mode="after")
-    def _whole(self) -> People:
+    def _whole(self) -> "People":
         spans = [span for person in self.people for span in person.intervals]
         spans += [(track.first, track.stop) for track in self.tracks]
         timed = all(len(person.times) == len(person.intervals) for person in self.people)

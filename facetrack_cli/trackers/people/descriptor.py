@@ -14,8 +14,6 @@ time. Then each track has a posterior over the people of the film and "somebody 
 This is recognition of an open set, without a gallery: Zhou et al. (2003) recognise one of a gallery while they track.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -72,7 +70,7 @@ class Picture:
     side: float  # of its box in the frame, in pixels
 
     @classmethod
-    def of(cls, frame: Frame, face: Similarity) -> Picture:
+    def of(cls, frame: Frame, face: Similarity) -> "Picture":
         """The scale of `face` is the side of its box in pixels."""
         around = _upright(frame, face._replace(angle=0.0), WIDE_SIDES, WIDE_PX)
         return cls(_upright(frame, face, CHIP_SIDES, CHIP_PX), around, face.scale)
