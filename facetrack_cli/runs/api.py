@@ -40,6 +40,7 @@ from facetrack_cli.video.overlay import Overlay
 
 Init: TypeAlias = str | Path | Start | Box
 IMAGES = "the images"
+KIND: Final = Kind("facetrack-tracker", 1, "state of a tracker", "facetrack.Tracker(...).save(path)")
 
 
 def track_video(
@@ -277,9 +278,6 @@ def frame_of(image: Image, index: int, time_s: float, size: tuple[int, int] | No
     if size is not None and frame.size != size:
         raise InputError(f"image {index}: is {frame.size[0]}x{frame.size[1]}, not {size[0]}x{size[1]} as the first")
     return frame
-
-
-KIND: Final = Kind("facetrack-tracker", 1, "state of a tracker", "facetrack.Tracker(...).save(path)")
 
 
 class Tracker:
