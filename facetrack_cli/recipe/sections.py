@@ -149,7 +149,7 @@ class Kind(Component):
         if cls not in KINDS:
             return handler(schema)
         types = tuple(registered(cls).values())
-        tagged = Annotated[typing.Union[types], Field(discriminator="type")] if len(types) > 1 else types[0]  # noqa: UP007
+        tagged: Any = Annotated[typing.Union[types], Field(discriminator="type")] if len(types) > 1 else types[0]  # noqa: UP007
         return handler(TypeAdapter(tagged).core_schema)
 
     @classmethod
