@@ -159,7 +159,7 @@ class Kind(Component):
         if section is not None and issubclass(section, cls):
             return section.model_validate(given, context=info.context)
         wrong = "model_type" if not isinstance(given, dict) else "wrong_type" if "type" in given else "no_type"
-        raise PydanticCustomError(wrong, "names no type", {"known": ", ".join(map(repr, registered(cls)))})
+        raise PydanticCustomError(wrong, "type is none of {known}", {"known": ", ".join(map(repr, registered(cls)))})
 
 
 class TargetSettings(Kind):
