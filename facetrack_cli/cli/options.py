@@ -142,6 +142,7 @@ class Option(click.Option):
         return super().get_error_hint(ctx)
 
 
+EVERY = f"{__name__}.every"  # in the `meta` of a context: its help shows all options
 say = write_line  # on standard error
 option = functools.partial(click.option, cls=Option)
 flag = functools.partial(option, is_flag=True)
@@ -174,9 +175,6 @@ class Command(click.Command):
         for title, listed in rows.items():
             with formatter.section(title):
                 formatter.write_dl(listed)
-
-
-EVERY = f"{__name__}.every"  # in the `meta` of a context: its help shows all options
 
 
 def _show_all(ctx: click.Context, _: click.Parameter, value: bool) -> None:

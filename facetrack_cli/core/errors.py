@@ -12,8 +12,6 @@ Every message is one line that names the file, the place and the remedy.
 A message is a plain line on standard error, or with `--log-format json` an object a line.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

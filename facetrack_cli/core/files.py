@@ -6,8 +6,6 @@ by `check_plain`. On a full disk `FileSink` keeps the records that fit: the end 
 file is written over the last of them, in space that the file already has, so a finished file is always valid.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib

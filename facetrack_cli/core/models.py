@@ -1,7 +1,5 @@
 """Networks that are not part of the package: where their files lie, and how `facetrack models get` brings a file."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -22,15 +22,7 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import writing
 from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
 from facetrack_cli.editor.session import fitted
-from facetrack_cli.engine import loop
-from facetrack_cli.engine.corrected import (
-    CorrectedTarget,
-    all_or,
-    completed,
-    correctable_parts,
-    is_complete,
-    with_confirmed,
-)
+from facetrack_cli.engine import corrected, loop
 from facetrack_cli.engine.protocols import Belief
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe
 from facetrack_cli.run_folder.lease import FolderLease
@@ -82,7 +74,7 @@ class Fixer:
         self._saved = self._ordered(saved)
         self._known = {name: self._plan(name, self._saved) for name in run.rows.targets}
         self._past: list[tuple[Correction, ...]] = []
-        self.now = self._saved, with_confirmed(run.rows, self._saved)
+        self.now = self._saved, corrected.with_confirmed(run.rows, self._saved)
 
     @property
     def corrections(self) -> tuple[Correction, ...]:
@@ -183,7 +175,7 @@ class Fixer:
         rows = self.run.rows
         if any(track.file is not None for track, _ in tracks):
             rows = successive([self._rows(track).between(track.first, stop) for track, stop in tracks], rows)
-        return became, with_confirmed(rows, became)
+        return became, corrected.with_confirmed(rows, became)
 
     def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
         order = self.run.rows.targets.index
@@ -204,7 +196,7 @@ class Fixer:
         for track, after in zip(plan, [*(track.begin for track in plan[1:]), None], strict=True):
             if before is not None and track.begin is not None:
                 track = replace(track, begin=completed_by(track.begin, self._rows(before)))
-            more = after is not None and not is_complete(after, self.run.parts[track.target])
+            more = after is not None and not corrected.is_complete(after, self.run.parts[track.target])
             longer = replace(track, stop=track.stop + more)
             longer = self._find(longer) or self._track(longer, step)
             before = longer if more else None
@@ -224,7 +216,7 @@ class Fixer:
         if run.film:
             target = among_others(target)
         if begin is not None:
-            assert isinstance(target, CorrectedTarget)
+            assert isinstance(target, corrected.CorrectedTarget)
             target = replace(target, first=self._first)
         rng, state, collected = loop.stream(run.recipe.seed, place), None, Collector()
         for index in range(track.first, track.stop):
@@ -264,7 +256,7 @@ def fixing(run: Run) -> Iterator[tuple[Fixer, Frames]]:
 
 def completed_by(correction: Correction, rows: Trajectory) -> Correction:
     """The correction with all parts placed: the rows place the parts that it does not place."""
-    return completed(correction, choose(rows.at(correction.frame), correction.target))
+    return corrected.completed(correction, choose(rows.at(correction.frame), correction.target))
 
 
 def merged(new: Correction, before: Correction | None, parts: tuple[str, ...]) -> Correction:
@@ -277,12 +269,12 @@ def merged(new: Correction, before: Correction | None, parts: tuple[str, ...]) -
         return replace(new, points={})
     if new.confirmed:
         lists = [parts if fix.confirmed is True else fix.confirmed for fix in (new, before) if fix is not None]
-        return replace(new, confirmed=all_or([part for part in parts if part in chain(*lists)], parts))
+        return replace(new, confirmed=corrected.all_or([part for part in parts if part in chain(*lists)], parts))
     old = Correction(frame, target) if before is None or before.confirmed else before
     by_hand = {part: at for part, at in {**old.points, **points}.items() if part not in gone or part in points}
     kept = {part: at for part, at in old.kept.items() if part not in by_hand and part not in gone}
     hidden = [part for part in parts if part in {*gone, *old.hidden(parts)} and part not in by_hand]
-    return Correction(frame, target, None, by_hand, kept, all_or(hidden, parts), old.learn)
+    return Correction(frame, target, None, by_hand, kept, corrected.all_or(hidden, parts), old.learn)
 
 
 def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
@@ -417,9 +409,9 @@ def _by_hand(rows: Trajectory, person: str) -> Iterator[Correction]:
         points = {part: place for part, (status, place) in hand.items() if status == "init" and part != BOX}
         absent = [part for part, (status, _) in hand.items() if status == "absent"]
         if points or absent:
-            yield Correction(frame, person, points=points, absent=all_or(absent, parts))
+            yield Correction(frame, person, points=points, absent=corrected.all_or(absent, parts))
         else:
-            yield Correction(frame, person, confirmed=all_or([*hand], correctable_parts(parts)))
+            yield Correction(frame, person, confirmed=corrected.all_or([*hand], corrected.correctable_parts(parts)))
 
 
 def _save_track(run: Run, rows: Trajectory, *, video: bool, report: Report, stop: Stopped) -> list[str]:

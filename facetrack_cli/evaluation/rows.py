@@ -14,8 +14,6 @@ A measure is declared once, with the field of the dataclass that holds its value
 From the declarations follow the names (`points.mean_px`), the columns of tables, and the order of recipes by a measure.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -118,13 +116,13 @@ class Rows:
         error = np.hypot(self.offset[:, 0], self.offset[:, 1])
         return np.where(self.placed, np.where(np.isnan(error), np.inf, error), np.nan)
 
-    def take(self, rows: Mask) -> Rows:
+    def take(self, rows: Mask) -> "Rows":
         """These rows alone."""
         arrays: dict[str, Any] = {key: column[rows] for key, column in vars(self).items() if key not in NAMES}
         return replace(self, **arrays)
 
 
-def rows_of(pair: Pair, unit: Array) -> Rows:
+def rows_of(pair: "Pair", unit: Array) -> Rows:
     """The rows of a pair, with `unit` (R,) in pixels. A row of ground truth without a status is visible."""
     ours, truth = pair.ours, pair.truth
     hidden, absent = truth.status == "hidden", truth.status == "absent"

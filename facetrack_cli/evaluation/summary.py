@@ -74,10 +74,7 @@ def clip_name(clip: Path) -> str:
 
 @dataclass(frozen=True)
 class PartMeasures:
-    """One part, or with an empty `part` and the target "all", all of them together; what was not measured is None.
-
-    All together alone have `people`.
-    """
+    """One part, or all with an empty `part` and target "all", which alone have `people`; None: it was not measured."""
 
     target: str
     part: str

@@ -38,6 +38,7 @@ TASKS: Final[Mapping[str, tuple[str, ...]]] = {
     "OpenCV's own trackers": ("csrt", "kcf", "mil", "mosse"),
 }  # fmt: skip
 """The shipped recipes by what is tracked; of the first four the first recipe is the one to take."""
+OVERRIDES: Final = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
 TAKE: Final = tuple(names[0] for names in list(TASKS.values())[:4])
 
 
@@ -75,9 +76,6 @@ def resolve_file(recipe: Recipe, name: str, key: str) -> Path:
             return folder / name
     sought = " and ".join(map(str, folders))
     raise recipe.error(key, f'there is no file "{name}" in {sought}; correct the name, or put it there')
-
-
-OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
 
 
 def load_recipe(

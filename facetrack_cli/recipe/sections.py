@@ -146,7 +146,11 @@ class Kind(Component):
         cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         """That of a kind is the union of all its types."""
-        return handler(TypeAdapter(_union(cls)).core_schema if cls in KINDS else schema)
+        if cls not in KINDS:
+            return handler(schema)
+        types = tuple(registered(cls).values())
+        tagged: Any = Annotated[typing.Union[types], Field(discriminator="type")] if len(types) > 1 else types[0]  # noqa: UP007
+        return handler(TypeAdapter(tagged).core_schema)
 
     @classmethod
     def _named(cls, given: Any, info: ValidationInfo) -> Any:
@@ -155,7 +159,7 @@ class Kind(Component):
         if section is not None and issubclass(section, cls):
             return section.model_validate(given, context=info.context)
         wrong = "model_type" if not isinstance(given, dict) else "wrong_type" if "type" in given else "no_type"
-        raise PydanticCustomError(wrong, "names no type", {"known": ", ".join(map(repr, registered(cls)))})
+        raise PydanticCustomError(wrong, "type is none of {known}", {"known": ", ".join(map(repr, registered(cls)))})
 
 
 class TargetSettings(Kind):
@@ -257,12 +261,6 @@ def _find(kind: type[Kind], name: str) -> type[Kind] | None:
                 if isinstance(section, type) and issubclass(section, kind) and type_of(section) == name:
                     return section
     return registered(kind).get(name)
-
-
-def _union(kind: type[Kind]) -> Any:
-    """All types of a kind, for the JSON Schema."""
-    types = tuple(registered(kind).values())
-    return Annotated[typing.Union[types], Field(discriminator="type")] if len(types) > 1 else types[0]  # noqa: UP007
 
 
 def add(section: type[Kind]) -> None:

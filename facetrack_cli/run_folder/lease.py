@@ -9,8 +9,6 @@ replaced together, all or none: once the new files are on the disk, the note lis
 Whoever finds such a note finishes the renames.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -61,7 +59,7 @@ class FolderLease:
         self._began = self._noted = time.monotonic()
         self._bytes = _NOTE_BYTES
 
-    def __enter__(self) -> FolderLease:
+    def __enter__(self) -> "FolderLease":
         check_plain(self._folder / LOCK, self._path)
         with writing(self._folder / LOCK, IN_A_COPY):
             self._lease = self._acquired()

@@ -3,8 +3,6 @@
 `Tracker` takes one image at a time, for services and cameras.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -42,6 +40,7 @@ from facetrack_cli.video.overlay import Overlay
 
 Init: TypeAlias = str | Path | Start | Box
 IMAGES = "the images"
+KIND: Final = Kind("facetrack-tracker", 1, "state of a tracker", "facetrack.Tracker(...).save(path)")
 
 
 def track_video(
@@ -184,7 +183,7 @@ class Recording:
         chosen, self._rate = chosen_recipe(recipe, None, None), _rate(fps)
         self.job = Job(Path(clip), chosen, Path(out), formats=tuple(formats), video=video, overwrite=overwrite)
 
-    def __enter__(self) -> Recording:
+    def __enter__(self) -> "Recording":
         self._into = Recorder(resolve(self.job)).__enter__()
         self._into.open(outputs(self._into))
         return self
@@ -279,9 +278,6 @@ def frame_of(image: Image, index: int, time_s: float, size: tuple[int, int] | No
     if size is not None and frame.size != size:
         raise InputError(f"image {index}: is {frame.size[0]}x{frame.size[1]}, not {size[0]}x{size[1]} as the first")
     return frame
-
-
-KIND: Final = Kind("facetrack-tracker", 1, "state of a tracker", "facetrack.Tracker(...).save(path)")
 
 
 class Tracker:

@@ -41,6 +41,8 @@ from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import given_rate, open_source
 from facetrack_cli.video.writer import VideoWriter
 
+KIND: Final = Kind("facetrack-posterior", 2, "posterior of a run", "facetrack run --smooth")
+_BLOCK_FRAMES: Final = 500  # of a posterior, that are written together
 Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
 
 
@@ -285,10 +287,6 @@ def repaint(
             raise
         video.close()
         return tuple(video.warnings)
-
-
-KIND: Final = Kind("facetrack-posterior", 2, "posterior of a run", "facetrack run --smooth")
-_BLOCK_FRAMES: Final = 500  # that are written together
 
 
 class PosteriorWriter(Sink):

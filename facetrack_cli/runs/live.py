@@ -5,8 +5,6 @@ Of everybody in a film (`LiveCast`, ours) a line comes up to eight frames late: 
 detector.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys
@@ -81,7 +79,7 @@ def follow(
     init: Path | DetectorName | Box | None,
     write: Callable[[str], None],
     stopped: Callable[[], bool] = never,
-    cast: LiveCast | None = None,
+    cast: "LiveCast | None" = None,
 ) -> int:
     """Track `images` and write a line for each; the number of lines. Times are those of frames, else seconds since the
     first image came. With a `cast` everybody is tracked, and a line says who is who.

@@ -2,8 +2,6 @@
 done; and what became of it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import os
@@ -313,7 +311,7 @@ class Plan:
         previous = None if self.job.overwrite else self.previous
         return previous if previous is not None and previous.error is None and previous.stopped is None else None
 
-    def ended(self) -> Outcome | None:
+    def ended(self) -> "Outcome | None":
         """What became of a job that is done, or, in a batch, has failed; None if the clip is to be tracked."""
         previous, job = self.previous, self.job
         if previous is None or job.overwrite:
@@ -421,7 +419,7 @@ class Outcome(manifest.Manifest):
     again: bool = False
 
     @classmethod
-    def of(cls, job: Job, run: manifest.Manifest) -> Outcome:
+    def of(cls, job: Job, run: manifest.Manifest) -> "Outcome":
         """That of a run that its folder holds already."""
         assert job.out is not None
         kind = InputError if run.exit_code == ExitCode.INPUT else FacetrackError

@@ -1,7 +1,5 @@
 """Progress on standard error: a bar on a terminal, plain lines elsewhere, objects of JSON if asked for, or nothing."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import sys
@@ -12,12 +10,6 @@ from facetrack_cli.core.errors import as_json, flat, write_line
 
 EVERY_S = 10.0  # between plain lines
 EVERY_JSON_S = 1.0  # between objects of JSON, which nobody reads
-
-
-def progress(quiet: bool) -> contextlib.closing[Progress]:
-    """The kind that fits standard error, for a `with`."""
-    has_bar = sys.stderr.isatty() and not quiet and not as_json()
-    return contextlib.closing(Bar() if has_bar else Progress(quiet))
 
 
 class Progress:
@@ -121,3 +113,9 @@ class Bar(Progress):
 
     def close(self) -> None:
         self._bar.stop()
+
+
+def progress(quiet: bool) -> contextlib.closing[Progress]:
+    """The kind that fits standard error, for a `with`."""
+    has_bar = sys.stderr.isatty() and not quiet and not as_json()
+    return contextlib.closing(Bar() if has_bar else Progress(quiet))

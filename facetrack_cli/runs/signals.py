@@ -3,8 +3,6 @@
 Nothing is torn out of a half-written file: the signal only leaves a note. A second signal changes nothing.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal
@@ -47,7 +45,7 @@ class Stop:
         return "terminated" if self.code is ExitCode.TERMINATED else "interrupted"
 
     @contextlib.contextmanager
-    def listening(self) -> Iterator[Stop]:
+    def listening(self) -> "Iterator[Stop]":
         """Take the signals over for the length of a `with`; a signal that is ignored (nohup) stays ignored."""
 
         def note(number: int, _: FrameType | None) -> None:

@@ -1,10 +1,9 @@
 """people.json: who is in a film, when, and how sure that is; and rows under the names that it gives."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
@@ -91,7 +90,7 @@ class People(BaseModel, extra="forbid", defer_build=True):
     corrections: tuple[str, ...] = ()
 
     @model_validator(mode="after")
-    def _whole(self) -> People:
+    def _whole(self) -> "People":
         spans = [span for person in self.people for span in person.intervals]
         spans += [(track.first, track.stop) for track in self.tracks]
         timed = all(len(person.times) == len(person.intervals) for person in self.people)
@@ -112,6 +111,14 @@ class People(BaseModel, extra="forbid", defer_build=True):
 
     def text(self) -> bytes:
         return self.model_dump_json(indent=1).encode() + b"\n"
+
+    def seconds_together(self) -> Mapping[tuple[str, str], float]:
+        """How long two people are on the screen at the same time, where they ever are."""
+        together = {
+            (a.name, b.name): sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in a.times for y in b.times)
+            for a, b in combinations(self.people, 2)
+        }
+        return {both: round(seconds, 3) for both, seconds in together.items() if seconds}
 
 
 def read_people(path: Path) -> People | None:

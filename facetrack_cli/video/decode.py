@@ -316,10 +316,7 @@ def video_stream(container: InputContainer, number: int | None = None) -> VideoS
 
 
 def sound_of(path: Path) -> tuple[str, float]:
-    """The codec of a file's sound, "" if it has none, and how much later, in s, its frames are shown than they say.
-
-    Raises OSError or ValueError.
-    """
+    """A file's codec of sound, or "", and by how many s its frames are shown late. Raises OSError or ValueError."""
     with open_container(path) as container:
         video, sound = video_stream(container), container.streams.audio
         first = None if video is None else next(container.decode(video), None)

@@ -46,6 +46,7 @@ def parsers() -> dict[str, Callable[[Path, bytes], object]]:
     def people(folder: Path, data: bytes) -> None:
         put(folder, "people.json", data)
         if found := read_people(folder):
+            found.seconds_together()
             for one in (*found.people, *found.tracks):
                 assert read_still(folder, one.still) == b""
 

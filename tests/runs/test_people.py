@@ -116,6 +116,7 @@ def test_everybody_has_one_name_from_the_first_frame_to_the_last(ran):
     begins = [shot.first for shot in people.shots]
     assert len(begins) == 7 and all(cut in begins for cut in CUTS) and any(205 <= one <= 216 for one in begins)
     assert people.names == ("person_1", "person_2") and not any(one.photograph for one in people.people)
+    assert people.seconds_together()["person_1", "person_2"] == pytest.approx(2.0, abs=0.1)
 
 
 def test_one_face_is_followed_over_cuts_and_nobody_in_its_place(tmp_path):
@@ -391,6 +392,7 @@ def test_a_gallery_of_affine_faces_is_for_recipes_that_recognise_by_it(tmp_path,
 def test_a_film_in_python_is_that_of_the_command_line():
     found = facetrack.track_video(FILM, faces="all", start=80, stop=105)
     assert found.targets == ("person_1", "person_2") and found.people.names == found.targets
+    assert found.people.seconds_together()["person_1", "person_2"] == pytest.approx(0.6, abs=0.1)
     assert facetrack.track_video(FILM, start=80, stop=82).people is None
 
 

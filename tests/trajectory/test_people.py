@@ -43,6 +43,7 @@ def test_people_have_intervals_and_seconds_and_their_file_comes_back(tmp_path):
     people = film()
     assert people.names == ("a", "b", "c") and [one.photograph for one in people.people] == [False, False, True]
     assert people.people[0].intervals == ((0, 50), (60, 80)) and people.people[0].seconds == 2.8
+    assert people.seconds_together() == {("a", "b"): 1.2}
     assert [one.first for one in people.doubts] == [60]
     assert read_people(tmp_path) is None
     (tmp_path / PEOPLE).write_bytes(people.text())
@@ -108,6 +109,7 @@ def test_seconds_are_those_of_the_rows_and_not_of_a_rate():
     one = people.people[0]
     assert one.times[0] == pytest.approx((times[10], times[60])) and one.times[1][0] == pytest.approx(times[70])
     assert one.seconds == pytest.approx(times[60] - times[10] + times[89] + 0.04 - times[70], abs=1e-3)
+    assert people.seconds_together() == {("a", "b"): pytest.approx(0.6)}
     assert [clock.frame(clock.at(n)) for n in range(90)] == list(range(90))
     assert clock.frame(5.0) == int(np.argmin(np.abs(times - 5.0)))
     back = build([("a", "box")], np.zeros(3, int), np.arange(3), time_s=[3.0, 1.0, 2.0])

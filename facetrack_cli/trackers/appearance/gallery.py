@@ -33,8 +33,6 @@ Rows are kept in the coordinates of a basis: of up to MAX_DIRECTIONS rows it spa
 Of the other directions the lengths of the rows tell the variance.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -461,7 +459,7 @@ class _Components(NamedTuple):
     others: int
 
     @staticmethod
-    def of(z: Array, squares: Array, centred: bool, d: int) -> _Components:
+    def of(z: Array, squares: Array, centred: bool, d: int) -> "_Components":
         """Of rows of d numbers, given as `coordinates`."""
         mean = np.zeros(z.shape[1]) if centred else z.mean(0)
         off, square = _about(z, squares, mean)

@@ -14,8 +14,6 @@ time. Then each track has a posterior over the people of the film and "somebody 
 This is recognition of an open set, without a gallery: Zhou et al. (2003) recognise one of a gallery while they track.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -44,7 +42,9 @@ FACE_PX: Final = 24  # sides of the face in grey
 WIDE_PX, WIDE_SIDES = 96, 3.0  # sides of the image of head and shoulders, and of the face's box that it shows
 STILL_SIDES: Final = 2.2  # of the face's box in the picture of a person
 STILL_PX: Final = 240
+KNOWN_PEOPLE: Final = Kind("facetrack-people", 1, "file of known people", "facetrack people RUN --save FILE")
 MODEL: Final = "dlib_face_recognition_resnet_model_v1.dat"
+_one_at_a_time: Final = Lock()  # for dlib's network
 _SKIN, _HAIR, _WORN = np.s_[48:54, 40:56], np.s_[24:30, 38:58], np.s_[75:94, 19:77]  # where they are in that image
 _BINS: Final = 6  # of each colour of what is worn
 _SHARP: Final = (0.09, 0.17)  # shares of fine details of a face that cannot be told from others, and of one that can
@@ -72,7 +72,7 @@ class Picture:
     side: float  # of its box in the frame, in pixels
 
     @classmethod
-    def of(cls, frame: Frame, face: Similarity) -> Picture:
+    def of(cls, frame: Frame, face: Similarity) -> "Picture":
         """The scale of `face` is the side of its box in pixels."""
         around = _upright(frame, face._replace(angle=0.0), WIDE_SIDES, WIDE_PX)
         return cls(_upright(frame, face, CHIP_SIDES, CHIP_PX), around, face.scale)
@@ -92,9 +92,6 @@ class Picture:
 def together(looks: Iterable[FaceDescriptor]) -> FaceDescriptor:
     """The looks of all views."""
     return FaceDescriptor(*map(np.concatenate, zip(*looks, strict=True)))
-
-
-KNOWN_PEOPLE: Final = Kind("facetrack-people", 1, "file of known people", "facetrack people RUN --save FILE")
 
 
 def save_people(path: Path, people: Mapping[str, FaceDescriptor]) -> None:
@@ -242,9 +239,6 @@ def embedding_model() -> Path | None:
     return packaged("face_recognition_models", "models", MODEL) if util.find_spec("dlib") else None
 
 
-_one_at_a_time: Final = Lock()
-
-
 @cache
 def _network(model: Path) -> Any:
     import dlib  # type: ignore[import-untyped, import-not-found, unused-ignore]
@@ -272,6 +266,7 @@ SENSES: Final = {
     "embedding": ((37.09, -6.67, -59.58), 4.2, 4.4),
     "colour": ((-1.06, 19.55, -6.99, 2.56, 2.89), 2.6, 3.2),
 }
+_LAB: Final = np.array([0.4, 1.0, 1.0])  # brightness changes with the light
 _NEAR: Final = (3.0, 10.0, 10.0, 0.3)  # scales: of skin, twice, and hair, all in Lab, and of clothes
 _SAME_PLACE: Final = 3.0  # log odds of a track that begins where another one of its shot has ended
 _GOES_ON: Final = 1.0  # the same over a cut
@@ -388,9 +383,6 @@ def distances(looks: Sequence[FaceDescriptor], senses: Collection[str] = SENSES)
     clothes = [0.5 * np.sum((worn - one) ** 2 / (worn + one + 1e-9), axis=1) for one in worn]
     far = np.array([_far(skin), _far(skin), _far(hair), clothes]) / np.reshape(_NEAR, (4, 1, 1))
     return found | {"colour": np.array([np.ones_like(worth), *np.exp(-far)])}
-
-
-_LAB: Final = np.array([0.4, 1.0, 1.0])  # brightness changes with the light
 
 
 def _far(colours: Array) -> Array:

@@ -18,8 +18,6 @@ target's first frame in which all parts are seen is its neutral one; every such 
 those are kept that are far from each other, so that a clip which smiles for a second keeps the smile.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -96,7 +94,7 @@ def _from_arrays(stored: Stored) -> ShapePrior:
     return ShapePrior(stored.texts("parts"), shapes, stored.text("stable"), stored.texts("scale"))
 
 
-def build(settings: ParzenSettings, context: Context) -> BoundPrior:
+def build(settings: ParzenSettings, context: Context) -> "BoundPrior":
     """The prior of a recipe, for its target's parts and where they begin."""
     prior = load_prior(resolve_file(context.recipe, settings.file, f"{context.above}prior.file"))
     try:

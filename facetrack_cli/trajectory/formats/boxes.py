@@ -21,8 +21,6 @@ docs/measure.md lists them. Frames and pixels of the table are counted from 0 wh
   names too. The lips' points are on the outer border, as ours are.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 from collections.abc import Sequence
@@ -164,7 +162,7 @@ class Lines:
     places: Whole
 
     @classmethod
-    def of(cls, path: Path, *, by_frame: bool = False) -> Lines:
+    def of(cls, path: Path, *, by_frame: bool = False) -> "Lines":
         """Those that are not blank. With `by_frame` line i is frame i: a blank one is an error, but not at the end."""
         known = {place: line.strip() for place, line in enumerate(read_text(path).split("\n"), 1) if line.strip()}
         if by_frame and (blank := {*range(1, max(known) + 1)} - known.keys()):
@@ -180,7 +178,7 @@ class Lines:
         between = "," if any("," in text for text in self.texts) else None
         return [[cell.strip() for cell in text.split(between)] for text in self.texts]
 
-    def take(self, rows: Any) -> Lines:
+    def take(self, rows: Any) -> "Lines":
         """These rows: indices, a mask or a slice."""
         return Lines(self.path, self.texts[rows], self.places[rows])
 
