@@ -597,7 +597,7 @@ def test_a_bar_on_a_terminal(clip, tmp_path, monkeypatch):
     ours, theirs = pty.openpty()
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "120")
-    with ThreadPoolExecutor() as reader, open(theirs, "w") as stderr, monkeypatch.context() as patch:
+    with ThreadPoolExecutor() as reader, os.fdopen(theirs, "w") as stderr, monkeypatch.context() as patch:
         said = reader.submit(read_all, ours)
         patch.setattr(sys, "stderr", stderr)
         assert main(["run", str(clip), *SMALL, "-o", str(tmp_path / "out")]) == 0
