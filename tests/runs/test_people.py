@@ -50,7 +50,7 @@ def ran(tmp_path_factory):
 
 def job(out, **more):
     [recipe] = load_recipes([("face", ())], None)
-    return Job(FILM, recipe, out, video=False, faces="all", start=80, stop=115, **more)
+    return Job(FILM, recipe, out, video=False, faces="all", start=80, stop=108, **more)
 
 
 @pytest.fixture(scope="module")
