@@ -72,6 +72,7 @@ def test_truth_adds_the_error(capsys, run, tmp_path, monkeypatch):
     truth = write(tmp_path / "truth.csv", rows, ("frame", "target", "part", "x", "y"))
     seen, draw = [], page.page_figure
     monkeypatch.setattr(page, "page_figure", lambda *both: seen.append(both) or draw(*both))
+    monkeypatch.setattr(style, "render", lambda *_, **how: b"drawn")
     assert facetrack(capsys, run, "--truth", truth)[0] == 0
     assert facetrack(capsys, run, "--truth", truth, "--target", "face/chin", "--overwrite")[0] == 0
     (table, pairs), (chosen, pair) = seen

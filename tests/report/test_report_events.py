@@ -45,7 +45,7 @@ def test_the_history_of_each_part(tmp_path):
     assert 12 not in reasons(by_hand, history_of(by_hand, clock), "haar", 5, 24), "it does not come back by itself"
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_key_frames_are_few_and_far_apart(tmp_path, monkeypatch, seed):
     rng = np.random.default_rng(seed)
     lost = {name: set(np.flatnonzero(np.repeat(rng.random(100) < 0.4, 20)).tolist()) for name in "ab"}

@@ -10,12 +10,14 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import CancelledError
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-distributed = pytest.importorskip("distributed", reason="needs the extra: pip install -e '.[cluster]'")
+if find_spec("distributed") is None:
+    pytest.skip("needs the extra: pip install -e '.[cluster]'", allow_module_level=True)
 psutil = pytest.importorskip("psutil")
 
 from facetrack_cli.__main__ import main  # noqa: E402
@@ -204,7 +206,7 @@ def test_options_that_have_no_meaning_on_a_cluster(facetrack, monkeypatch):
 @pytest.fixture
 def worker(monkeypatch):
     found = SimpleNamespace(status=SimpleNamespace(name="running"), address="tcp://here:1")
-    monkeypatch.setattr(distributed, "get_worker", lambda: found)
+    monkeypatch.setattr("distributed.get_worker", lambda: found)
     return found
 
 
@@ -266,7 +268,7 @@ class Scheduler:
 
 def outcomes(monkeypatch, scheduler, tmp_path):
     """The outcomes of a batch by clip."""
-    monkeypatch.setattr(distributed, "Client", lambda address, **_: scheduler)
+    monkeypatch.setattr("distributed.Client", lambda address, **_: scheduler)
     monkeypatch.setattr(cluster, "ANSWER_LOOK_S", 0.0)
     recipe = load_recipe("sir")
     jobs = [Job(Path(name), recipe, tmp_path / name, batch=True, overwrite=True) for name in scheduler.scripts]
@@ -278,7 +280,9 @@ def answer(name, error=None, **more):
 
 
 def test_what_becomes_of_each_answer(tmp_path, monkeypatch):
-    killed = distributed.KilledWorker("key", SimpleNamespace(address="tcp://one:1"), 3)
+    from distributed import KilledWorker
+
+    killed = KilledWorker("key", SimpleNamespace(address="tcp://one:1"), 3)
     scheduler = Scheduler(
         a=[FacetrackError("no space left")],
         b=[answer("b", InputError("not a video"))],

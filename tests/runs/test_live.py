@@ -237,7 +237,7 @@ def test_an_image_ages_while_it_waits_for_those_before_it():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals need POSIX")
-@pytest.mark.parametrize("number", [2, 15])
+@pytest.mark.parametrize("number", [2, pytest.param(15, marks=pytest.mark.nightly)])
 def test_a_pipe_that_stalls_is_ended_by_a_signal(number):
     words = [sys.executable, "-m", "facetrack_cli", "run", "-", "--live", "--box", "40,30,24,24"]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:

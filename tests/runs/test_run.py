@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path, PureWindowsPath
 
@@ -590,16 +591,19 @@ def test_plain_lines_now_and_then(clip, run, monkeypatch):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal")
-def test_a_bar_on_a_terminal(clip, tmp_path):
+def test_a_bar_on_a_terminal(clip, tmp_path, monkeypatch):
     import pty
 
     ours, theirs = pty.openpty()
-    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
-    words = [*FACETRACK, "run", clip, *SMALL, "-o", tmp_path / "out"]
-    process = subprocess.Popen(words, stderr=theirs, env=environment)
-    os.close(theirs)
-    text = read_all(ours)
-    assert process.wait(30) == 0 and "frames/s" in text and "━" in text and "30 frames; " in text.splitlines()[-3]
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    with ThreadPoolExecutor() as reader, os.fdopen(theirs, "w") as stderr, monkeypatch.context() as patch:
+        said = reader.submit(read_all, ours)
+        patch.setattr(sys, "stderr", stderr)
+        assert main(["run", str(clip), *SMALL, "-o", str(tmp_path / "out")]) == 0
+        stderr.close()
+        text = said.result()
+    assert "frames/s" in text and "━" in text and "30 frames; " in text.splitlines()[-3]
 
 
 def test_a_reader_that_leaves_ends_the_run_quietly(long_clip):

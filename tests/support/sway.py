@@ -59,5 +59,5 @@ def until(true, process=None, seconds=60.0):
     while not (value := true()):
         assert process is None or process.poll() is None, process.stderr and process.stderr.read()
         assert time.monotonic() < deadline, "it never came"
-        time.sleep(0.002)
+        time.sleep(0.005)
     return value
