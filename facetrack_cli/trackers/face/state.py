@@ -89,7 +89,7 @@ def head_confidence(head: ParticleState) -> float:
     return float(head.judgement.confidence[0])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FaceParts:
     """The parts of a face, and the rows that they have in a state.
 

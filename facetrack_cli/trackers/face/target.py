@@ -64,7 +64,7 @@ _BY_PAIRS: Final = np.array([math.radians(3), np.inf, np.inf, np.inf])
 _MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FaceTarget(FaceParts):
     """A face that is followed from frame to frame."""
 
