@@ -75,15 +75,6 @@ class Node:
             return [node.plain() for node in self.value]
         return self.value
 
-    def copy(self) -> Node:
-        """A tree of its own, whose values have the same places."""
-        value = self.value
-        if isinstance(value, dict):
-            value = {key: node.copy() for key, node in value.items()}
-        elif isinstance(value, list):
-            value = [node.copy() for node in value]
-        return Node(self.span, value, self.key)
-
     def at(self, path: Sequence[str | int]) -> tuple[Node, list[str]]:
         """The value at a path, or the nearest above it, and the keys that lead there.
 

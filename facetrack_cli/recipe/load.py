@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from functools import lru_cache
 from pathlib import Path, PurePath
 from typing import Any, Final
@@ -144,7 +145,7 @@ def _made(path: Path, source: Source, overrides: tuple[str, ...]) -> Recipe:
     if parsed is None or parsed.value is None:
         shipped = "start from a shipped recipe: facetrack recipes show factorized"
         raise YamlProblems(Problem(Span(source, 0, 0), f"the recipe is empty; {shipped}"))
-    root = parsed.copy()
+    root = deepcopy(parsed)
     if not isinstance(root.value, dict):
         raise YamlProblems(Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this"))
     for override in overrides:
@@ -210,7 +211,7 @@ def gallery_file(file: str) -> Path:
 def put_gallery(recipe: Recipe, file: str) -> Recipe:
     """The recipe with this gallery in place of its own: where it recognises, else wherever it can."""
     assert recipe._root is not None
-    root = recipe._root.copy()
+    root = deepcopy(recipe._root)
     for name in _recognising(recipe) or _affine(recipe):
         assign(root, "--gallery", f"{above(name)}recognition.gallery={json.dumps(file)}")
     return type(recipe).model_validate(root.plain(), context={"path": recipe.path, "root": root})
