@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -38,8 +39,8 @@ def cues_of(images: list[Image], seed: int) -> dict[int, Array]:
     found: dict[int, Array] = {}
     asked = target.in_picture
 
-    def noted(cues: Array) -> Array:
-        last[:] = [cues]
+    def noted(cues: Sequence[Sequence[float]]) -> list[float]:
+        last[:] = [np.array(cues)]
         return asked(cues)
 
     target.in_picture = noted

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any, BinaryIO, Final, TypeAlias, TypeVar
+from typing import Any, BinaryIO, Final, NamedTuple, TypeAlias, TypeVar
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 
 import numpy as np
@@ -40,8 +40,7 @@ _HEADER = (ValueError, TypeError, IndexError, EOFError, SyntaxError, TokenError)
 _DIRECTORY = zipfile._ECD_SIZE  # type: ignore[attr-defined]
 
 
-@dataclass(frozen=True)
-class Kind:
+class Kind(NamedTuple):
     """A kind of file: `format` and `version` in it, what messages call it ("gallery"), the command that makes it."""
 
     format: str
@@ -96,7 +95,7 @@ def check_inflated(path: Path, raw: BinaryIO, what: str) -> None:
     raw.seek(0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stored:
     """The arrays of a file: each method returns one, and raises ValueError if it is of another kind."""
 

@@ -29,10 +29,10 @@ A part is `lost` once its confidence has stayed under `lost_below` for `patience
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -162,8 +162,7 @@ def load_calibration(path: Path) -> Calibration:
         raise InputError(f"{path}: is no calibration: {why}; {remedy}") from None
 
 
-@dataclass(frozen=True)
-class Judgement:
+class Judgement(NamedTuple):
     """What is known of each of K parts after a frame. `good`, `bad`, `confidence` (K,); `below`: frames in a row."""
 
     good: Array
@@ -196,7 +195,7 @@ def judge(settings: ConfidenceSettings, last: Judgement, distance: Array) -> Jud
     confidence = np.where(span > 1e-6, share, 0.0)
     if settings.memory is not None:
         good = np.where(confidence < settings.lost_below, good, good + (distance - good) / settings.memory)
-    return decide(settings, replace(last, good=good), confidence)
+    return decide(settings, last._replace(good=good), confidence)
 
 
 def decide(settings: ConfidenceSettings, last: Judgement, confidence: Array) -> Judgement:
@@ -214,7 +213,7 @@ def resume(
     Parts that are `fresh` (K,) are judged from here on, others by the `first` frame; one in doubt is `lost` at once.
     """
     impatient = np.full(len(first.below), settings.patience - 1, np.int64)
-    kept = judge(settings, replace(first, below=impatient), metric(frame, x0[None])[0])
+    kept = judge(settings, first._replace(below=impatient), metric(frame, x0[None])[0])
     new = begin(settings, metric, frame, x0, windows)
-    mixed = {key.name: np.where(fresh, getattr(new, key.name), getattr(kept, key.name)) for key in fields(kept)}
-    return Judgement(**{**mixed, "status": tuple(mixed["status"].tolist())})
+    mixed = [np.where(fresh, now, before) for now, before in zip(new[:-1], kept[:-1], strict=True)]
+    return Judgement._make([*mixed, tuple(np.where(fresh, new.status, kept.status).tolist())])

@@ -45,7 +45,7 @@ class State:
     learned: tuple[int, TargetStart] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CorrectedTarget:
     """A target and its corrections by their frames, all after the one in which it begins.
 

@@ -97,7 +97,7 @@ class Space(Protocol):
         return None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PointSpace(Space):
     """Points: state (K, 2). `sides` (K, 2): the window of each, in pixels."""
 
@@ -107,7 +107,7 @@ class PointSpace(Space):
         return self.sides
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SizedSpace(Space):
     """A target that fills its box at the start, of `size` (width, height) in pixels."""
 
@@ -122,7 +122,7 @@ class SizedSpace(Space):
         return Placed(space, space.at(box), windows, size_of_box(start, name), settings.scale, scatter)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BoxSpace(SizedSpace):
     """An upright box (Odobez et al. 2003, section 3.2): state (1, 6) = (x, y, s, their speeds); `size` at s = 1."""
 
@@ -160,8 +160,7 @@ def evenly(x0: Array, windows: Array | None) -> Estimate:
     return Estimate(x0, cov)
 
 
-@dataclass(frozen=True)
-class Placed:
+class Placed(NamedTuple):
     """Where a target begins: its state `x0` (K, D), and `windows` (K, 2), each part's width and height, in pixels.
 
     `unit` is the recipe's unit of length, in pixels; `scale` the least and the largest scale of a box. With `scatter`
@@ -182,8 +181,7 @@ class Placed:
         return w, h
 
 
-@dataclass(frozen=True)
-class Context:
+class Context(NamedTuple):
     """What the parts of one target of a recipe are built from, beside their own settings.
 
     `settings` are all of the target's; `above` stands before their keys: nothing, or as in `targets.face.`.
@@ -204,7 +202,7 @@ class Context:
 # --- motions
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RandomWalk(Motion):
     """Zero-order Gaussian motion, p(a_i | a_i^-) = N(a_i^-, sigma_i^2 I) (Patras & Pantic 2004, section 3.3).
 
@@ -234,7 +232,7 @@ class RandomWalk(Motion):
         return Linear(eye, np.zeros_like(state), eye * self.sigma[:, None, None] ** 2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FirstOrder(Motion):
     """Linear dynamics of values and speeds, c_k = A c_{k-1} + B w_k, w_k ~ N(0, I) (Odobez et al. 2003, section 3.2).
 

@@ -47,7 +47,7 @@ class ParticleState(NamedTuple):
     absent: Mask | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ParticleTarget:
     """A target followed by a particle filter. `x0` (K, D): the state in the first frame.
 
@@ -270,8 +270,7 @@ class ParticleTarget:
         return {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
 
 
-@dataclass(frozen=True)
-class FrameModel:
+class FrameModel(NamedTuple):
     """What a filter may ask: a target with one frame, and the motion of it, bound in.
 
     Of N particles of K parts, with D coordinates a part; the parts of a particle move independently. `motion`, `prior`,

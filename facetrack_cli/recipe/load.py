@@ -16,7 +16,6 @@ from facetrack_cli.core.models import model_path, shipped_folder, shipped_recipe
 from facetrack_cli.core.yaml_tree import Node, Problem, Source, Span, YamlProblems, assign, parse, read_source
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, ParticlesRecipe, Recipe, above, completed, to_dict
 from facetrack_cli.recipe.sections import suggest
-from facetrack_cli.trackers.appearance.settings import AffineSettings
 
 TASKS: Final[Mapping[str, tuple[str, ...]]] = {
     "a face and its features": ("face", "factorized_robust"),
@@ -135,12 +134,16 @@ def files_of(recipe: Recipe) -> list[Path]:
     return [resolve_file(recipe, file, key) for key, file in files.items()]
 
 
+_parsed = lru_cache(8)(parse)  # a recipe is made twice where the machine decides something
+
+
 @lru_cache(64)  # a run asks twice, once to see whether its calibration holds, a comparison of many recipes more often
 def _made(path: Path, source: Source, overrides: tuple[str, ...]) -> Recipe:
-    root = parse(source)
-    if root is None or root.value is None:
+    parsed = _parsed(source)
+    if parsed is None or parsed.value is None:
         shipped = "start from a shipped recipe: facetrack recipes show factorized"
         raise YamlProblems(Problem(Span(source, 0, 0), f"the recipe is empty; {shipped}"))
+    root = deepcopy(parsed)
     if not isinstance(root.value, dict):
         raise YamlProblems(Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this"))
     for override in overrides:
@@ -188,7 +191,7 @@ def _recognising(recipe: Recipe) -> list[str]:
 
 
 def _affine(recipe: Recipe) -> list[str]:
-    return [name for name, settings in recipe.filters.items() if isinstance(settings.target, AffineSettings)]
+    return [name for name, settings in recipe.filters.items() if settings.target.type == "affine"]
 
 
 def wants_gallery(recipe: Recipe) -> bool:

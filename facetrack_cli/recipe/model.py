@@ -18,10 +18,8 @@ from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.yaml_tree import Node, Problem, Source, Span, YamlProblems
 from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.sections import Refusal, Section, type_of
-from facetrack_cli.trackers.appearance.settings import RecognitionSettings
 from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.hands.settings import HandsSettings
-from facetrack_cli.trackers.skin.settings import ExclusionSettings
 
 MAX_SEED: Final = 2**63 - 1
 S = TypeVar("S", bound=sections.Kind)
@@ -45,6 +43,37 @@ class ConfidenceSettings(Section):
     """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""
     calibration: Annotated[str, Field(min_length=1)] | None = None
     """File of a calibration: `confidence` is a probability, lost below 1/2, and the spread covers."""
+
+
+# these two stand here, and not beside their trackers, whose settings would be imported with every recipe
+class RecognitionSettings(sections.Component):
+    """Who it is: the joint posterior of motion and identity (Zhou et al., ICME 2003, eq. 5, 14 to 16)."""
+
+    engine = "facetrack_cli.trackers.appearance.appearance:Recognition.of"
+    goes_with = ("affine",)
+    gallery: str | None = None
+    """The people, as `facetrack gallery fit` writes them; `--gallery FILE`. Sought beside the recipe."""
+    none: bool = False
+    """Beyond the paper: whether it may also be none of them."""
+    switch: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Probability that the identity changes from frame to frame (section 2.2)."""
+    sharpness: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Beyond the paper: below 1 a patch says less of who it is: the log of eq. 16 times this."""
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        return {} if self.gallery is None else {"gallery": self.gallery}
+
+
+class ExclusionSettings(Section):
+    """Mutual exclusion of targets: a likelihood counts for less where another target is (Gonzalez & Collet)."""
+
+    strength: Annotated[float, Field(ge=0, le=1)]
+    """What is lost of a particle's likelihood in the middle of another target; 0: nothing."""
+    reach: Annotated[float, Field(gt=0, le=10)] = 1.0
+    """How far another target goes, in halves of its box."""
+    first: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    """Targets that no other one excludes; the others are excluded where these are."""
 
 
 class ParticleFilterSettings(Section):

@@ -358,7 +358,7 @@ class PerPart(
 ):
     """One value for all parts, or a mapping from each part to its own, where `default` serves the parts not named."""
 
-    model_config = ConfigDict(frozen=True, strict=True)
+    model_config = ConfigDict(frozen=True, strict=True, defer_build=True)
 
     def of(self, part: str) -> T:
         """The value for a part; KeyError if it has none, which a recipe's own parts never lack."""

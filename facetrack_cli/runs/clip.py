@@ -71,7 +71,7 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
     if done.stopped is not None or job.out is None or isinstance(done.failure, OutputError):
         return done
     if done.failure is not None:  # what was tracked of the clip is drawn all the same
-        plan = replace(plan, job=replace(job, smooth=False))
+        plan = plan._replace(job=replace(job, smooth=False))
     undrawn = plan.draws and bool(done.paths) and job.out / VIDEO not in done.paths
     unfinished = undrawn or plan.job.smooth or (plan.names and done.failure is None)
     return _finished(plan, done, stop, looked) if unfinished else done

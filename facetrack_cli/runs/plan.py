@@ -35,7 +35,6 @@ from facetrack_cli.start.init_file import check_start, find_init, read_init
 from facetrack_cli.start.search import Faces, box_start, search_start
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import load_people
-from facetrack_cli.trackers.skin.settings import CloudSettings
 from facetrack_cli.trajectory.reader import PEOPLE, to_record
 from facetrack_cli.trajectory.trajectory import SEEN, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import FORMATS, Format, by_frame
@@ -51,7 +50,7 @@ def silent(*_: object) -> None:
     """Where nobody listens."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ClipRequest:
     """A clip, what says where its tracks begin, and which of its frames are read.
 
@@ -253,7 +252,7 @@ class Split(NamedTuple):
         return {"length": f"{self.length:.15g}{'f' if self.frames else 's'}"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Job(ClipRequest):
     """What is asked of one clip. `out` None streams the one format to standard output.
 
@@ -281,8 +280,7 @@ class Job(ClipRequest):
     found: Start | None = None  # where the search has found the start of what is split
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """A job with the answers that the files gave: its `init` is the init file beside the clip, where that is taken.
 
     `asked` is a digest of all that is asked for but the clip: of recipe, start, frames, options, and their files.
@@ -469,5 +467,5 @@ def check_smoothing(recipe: Recipe) -> None:
     """UsageError for a recipe whose trackers have no posterior to smooth."""
     if not recipe.filters:
         raise UsageError(f"{recipe.name} is one of OpenCV's trackers, which have no posterior to smooth; take another")
-    if all(isinstance(settings.target, CloudSettings) for settings in recipe.filters.values()):
+    if all(settings.target.type == "cloud" for settings in recipe.filters.values()):
         raise UsageError(f"{recipe.name}: the particles of a cloud are the target itself, no posterior to smooth")

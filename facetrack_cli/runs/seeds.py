@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -64,8 +64,7 @@ def load_recipes(asked: Sequence[tuple[str, Sequence[str]]], gallery: str | None
     return recipes
 
 
-@dataclass(frozen=True)
-class SeedPlan:
+class SeedPlan(NamedTuple):
     """A recipe on a clip, with some seeds. `label` names it in results; `stop` is the frame to end before."""
 
     label: str
@@ -87,8 +86,7 @@ class SeedRun:
     warnings: tuple[str, ...] = ()  # what was wrong with the clip, a line each
 
 
-@dataclass(frozen=True)
-class PlanResult:
+class PlanResult(NamedTuple):
     """The runs of a plan in the order of its seeds, or the error that kept it from running."""
 
     plan: SeedPlan

@@ -25,7 +25,6 @@ from facetrack_cli.engine.target import ParticleTarget, particle_target
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.start.init_file import TARGET, check_start
 from facetrack_cli.start.search import box_start
-from facetrack_cli.trackers.appearance.settings import AppearanceSettings
 from facetrack_cli.trackers.face.assembly import box_with, face_target
 from facetrack_cli.trackers.face.detectors import PARTS, NotHereError
 
@@ -71,11 +70,11 @@ def build_tracker(recipe: Recipe, start: Start) -> Tracker:
 def check_gallery(recipe: Recipe) -> None:
     """Raises what `build_tracker` would, of the galleries of a recipe alone, before any clip is opened."""
     for name, settings in recipe.filters.items():
-        if settings.recognition is not None and isinstance(settings.likelihood, AppearanceSettings):
+        template = getattr(settings.likelihood, "template", None)
+        if settings.recognition is not None and template is not None:
             from facetrack_cli.trackers.appearance.appearance import find_gallery
 
-            columns, rows = settings.likelihood.template
-            find_gallery(settings.recognition, (rows, columns), recipe, above(name))
+            find_gallery(settings.recognition, template[::-1], recipe, above(name))
 
 
 def _target(recipe: Recipe, start: Start, name: str) -> Target:

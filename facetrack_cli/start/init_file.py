@@ -159,7 +159,7 @@ def read_init(path: Path) -> Start:
         with reading(path, "correct the name, or make one with facetrack init"):
             source = read_source(path, name, MAX_BYTES)
         if path.suffix.lower() == ".json":  # JSON may be indented by tabs, YAML may not
-            source = replace(source, text=source.text.replace("\t", " "))
+            source = source._replace(text=source.text.replace("\t", " "))
         root = parse(source)
         if root is None:
             raise InputError(f"{name}:1: the init file is empty; make one with facetrack init")

@@ -37,7 +37,7 @@ KERNELS: Mapping[str, str] = {
         ("trackers.points.point_kernels", "parzen", "prior=parzen"),
         ("trackers.skin.skin_kernels", "moments_direct bilinear", "ncc"),
         ("trackers.box.box_kernels", "arrive sum_up carry log_mixture", "motion=visible_walk"),
-        ("trackers.hands.hand_kernels", "move weigh gather fit_skin learn_head", "hands"),
+        ("trackers.hands.hand_kernels", "move weigh gather fit_skin learn_head edges same_light", "hands"),
         ("trackers.box.box_kernels", "remember turn respond highest tally read_cubic", _CELLS),
         ("trackers.regions.region_kernels", "match_boxes", "histogram"),
         ("engine.kernels.compiled", "invert_cdf moments calibrate", _FILTERS),

@@ -472,7 +472,7 @@ class TargetResult(NamedTuple):
     beliefs: Callable[[], tuple[Any, ...]] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrameResult:
     """What a tracker says of one frame. The first result of `track_frames` has the `start` of the track."""
 

@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 from collections import Counter, defaultdict
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree as ET
@@ -48,9 +47,9 @@ def ran(tmp_path_factory):
     return film_run(tmp_path_factory)
 
 
-def job(out, **more):
+def job(out, stop=108, **more):
     [recipe] = load_recipes([("face", ())], None)
-    return Job(FILM, recipe, out, video=False, faces="all", start=80, stop=108, **more)
+    return Job(FILM, recipe, out, video=False, faces="all", start=80, stop=stop, **more)
 
 
 @pytest.fixture(scope="module")
@@ -324,7 +323,7 @@ def test_a_kill_between_two_files_of_a_correction(few, monkeypatch, after):
 def test_more_views_are_embedded_where_somebody_is_in_doubt(tracked, tmp_path, monkeypatch, doubts):
     looks, asked = Describer.looks, []
     monkeypatch.setattr(Describer, "looks", lambda self, most=VIEWS: asked.append(most) or looks(self, most))
-    monkeypatch.setattr(runs_people, "cast_of", lambda tracks, *more: replace(cast_of(tracks), doubts=doubts))
+    monkeypatch.setattr(runs_people, "cast_of", lambda tracks, *more: cast_of(tracks)._replace(doubts=doubts))
     assert clip.run(job(shutil.copytree(tracked, tmp_path / "out")), Stop()).failure is None
     few = asked.count(runs_people.FIRST_VIEWS)
     assert few > 0 and asked[few:] == [VIEWS] * (few if doubts else 0)
@@ -332,7 +331,7 @@ def test_more_views_are_embedded_where_somebody_is_in_doubt(tracked, tmp_path, m
 
 def test_the_report_shows_the_cast_and_doubts_side_by_side(tracked, tmp_path, monkeypatch, no_plot):
     def unsure(tracks, known, fps):
-        return replace(cast_of(tracks), doubts=(Doubt(0, 1, 0.4), Doubt(1, None, 0.3)))
+        return cast_of(tracks)._replace(doubts=(Doubt(0, 1, 0.4), Doubt(1, None, 0.3)))
 
     out, page = shutil.copytree(tracked, tmp_path / "out"), tmp_path / "page.html"
     monkeypatch.setattr(runs_people, "cast_of", unsure)
@@ -421,7 +420,7 @@ def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(named, tmp_path,
 
 def test_a_crowd_is_bounded_and_said(tmp_path, monkeypatch):
     monkeypatch.setattr(presence, "MAX_FACES", 1)
-    done = clip.run(replace(job(tmp_path / "out"), stop=98), Stop())
+    done = clip.run(job(tmp_path / "out", stop=98), Stop())
     assert done.failure is None
     [said] = [line for line in done.warnings if "faces at a time" in line]
     assert said.startswith("more than 1 faces at a time, first in frame 9")

@@ -3,7 +3,6 @@
 import os
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -80,8 +79,8 @@ def test_a_plan_that_cannot_run_says_why_and_the_others_go_on(tmp_path):
     plans = [
         SeedPlan("bad", CLIP, load_recipe("factorized"), start, (0, 1)),
         good,
-        replace(good, clip=tmp_path / "none.mp4"),
-        replace(good, start=Start(9999, good.start.targets, "late.yaml"), stop=None),
+        good._replace(clip=tmp_path / "none.mp4"),
+        good._replace(start=Start(9999, good.start.targets, "late.yaml"), stop=None),
         plan(seeds=(0,), overrides=["prior.file=none.npz"]),
     ]
     ended = list(run_plans(plans, 2))
@@ -137,9 +136,9 @@ def test_an_error_that_cannot_be_put_together_again_costs_its_own_task_alone():
 
 def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch, tmp_path):
     monkeypatch.setattr(seeds, "_work", _ends_itself)
-    one, dead = plan(seeds=(0,)), replace(plan(), label="dead")
-    alive = [replace(one, label=str(tmp_path / str(i))) for i in range(3)]
-    ended = list(run_plans([*alive, replace(dead, label=f"late {tmp_path}")], 2))
+    one, dead = plan(seeds=(0,)), plan()._replace(label="dead")
+    alive = [one._replace(label=str(tmp_path / str(i))) for i in range(3)]
+    ended = list(run_plans([*alive, dead._replace(label=f"late {tmp_path}")], 2))
     assert [len(one.runs) for one in ended] == [1, 1, 1, 0]
     assert "its process ended with code 9" in str(ended[-1].error)
 

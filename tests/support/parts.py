@@ -8,6 +8,7 @@ import numpy as np
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.engine import filters as steps
 from facetrack_cli.engine.spaces import Context, Placed
+from facetrack_cli.recipe.model import RecognitionSettings
 from facetrack_cli.recipe.sections import AuxiliarySettings, FactorizedSettings, SirSettings, type_of
 from facetrack_cli.trackers.appearance.appearance import AffineWalk, Appearance, PredictedWalk, Recognition
 from facetrack_cli.trackers.appearance.settings import (
@@ -15,7 +16,6 @@ from facetrack_cli.trackers.appearance.settings import (
     AffineWalkSettings,
     AppearanceSettings,
     ComponentsSettings,
-    RecognitionSettings,
 )
 from facetrack_cli.trackers.box import hidden_box
 from facetrack_cli.trackers.box.settings import GuidedSettings, VisibleWalkSettings
@@ -76,7 +76,7 @@ def skin_ncc(size, **settings):
 
 def skin_cloud(size, teacher, **settings):
     start = Start(0, {"face": TargetStart(box=teacher)}, "x")
-    return SkinCloud(section(SkinCloudSettings, **settings), replace(placed([size]), start=start))
+    return SkinCloud(section(SkinCloudSettings, **settings), placed([size])._replace(start=start))
 
 
 def components(w, s, f):

@@ -13,9 +13,9 @@ from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import BoxSpace, FirstOrder, evenly
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.model import ExclusionSettings
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trackers.skin.likelihoods import CloudSpace, log_weights
-from facetrack_cli.trackers.skin.settings import ExclusionSettings
 from tests.support.parts import sir
 from tests.support.results import target
 

@@ -166,3 +166,20 @@ def learn_head(seen, head, limit, hands, radius):
     )
     rate = np.where(free, of.HELD + (of.LEARNS - of.HELD) * (1 - new), of.HELD)
     return head + rate[..., None] * (seen - head), change, new, change[free]
+
+
+def same_light(first, now, thin):
+    """By the median factor of each channel."""
+    both = [image[::thin, ::thin].reshape(-1, 3) for image in (first, now)]
+    usable = np.all([(image >= of.DARK) & (image <= of.BRIGHT) for image in both], axis=(0, 2))
+    if usable.sum() < of.ENOUGH * len(usable):
+        return True
+    before, after = (image[usable] for image in both)
+    factor = np.sort(after / before.astype(np.float32), axis=0)[len(before) // 2]
+    return bool(np.all((factor > 1 - of.LEAST_GAIN) & (factor < 1 + of.LEAST_GAIN)))
+
+
+def edges(before, after, slope):
+    """The number of steep edges, and of those that have changed."""
+    steep = slope > of.STEEP * slope.mean()
+    return steep.sum(), (steep & (cv2.absdiff(before, after) > np.rint(of.STEADY * slope))).sum()

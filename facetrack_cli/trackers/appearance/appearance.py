@@ -72,16 +72,11 @@ from facetrack_cli.engine.protocols import Likelihood, Linear, Motion, Predictio
 from facetrack_cli.engine.resampling import logsumexp, normalise
 from facetrack_cli.engine.spaces import Context, Estimate, SizedSpace, estimate
 from facetrack_cli.recipe.load import resolve_file
-from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.recipe.model import Recipe, RecognitionSettings
 from facetrack_cli.trackers.appearance import appearance_kernels as kernel
 from facetrack_cli.trackers.appearance.appearance_kernels import Rows
 from facetrack_cli.trackers.appearance.gallery import NONE, Gallery, load_gallery
-from facetrack_cli.trackers.appearance.settings import (
-    AffineWalkSettings,
-    AppearanceSettings,
-    NoiseSettings,
-    RecognitionSettings,
-)
+from facetrack_cli.trackers.appearance.settings import AffineWalkSettings, AppearanceSettings, NoiseSettings
 from facetrack_cli.trajectory.diagnostics import AFFINE, ENTROPY, ERROR, NOISE, POSTERIOR, SCALE
 
 MAX_FACTOR = 256  # a face of 13 times 256 pixels or more is read with gaps

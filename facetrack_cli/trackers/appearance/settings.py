@@ -4,7 +4,9 @@ All equations are those of Zhou, Chellappa & Moghaddam, "Adaptive Visual Trackin
 Filters", ICME 2003. No numerics are imported here.
 """
 
-from collections.abc import Iterable, Mapping
+from __future__ import annotations
+
+from collections.abc import Iterable
 from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
@@ -124,26 +126,6 @@ class AppearanceSettings(sections.LikelihoodSettings):
         for name, share, sigma in zip("wsf", self.mixing.each, self.sigma.each, strict=True):
             if share > 0 and sigma < 1e-3:
                 yield sections.Refusal(("sigma", name), f"likelihood.sigma.{name} must be at least 0.001")
-
-
-class RecognitionSettings(sections.Component):
-    """Who it is: the joint posterior of motion and identity (eq. 5, 14 to 16)."""
-
-    engine = "facetrack_cli.trackers.appearance.appearance:Recognition.of"
-    goes_with = ("affine",)
-
-    gallery: str | None = None
-    """The people, as `facetrack gallery fit` writes them; `--gallery FILE`. Sought beside the recipe."""
-    none: bool = False
-    """Beyond the paper: whether it may also be none of them."""
-    switch: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    """Probability that the identity changes from frame to frame (section 2.2)."""
-    sharpness: Annotated[float, Field(gt=0, le=1)] = 1.0
-    """Beyond the paper: below 1 a patch says less of who it is: the log of eq. 16 times this."""
-
-    @property
-    def files(self) -> Mapping[str, str]:
-        return {} if self.gallery is None else {"gallery": self.gallery}
 
 
 class AdaptiveSettings(sections.FilterSettings):

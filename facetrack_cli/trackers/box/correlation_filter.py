@@ -187,7 +187,7 @@ class CorrelationState(NamedTuple):
     seen: Seen | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CorrelationFilter(Likelihood):
     """A box by the response of a filter to the window around it."""
 

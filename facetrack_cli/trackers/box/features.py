@@ -160,7 +160,7 @@ class Colours(NamedTuple):
     tells: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ColourModel:
     """`box`: width and height of the target as shares of the window's side."""
 

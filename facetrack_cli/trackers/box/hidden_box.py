@@ -26,7 +26,7 @@ from facetrack_cli.trackers.box.settings import GuidedSettings, VisibleWalkSetti
 VISIBLE = 5  # the coordinate of a box that may be hidden that is P(visible)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class VisibleBoxSpace(BoxSpace):
     """A box that may be hidden (ours): state (1, 6) = (x, y, s, speeds of x and y, P(visible))."""
 
@@ -58,7 +58,7 @@ class VisibleBoxSpace(BoxSpace):
         return np.array([min(float(np.sum(np.exp(particles.log_w) * particles.x[:, 0, VISIBLE] * near)), 1.0)])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class VisibleWalk(Motion):
     """A walk with velocity of a box that may be hidden; with a = `velocity` and b = `acceleration` of the settings
 
@@ -234,7 +234,7 @@ def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model
     return Particles(x, log_w), Info(ess, float(log_sum) - math.log(n))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BoxTarget(ParticleTarget):
     """A target followed as a box that may be hidden, by a walk with velocity."""
 

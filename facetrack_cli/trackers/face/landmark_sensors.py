@@ -38,7 +38,7 @@ class LandmarkReadings(NamedTuple):
     eyes: PlacedPoints | None  # by regression and network together; None where they have no rows
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LandmarkSensors:
     """The sensors of one face."""
 

@@ -58,7 +58,7 @@ def modes(measured: SensorReading) -> tuple[Array, Array, Array]:
     return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JumpingWalk(Motion):
     """A random walk with heavy tails around `rest` (K, 2) (ours; see the recipe's section).
 
@@ -129,7 +129,7 @@ def jumping_walk(settings: JumpingWalkSettings, context: Context) -> JumpingWalk
     return JumpingWalk(sigma, jump, settings.jumps, placed.x0, settings.keep)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MeasuredWalk(JumpingWalk):
     """A jumping walk in one frame, in which sensors have `measured` the parts.
 

@@ -98,7 +98,7 @@ def _without_window(names: tuple[str, ...], landmarks: LandmarkFilter | None) ->
     return landmarks.carried, landmarks.offset, landmarks.var, landmarks.bias_std, landmarks.visible
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FaceParts:
     """The parts of a face, and the rows that they have in a state.
 

@@ -62,7 +62,7 @@ _BY_BOX, _BY_EYES, _BY_PAIRS = (0.15, 0.1, 0.1), 0.06, math.radians(3)
 _MAX_POSE: Final = (0.7, 0.3, 0.3)  # of size and offset; a face may lie, and a head may turn over
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FaceTarget(FaceParts):
     """A face that is followed from frame to frame."""
 

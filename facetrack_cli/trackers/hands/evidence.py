@@ -24,6 +24,7 @@ images show.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Final, NamedTuple
 
@@ -35,7 +36,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Box, Frame, Image, Planes, factor_for
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.trackers.hands.hand_kernels import LEARNS, learn_head
+from facetrack_cli.trackers.hands.hand_kernels import BRIGHT, DARK, LEARNS, edges, learn_head, same_light
 
 Map = NDArray[np.float32]
 MAX_FACE_PX: Final = 20  # of the face's box in the reduced frame
@@ -45,15 +46,13 @@ ALONG, ACROSS, NOISE = 0.4, 0.12, 1.5  # standard deviations of skin: in saturat
 SKIN_SHARE: Final = 0.03  # of what is not the face
 PASSES: Final = 3  # of the phase correlation
 SHIFT: Final = 0.25  # of a pixel: a camera that moves by less stands still
-STEEP, STEADY, MOST = 1.5, 0.03, 0.4  # mean slopes, of which an edge changes by less, and so many edges by more, if not
+MOST: Final = 0.4  # of steep edges, of which so many change if the camera moves
 MOVES: Final = 0.6  # of the peak of the phase correlation, from which on it tells a motion of the camera
 RISES: Final = 0.002  # of the background's p in a frame
 CHANGED: Final = 4.0  # grey levels by which the face differs from before, where as much speaks for a hand as against it
 UNREST, UNREST_AT_FIRST = 2.5, 1.5  # by so many times as much as without a hand, if that is more; grey levels
 REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
-TELL: Final = 2400  # so many values tell the light, on a lattice,
-DARK, BRIGHT, ENOUGH = 20, 240, 0.1  # of which this share is between these levels
-LEAST_GAIN: Final = 0.01  # of a channel: less is left as it is
+TELL: Final = 2400  # so many values tell the light, on a lattice
 AGREES: Final = 0.15  # of a channel, between the quartiles of all pixels at most
 HEAD: Final = (-0.8, -1.3, 0.8, 1.1)  # head and neck about the face's middle, in sizes of the box
 _NOBODY: Final = np.empty((0, 2))
@@ -152,16 +151,17 @@ def look(
     evidence, near = skin - still, np.zeros_like(skin)
     # the head, with a margin that the disc and what is blurred do not reach beyond
     reach = 2 * round(REACHES * s) + 1
-    (left, top), (right, lower) = ((at + s * np.array(corner)).astype(int).tolist() for corner in (HEAD[:2], HEAD[2:]))
-    x, y = max(left - reach, 0), max(top - reach, 0)
-    part = slice(y, max(lower + reach + 1, y)), slice(x, max(right + reach + 1, x))
+    across, down = at.tolist()
+    x, y = max(int(across + s * HEAD[0]) - reach, 0), max(int(down + s * HEAD[1]) - reach, 0)
+    right, lower = int(across + s * HEAD[2]) + reach + 1, int(down + s * HEAD[3]) + reach + 1
+    part = slice(y, max(lower, y)), slice(x, max(right, x))
     beside, by = evidence[part], s / scene.side
     if beside.size:
         size = beside.shape[::-1]
         margin, heads = _heads(*new.shape, scene.side)
         heads = heads.copy()
         heads[margin:-margin, margin:-margin, 2] = new
-        to_part = _map(at - margin * by - (x, y), s, scene.side)
+        to_part = _map((across - margin * by - x, down - margin * by - y), s, scene.side)
         covered, near[part], changed = cv2.split(warp_affine(heads, to_part, size))
         beside *= 1 - covered
         half = cv2.resize(beside, ((size[0] + 1) // 2, (size[1] + 1) // 2), interpolation=cv2.INTER_AREA)
@@ -176,29 +176,24 @@ def _as_lit(first: Image, now: Image) -> Image:
     the median over pixels if they agree.
     """
     thin = max(round(math.sqrt(first.size / TELL)), 1)
+    if same_light(first, now, thin):
+        return now
     both = [np.ascontiguousarray(one[::thin, ::thin]) for one in (first, now)]
     usable = np.flatnonzero(np.logical_and(*(cv2.inRange(one, (DARK,) * 3, (BRIGHT,) * 3) for one in both)))
-    if len(usable) < ENOUGH * both[0][..., 0].size:
-        return now
     before, after = (one.reshape(-1, 3).take(usable, axis=0).T for one in both)
-    ratio = after / before.astype(np.float32)
     low, middle, high = (share * len(usable) // 4 for share in (1, 2, 3))
-    gain = np.partition(ratio, middle, axis=1)[:, middle]
-    if ((gain > 1 - LEAST_GAIN) & (gain < 1 + LEAST_GAIN)).all():
-        return now
-    ratio = np.partition(ratio, [low, high], axis=1)
+    ratio = np.partition(after / before.astype(np.float32), [low, middle, high], axis=1)
     if (ratio[:, high] - ratio[:, low]).max() > AGREES:
         return now
-    return np.asarray(np.clip(np.rint(now / gain), 0, 255), np.uint8)
+    return np.asarray(np.clip(np.rint(now / ratio[:, middle]), 0, 255), np.uint8)
 
 
 def _followed(scene: Scene, grey: Image, skin: Map) -> Map:
     """The background where the camera has moved it, by phase correlation; what comes into the picture is background."""
     # a shift changes edges by as much of their slopes
-    slope = cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, _BESIDE)
-    _, steep = cv2.threshold(slope, STEEP * cv2.mean(slope)[0], 255, cv2.THRESH_BINARY)
-    changed = cv2.compare(cv2.absdiff(scene.grey, grey), cv2.convertScaleAbs(slope, alpha=STEADY), cv2.CMP_GT)
-    if cv2.countNonZero(cv2.bitwise_and(steep, changed)) <= MOST * cv2.countNonZero(steep):
+    slope = np.asarray(cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, _BESIDE), np.uint8)
+    steep, moved = edges(scene.grey, grey, slope)
+    if moved <= MOST * steep:
         return scene.still
     (x, y), sure = shift_between(scene.grey, grey)
     if sure < MOVES or max(abs(x), abs(y)) < SHIFT or max(abs(x), abs(y)) > scene.side:
@@ -207,10 +202,10 @@ def _followed(scene: Scene, grey: Image, skin: Map) -> Map:
     size = grey.shape[::-1]
     # what moves before a still camera draws the peak, too: the motion is the camera's if edges fit better by it
     before = scene.grey.astype(np.float32)
-    edges, off, rest = (one[::2, ::2] for one in (slope, grey - warp_affine(before, shift, size), grey - before))
-    steepest = -(-3 * (edges.size - 1) // 4)
-    edges = edges >= np.partition(edges.ravel(), steepest)[steepest]
-    if _median(np.abs(off[edges])) >= _median(np.abs(rest[edges])):
+    around, off, rest = (one[::2, ::2] for one in (slope, grey - warp_affine(before, shift, size), grey - before))
+    steepest = -(-3 * (around.size - 1) // 4)
+    there = around >= np.partition(around.ravel(), steepest)[steepest]
+    if _median(np.abs(off[there])) >= _median(np.abs(rest[there])):
         return scene.still
     there = warp_affine(np.ones_like(before), shift, size)
     return np.asarray(warp_affine(scene.still, shift, size) + (1 - there) * skin, np.float32)
@@ -249,11 +244,10 @@ def _skin(chances: Map, image: Image) -> tuple[Map, Image]:
     return np.asarray(cv2.GaussianBlur(p, (0, 0), 0.7), np.float32), np.ascontiguousarray(levels[..., 0])
 
 
-def _map(at: Array, side: float, first: float) -> Map:
+def _map(at: Iterable[float], side: float, first: float) -> Map:
     """The map from the head's template, of a box that was `first` pixels large, to the reduced frame."""
-    by = side / first
-    left, top = at + side * np.array(HEAD[:2])
-    return np.array([[by, 0, left], [0, by, top]], np.float32)
+    (x, y), by = at, side / first
+    return np.array([[by, 0, x + side * HEAD[0]], [0, by, y + side * HEAD[1]]], np.float32)
 
 
 def _head(small: Image, at: Array, side: float, first: float) -> Map:

@@ -27,6 +27,9 @@ SPREAD = 0.6  # pixels of the reduced frame, about a place of most skin
 WINDOW = 0.8  # radii, standard deviation of the window in which the axis of a hand is measured
 CHANGED_WIDTH = 1.0  # grey levels, of the logistic function of a change
 LEARNS, HELD = 0.1, 0.02  # share of a frame in the head's template, and where it has changed or a hand is before it
+DARK, BRIGHT, ENOUGH = 20, 240, 0.1  # levels that tell the light, and which share of a lattice must be between them
+LEAST_GAIN = 0.01  # of a channel: less is left as it is
+STEEP, STEADY = 1.5, 0.03  # mean slopes, of which an edge changes by less if the camera stands still
 _ALONG = (0.2, 0.35, 0.5, 0.65, 0.8)
 _OPPOSITE = np.array([[2 * math.cos(k * math.pi / 6), 2 * math.sin(k * math.pi / 6)] for k in range(6)])  # radii
 _TINY, _FAR = 1e-12, 9.0  # of a density, and standard deviations beyond which it is less than that
@@ -128,6 +131,44 @@ def fit_skin(share, strength, skin, face, size, scale, least, fit, at, heights):
                     k -= 1
                 at[k, 0], at[k, 1], heights[k] = j, i, here
     return count
+
+
+@exact("u1:3 u1:3 i8")
+def same_light(first, now, thin):
+    """Whether no channel of `now` (H, W, 3) has changed by a factor since `first`, on each `thin`-th row and column.
+
+    The factor is the median over pixels; it is also the same light where too few of them tell.
+    """
+    low, high = np.float32(1.0 - LEAST_GAIN), np.float32(1.0 + LEAST_GAIN)
+    (height, width, _), usable, of = now.shape, 0, 0
+    below, within = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    for y in range(0, height, thin):
+        for x in range(0, width, thin):
+            of, tells = of + 1, True
+            for c in range(3):
+                tells &= DARK <= first[y, x, c] <= BRIGHT and DARK <= now[y, x, c] <= BRIGHT
+            usable += tells
+            for c in range(3 if tells else 0):
+                factor = np.float32(now[y, x, c]) / np.float32(first[y, x, c])
+                below[c] += factor <= low
+                within[c] += factor < high
+    return usable < ENOUGH * of or (below.max() <= usable // 2 < within.min())
+
+
+@exact("u1:2 u1:2 u1:2")
+def edges(before, after, slope):
+    """How many edges of `before` (H, W) are steep, by its `slope`, and at how many of these `after` is another."""
+    (height, width), total, steep, moved = slope.shape, 0, 0, 0
+    for y in range(height):
+        for x in range(width):
+            total += slope[y, x]
+    least = STEEP * total / (height * width)
+    for y in range(height):
+        for x in range(width):
+            if slope[y, x] > least:
+                steep += 1
+                moved += abs(np.int32(after[y, x]) - np.int32(before[y, x])) > np.rint(STEADY * slope[y, x])
+    return steep, moved
 
 
 @exact("f8:3 b1:2 b1:1 f8:3 f8:3 f8:2 f8:1 f8:1 f8:1 f8:1 f8 f4:2 f4:2 f8:1 f8 f8 f8:1")

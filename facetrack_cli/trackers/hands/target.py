@@ -36,6 +36,7 @@ whether an arm may lead out of the picture (`tools/hands_present.py`). Both were
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -71,7 +72,7 @@ ANY, MEET, MEETS = 0.002, 0.2, 0.8  # probabilities, and the sizes between two h
 APART: Final = (1.2, 2.2)  # radii between two hands, at which each begins to tell its name, and does
 
 CONFIDENCE: Final = (2.5, -8.9)  # of the regression: constant, by sizes of the face a frame
-IN_PICTURE: Final = np.array([-3.6, 2.7, 7.2, 8.6])  # of the regression, by `cues`
+IN_PICTURE: Final = (-3.6, 2.7, 7.2, 8.6)  # of the regression, by `cues`
 HANGS, LOW = 4.0, 0.6  # sizes of the face below its middle where hands hang, and above the lower border of the picture
 HOLDS: Final = 1.0  # s for which hands are followed while the head is lost
 FORGETS: Final = 0.9  # share of p that is left after each later frame
@@ -218,11 +219,11 @@ class HandState(NamedTuple):
     face: Footprint
     began: int  # the frame in which it began
     now: int  # this frame
-    speed: Array  # (2,), in sizes of the face a frame
+    speed: list[float]  # of each hand, in sizes of the face a frame
     size: Array  # (2, 2), width and height of each hand in pixels
-    present: Array  # (2,), the probability that it is in the picture
-    last: Array  # (2,), when each hand was seen last, -inf if never
-    inside: Array  # (2,), whether that was within the picture
+    present: list[float]  # the probability that it is in the picture
+    last: list[float]  # when each hand was seen last, -inf if never
+    inside: list[bool]  # whether that was within the picture
     shown: float  # when the head was seen last
     # probabilities that the hands have their own names, at least 0.5, and that these are others than a frame before
     named: tuple[float, float]
@@ -274,8 +275,9 @@ class HandTarget:
         cov = np.stack([np.cov(cloud.x[:, hand, :2].T) for hand in (0, 1)])
         belief = Belief(known * 1.0, at, cov, known * 1.0, float(len(cloud.x)), np.zeros(2), np.zeros((2, 3)))
         size = np.array([(math.nan, math.nan) if box is None else box[2:] for box in boxes])
-        last = np.where(known, frame.time_s, -math.inf)
-        at_first = np.zeros(2), size, known * 1.0, last, known, frame.time_s, (1.0 if known.any() else 0.5, 0.5)
+        there = known.tolist()
+        last, named = [frame.time_s if each else -math.inf for each in there], (1.0 if any(there) else 0.5, 0.5)
+        at_first = [0.0, 0.0], size, [float(each) for each in there], last, there, frame.time_s, named
         return HandState(scene, cloud, belief, face, frame.index, frame.index, *at_first)
 
     def advance(
@@ -291,7 +293,8 @@ class HandTarget:
         if not state.face.lost:
             state = state._replace(shown=frame.time_s)
         if frame.time_s - state.shown > HOLDS:
-            belief, present = state.belief._replace(seen=FORGETS * state.belief.seen), FORGETS * state.present
+            belief = state.belief._replace(seen=FORGETS * state.belief.seen)
+            present = [FORGETS * p for p in state.present]
             state = state._replace(belief=belief, present=present, now=frame.index, named=(state.named[0], 0.0))
             return state, self._result(state, frame)
         there, unit = state.belief.at[state.belief.seen >= 0.5], state.scene.side
@@ -308,17 +311,18 @@ class HandTarget:
             named, changed, last, inside = 1 - named, 1 - changed, last[::-1], inside[::-1]
             cloud, belief, before = cloud.exchanged(), belief.exchanged(), before.exchanged()
         present = in_picture(cues(belief, face, len(seen.evidence) / scene.side))
-        there = present >= 0.5
-        known = there & (before.seen >= 0.5)
-        speed = np.where(known, np.hypot(*(belief.at - before.at).T) / face.size, 0.0)
-        places = belief.at * scene.side
+        speed, last, inside, unit = [0.0, 0.0], list(last), list(inside), scene.side
+        lower, right = (side - 1 for side in seen.evidence.shape)
+        each = zip(present, belief.at.tolist(), before.at.tolist(), before.seen.tolist(), strict=True)
+        for i, (p, at, was, p_before) in enumerate(each):
+            if p >= 0.5:
+                x, y = at[0] * unit, at[1] * unit
+                speed[i] = math.dist(at, was) / face.size if p_before >= 0.5 else 0.0
+                last[i], inside[i] = frame.time_s, min(x, y, right - x, lower - y) > BORDER * unit * face.size
         size = scene.factor * belief.form[:, :2]
-        height, width = seen.evidence.shape
-        away = np.minimum(places, np.array([width, height]) - 1 - places).min(axis=1) / (scene.side * face.size)
         return state._replace(
-            cloud=cloud, belief=belief, now=frame.index, speed=speed, size=size, present=present,
-            last=np.where(there, frame.time_s, last), inside=np.where(there, away > BORDER, inside),
-            named=(named, changed),
+            cloud=cloud, belief=belief, now=frame.index, speed=speed, size=size, present=present, last=last,
+            inside=inside, named=(named, changed),
         )  # fmt: skip
 
     def footprint(self, state: HandState, *, ahead: bool) -> Footprint | None:
@@ -327,9 +331,9 @@ class HandTarget:
 
     def _result(self, state: HandState, frame: Frame, *, placed: bool = False) -> TargetResult:
         i, belief, unit, named = self.hand, state.belief, state.scene.side * state.scene.factor, state.named
-        present = 1.0 if placed else float(state.present[i])
+        present = 1.0 if placed else state.present[i]
         p, (constant, by_speed) = present * float(belief.near[i]), CONFIDENCE
-        sure = 1.0 if placed else p / (1 + math.exp(-constant - by_speed * min(float(state.speed[i]), 1.0)))
+        sure = 1.0 if placed else p / (1 + math.exp(-constant - by_speed * min(state.speed[i], 1.0)))
         status = "init" if placed else "tracked" if sure >= self.settings.lost_below else "lost"
         if present < 0.5 and not (state.inside[i] and frame.time_s - state.last[i] < GONE):
             status = "absent"
@@ -354,19 +358,22 @@ class HandTarget:
         return TargetResult(rows, cloud, beliefs=beliefs)
 
 
-def cues(belief: Belief, face: Face, height: float) -> Array:
-    """(2, 4): of each hand what tells whether it is in the picture, which is `height` sizes high.
+def cues(belief: Belief, face: Face, height: float) -> list[Sequence[float]]:
+    """Of each hand (4,) what tells whether it is in the picture, which is `height` sizes high.
 
     A bare arm that reaches the lower border above where hands hang leads to a hand below, and is thinner than a hand.
     """
-    y, seen = belief.at[:, 1], belief.seen
-    low = np.minimum(np.maximum(1 - (height - y) / face.size / LOW, 0.0), 1.2) * ((y - face.at[1]) / face.size - HANGS)
-    return np.column_stack([np.ones(2), seen, seen * low, seen * belief.skin])
+    found, middle = list[Sequence[float]](), float(face.at[1])
+    for (_, y), p, skin in zip(belief.at.tolist(), belief.seen.tolist(), belief.skin.tolist(), strict=True):
+        low = min(max(1 - (height - y) / face.size / LOW, 0.0), 1.2) * ((y - middle) / face.size - HANGS)
+        found.append((1.0, p, p * low, p * skin))
+    return found
 
 
-def in_picture(cues: Array) -> Array:
-    """(2,): the probability that each hand is in the picture."""
-    return np.asarray(1 / (1 + np.exp(-np.minimum(np.maximum(cues @ IN_PICTURE, -30), 30))))
+def in_picture(cues: Sequence[Sequence[float]]) -> list[float]:
+    """The probability that each hand is in the picture."""
+    log_odds = (sum(map(operator.mul, each, IN_PICTURE)) for each in cues)
+    return [1 / (1 + math.exp(-min(max(each, -30.0), 30.0))) for each in log_odds]
 
 
 def _face(scene: Scene, face: Footprint) -> Face:

@@ -63,7 +63,7 @@ class FaceDescriptor(NamedTuple):
     worth: Array  # (M, 1), how much of a face can be told from it, 0..1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Picture:
     """A face in one frame."""
 
@@ -289,8 +289,7 @@ class TrackSummary(NamedTuple):
     looks: FaceDescriptor
 
 
-@dataclass(frozen=True)
-class Doubt:
+class Doubt(NamedTuple):
     """A track that may be of another person (None: of somebody new) with probability `p`."""
 
     track: int
@@ -298,8 +297,7 @@ class Doubt:
     p: float
 
 
-@dataclass(frozen=True)
-class Cast:
+class Cast(NamedTuple):
     """The person (T,) of each track with its probability `p` (T,); what is in doubt.
 
     The first numbers are of the `known` people, in their order; others are counted by first appearance. A track that

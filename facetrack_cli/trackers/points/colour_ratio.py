@@ -15,6 +15,7 @@ Templates are learned in the first frame and then stay, except where a correctio
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,15 +45,14 @@ def place_points(settings: PointsSettings, start: Start, name: str) -> Placed:
     return Placed(PointSpace(np.array(sides)), x0, np.array(sides), unit)
 
 
-@dataclass(frozen=True)
-class Templates:
+class Templates(NamedTuple):
     """What K parts looked like in the first frame: `ratios`, o / E{o} of each after another; `sigma` (K,) of eq. 10."""
 
     ratios: NDArray[np.float32]
     sigma: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ColourRatio(Likelihood):
     """Windows of points against those of the first frame."""
 

@@ -65,9 +65,10 @@ from facetrack_cli.engine.kernels.compiled import boxes_extent, cropped
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate, box_of, estimate
+from facetrack_cli.recipe.model import ExclusionSettings
 from facetrack_cli.trackers.points.point_kernels import extent
 from facetrack_cli.trackers.skin import skin_kernels as kernel
-from facetrack_cli.trackers.skin.settings import ExclusionSettings, SkinCloudSettings, SkinNccSettings
+from facetrack_cli.trackers.skin.settings import SkinCloudSettings, SkinNccSettings
 
 # the rules pass 0.50 to 0.96 of faces that they know, 0.02 to 0.08 of very dark ones, 0.39 of one of a greyish pale
 LEAST_SHARE = 0.4

@@ -75,14 +75,3 @@ class CloudSettings(TargetSettings):
     relearns = False  # colours are learned in the first frame alone
     scale: ClassVar = (0.25, 4.0)  # of what a motion does to the size, which no pixel has
     type: Literal["cloud"]
-
-
-class ExclusionSettings(Section):
-    """Mutual exclusion of targets: a likelihood counts for less where another target is (section 3)."""
-
-    strength: Annotated[float, Field(ge=0, le=1)]
-    """What is lost of a particle's likelihood in the middle of another target; 0: nothing."""
-    reach: Annotated[float, Field(gt=0, le=10)] = 1.0
-    """How far another target goes, in halves of its box."""
-    first: Annotated[tuple[str, ...], Field(strict=False)] = ()
-    """Targets that no other one excludes; the others are excluded where these are."""
