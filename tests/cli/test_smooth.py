@@ -18,7 +18,7 @@ from facetrack_cli.trajectory.reader import read_trajectory
 from tests.support.damage import raising
 
 CLIP = Path(__file__).parents[2] / "sample_videos" / "expressions.mp4"
-RUN = ("run", str(CLIP), "--config", "factorized", "--stop", "30", "-q")
+RUN = ("run", str(CLIP), "--config", "factorized", "--stop", "20", "-q")
 
 
 def invoke(*args):
@@ -77,8 +77,8 @@ def test_the_same_command_again_smooths_what_was_not_and_leaves_what_was(run, tm
 def test_an_error_of_smoothing_leaves_what_was_tracked_and_is_the_command_s(tmp_path, monkeypatch):
     monkeypatch.setattr("facetrack_cli.runs.finished.finish_run", raising(InputError("posterior.npz: odd")))
     result = invoke(*RUN[:-1], "--smooth", "--no-video", "-o", tmp_path / "out")
-    assert isinstance(result.exception, InputError) and "30 frames" in result.output
-    assert (tmp_path / "out" / "posterior.npz").is_file() and len(read_trajectory(tmp_path / "out").frames) == 30
+    assert isinstance(result.exception, InputError) and "20 frames" in result.output
+    assert (tmp_path / "out" / "posterior.npz").is_file() and len(read_trajectory(tmp_path / "out").frames) == 20
 
 
 def test_a_run_without_its_video_is_drawn_again(tmp_path, monkeypatch):

@@ -479,9 +479,6 @@ def seen(name, first, stop, x=100.0, side=50.0, shot=1):
 SHOTS = [Shot(0, 40, 0, 40), Shot(40, 90, 40, 90)]
 
 
-SHOTS = [Shot(0, 40, 0, 40), Shot(40, 90, 40, 90)]
-
-
 def test_a_cut_after_which_the_same_faces_go_on_in_the_same_places_was_none():
     before = [seen("a", 0, 40), seen("b", 5, 40, x=300)]
     after = [seen("c", 40, 90, shot=2), seen("d", 48, 90, 303, shot=2)]
