@@ -16,6 +16,7 @@ clips in turn; `--quick` leaves that out.
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -191,7 +192,8 @@ def train(mouth: CascadedRegression, clips: Sequence[tuple[list[Drawn], list[Dra
         off = rng.normal(0, JITTER * EYES, 2)
         looks.append(patches(model, one, off))
         found = views(HEAD, (model.corners(one.seen, one.parts) + off).reshape(2, 2, 2).mean(axis=1))
-        for eye, view, way in zip(SIDES, found, (1, -1), strict=True):
+        for eye, (*at, a, b), way in zip(SIDES, found.tolist(), (1, -1), strict=True):
+            view = Similarity(np.array(at), math.hypot(a, b), math.atan2(b, a))
             wanted.append((view.to_stabilized(HEAD.to_frame(one.true[eye])) - MIDDLE) * (way, 1))
     opening = openings(np.array([one.true for one in free]))
     weight = np.sqrt(np.where(opening < CLOSED, WEIGHT, 1.0)).reshape(-1, 1)

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.geometry import warp_affine
-from facetrack_cli.core.types import Frame
+from facetrack_cli.core.types import Frame, Planes
 from facetrack_cli.trackers.face import image_kernels
 from facetrack_cli.trackers.face.cascaded_regression import face_channels, load_regression
 from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SMALL, load_eyes, openings
 from facetrack_cli.trackers.face.mesh import Iris
 from facetrack_cli.trackers.face.stabilized import EYES
+from facetrack_cli.video.decode import _to_bt601
 from tests.support import moving_face as moving
 from tests.support.fake_mesh import _AT, IN_CLIP, head_of
 from tests.support.moving_face import Pose
@@ -29,14 +30,29 @@ def found(pose, change=lambda picture, to_frame: picture):
     return load_eyes().fit(frame, head, face_channels(still), load_regression().fit(still).at), frame
 
 
+NO_MATRIX = np.empty((0, 3))
+
+
+def shown(image, views, side, matrix=NO_MATRIX, rows=None, tints=None):
+    out = np.empty((len(views), rows or side, side), np.uint8)
+    image_kernels.see(image, *(tints or (image, image)), (0, 0, 1), (0, 0, 2), views, 0.0, matrix, out)
+    return out
+
+
+def by_opencv(image, view, side, step=1.0, off=0.0):
+    """The view of an image whose pixels are `step` of the frame, of which the first is at `off`."""
+    u, v, a, b = view
+    matrix = np.array([[a, -b, (u - off) / step], [b, a, (v - off) / step]])
+    return warp_affine(image, matrix, (side, side), cv2.BORDER_REPLICATE, inverse=True)
+
+
 def test_patches_are_read_as_opencv_reads_them_and_their_channels_are_what_the_plain_twin_says():
     rng = np.random.default_rng(4)
     image = cv2.resize(rng.integers(0, 256, (9, 11), dtype=np.uint8), (60, 50), interpolation=cv2.INTER_CUBIC)
-    maps, out = np.array([[0.9, 0.3, -7.3, 2.2], [-1.7, 1.4, 40.0, 9.6]]), np.empty((2, 26, 26), np.uint8)
-    image_kernels.warp(image, maps, out)
-    for (a, b, u, v), patch in zip(maps, out, strict=True):
-        there = warp_affine(image, np.array([[a, -b, u], [b, a, v]]), (26, 26), cv2.BORDER_REPLICATE, inverse=True)
-        np.testing.assert_array_equal(patch, there)
+    views = np.array([[-7.3, 2.2, 0.9, 0.3], [40.0, 9.6, -1.7, 1.4]])
+    out = shown(image, views, 26)
+    for view, patch in zip(views, out, strict=True):
+        np.testing.assert_array_equal(patch, by_opencv(image, view, 26))
     places = np.array([[3.0, 4.0], [25.0, 0.0], [11.4, 19.6]])
     read, (one, other) = np.empty((2, 28), np.float32), out.tolist()
     image_kernels.read_eyes(out, places, read)
@@ -49,10 +65,22 @@ def test_patches_are_read_as_opencv_reads_them_and_their_channels_are_what_the_p
 def test_patches_beyond_a_small_image_are_read_as_opencv_reads_them(height, width):
     rng = np.random.default_rng(height * width)
     image, (a, b, u, v) = rng.integers(0, 256, (height, width), dtype=np.uint8), rng.normal(0, 2, 4)
-    image_kernels.warp(image, np.array([[a, b, u, v]]), out := np.empty((1, 12, 12), np.uint8))
-    matrix = np.array([[a, -b, u], [b, a, v]])
-    there = warp_affine(image, matrix, (12, 12), cv2.BORDER_REPLICATE, inverse=True)
-    np.testing.assert_array_equal(out[0], there)
+    np.testing.assert_array_equal(shown(image, np.array([[u, v, a, b]]), 12)[0], by_opencv(image, (u, v, a, b), 12))
+
+
+@pytest.mark.parametrize("matrix", [None, _to_bt601(1), _to_bt601(9)])
+def test_planes_are_seen_as_opencv_warps_each_and_then_joins_them(matrix):
+    rng = np.random.default_rng(8)
+    y, u, v = (rng.integers(0, 256, (side, side), dtype=np.uint8) for side in (40, 20, 20))
+    views, ours = np.array([[5.2, -3.1, 0.9, 0.3], [11.0, 9.6, 1.2, -0.2]]), NO_MATRIX if matrix is None else matrix
+    joined, lit = (shown(y, views, 24, ours, rows, (u, v)) for rows in (36, 24))
+    for view, all_, of_y in zip(views, joined, lit, strict=True):
+        # a tint lies in the middle of two by two pixels, of the view as of the frame
+        (a, b), (at, top) = view[2:], view[:2]
+        tint = at + 0.5 * (a - b), top + 0.5 * (a + b), a, b
+        warped = Planes(by_opencv(y, view, 24), *(by_opencv(one, tint, 12, 2.0, 0.5) for one in (u, v)), matrix)
+        np.testing.assert_array_equal(all_, warped.joined())
+        np.testing.assert_array_equal(of_y, warped.lit)
 
 
 def squeezed(picture, to_frame, to=0.15):

@@ -14,6 +14,7 @@ All matrices are ridge regressions, trained on real faces by `tools/eye_descent.
 
 from __future__ import annotations
 
+import cmath
 import math
 from functools import lru_cache
 from pathlib import Path
@@ -25,11 +26,11 @@ from numpy.typing import NDArray
 from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.types import Array, Frame, Image, Planes
+from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.trackers.face import image_kernels
 from facetrack_cli.trackers.face.cascaded_regression import AROUND, CORNER, GRID, PlacedPoints
 from facetrack_cli.trackers.face.image_kernels import DIRECTIONS
-from facetrack_cli.trackers.face.stabilized import EYES, Similarity, in_one_piece, slope
+from facetrack_cli.trackers.face.stabilized import EYES, Similarity, extent_of, read_grey, slope
 
 KIND = Kind("facetrack-eyes", 1, "eye descent", "python tools/eye_descent.py")
 DEFAULT = "eye_descent.npz"
@@ -81,8 +82,8 @@ class EyeRegression(NamedTuple):
         lost, angle = min(STEEP * (head.scale * EYES / SMALL - 1), 0.0), slope(middles)
         turn, wide = (math.cos(angle) / ZOOM, math.sin(angle) / ZOOM), ZOOM * EYES
         each, of_eye, at, odds = np.empty((2, 4, 2)), np.empty(2), np.empty((len(POINTS), 2)), np.empty(len(POINTS))
-        patches, narrow = _patches(frame, views(head, middles)), (NARROW * wide, STEEP / wide, lost)
-        image_kernels.place_eyes(patches, _GRID, self.lids, middles, turn, narrow, each, of_eye)
+        both, narrow = patches(frame, head, middles), (NARROW * wide, STEEP / wide, lost)
+        image_kernels.place_eyes(both, _GRID, self.lids, middles, turn, narrow, each, of_eye)
         at[_BOTH], odds[_BOTH] = each, of_eye[:, None]
         return PlacedPoints(at, odds)
 
@@ -105,36 +106,21 @@ def openings(at: Array) -> Array:
     return np.asarray(apart[..., 1] / np.maximum(apart[..., 0], 1e-9))
 
 
-def views(head: Similarity, middles: Array) -> list[Similarity]:
-    """The maps of the patches around both eyes, whose `middles` (2, 2) are in the stabilized image."""
-    angle = head.angle + slope(middles)
-    return [Similarity(at, head.scale / ZOOM, angle) for at in head.to_frame(middles)]
+def views(head: Similarity, middles: Array) -> Array:
+    """(2, 4) views of the patches around both eyes, whose `middles` (2, 2) are in the stabilized image."""
+    turn = cmath.rect(head.scale / ZOOM, head.angle + slope(middles))
+    return np.array([(*at, turn.real, turn.imag) for at in head.to_frame(middles).tolist()])
+
+
+def patches(frame: Frame, head: Similarity, middles: Array) -> Image:
+    """(2, SIDE, SIDE) of both eyes in grey; `middles` as of `views`."""
+    both = views(head, middles)
+    return read_grey(frame, both, *extent_of(head.scale / ZOOM, SIDE, *both.tolist()), SIDE)
 
 
 def phi(frame: Frame, head: Similarity, middles: Array) -> NDArray[np.float32]:
-    """(2, WIDTH) of the patches around both eyes, whose `middles` (2, 2) are in the stabilized image."""
-    out = np.empty((2, WIDTH), np.float32)
-    image_kernels.read_eyes(_patches(frame, views(head, middles)), _GRID, out)
-    return out
-
-
-def _patches(frame: Frame, both: list[Similarity]) -> Image:
-    """(2, SIDE, SIDE) of both views in grey."""
-    (factor, one), (_, other) = both[0].extent(SIDE), both[1].extent(SIDE)
-    extent = min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
-    if frame.yuv is None or frame.yuv.ours is None:
-        return _read((*frame.grey(factor, extent), factor), both, SIDE, MIDDLE)
-    y, *tints = (in_one_piece(*plane, extent) for plane in frame.planes(factor, extent) or [])
-    lit = _read(y, both, SIDE, MIDDLE)
-    u, v = (_read(tint, both, SIDE // 2, MIDDLE / 2 - 0.25, 2).reshape(SIDE, -1) for tint in tints)
-    return Planes(lit.reshape(-1, SIDE), u, v, frame.yuv.ours).grey.reshape(lit.shape)
-
-
-def _read(part: tuple[Image, int, int, int], both: list[Similarity], side: int, half: float, step: int = 1) -> Image:
-    """(2, side, side) of both views in a part of the frame; see `Similarity.map_of`."""
-    image, left, top, factor = part
-    maps = np.array([view.map_of(left, top, factor, half, step) for view in both])
-    image_kernels.warp(image, maps, out := np.empty((2, side, side), np.uint8))
+    """(2, WIDTH) of the patches around both eyes."""
+    image_kernels.read_eyes(patches(frame, head, middles), _GRID, out := np.empty((2, WIDTH), np.float32))
     return out
 
 

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.engine.kernels.compiled import between, exact, fast, fast_part
+from facetrack_cli.engine.kernels.compiled import between, exact, fast, fast_part, part
 
 Single: TypeAlias = NDArray[np.float32]
 Image: TypeAlias = NDArray[np.uint8]
@@ -105,42 +105,83 @@ def _read_eye(patch, mirrored, offsets, out):
     out[-1] = _ONE
 
 
-@exact("u1:2 f8:2 u1:3")
-def warp(image, maps, out):
-    """Images `out` (M, side, side) of a grey `image` under `maps` (M, 4), as OpenCV 4 has them, to the last bit.
+@exact("u1:2 u1:2 u1:2 i8x3 i8x3 f8:2 f8 f8:2 u1:3")
+def see(lit, u, v, at, tint_at, views, middle, matrix, out):
+    """Views `out` (M, rows, side) of a frame's planes; `views` (M, 4) are as `Similarity.view` has them.
 
-    A map (a, b, u, v) takes (x, y) to (a x - b y + u, b x + a y + v), to 1/32 pixel. The border's pixels go on.
+    (left, top, factor) of `lit`, and of both tints, are as `Frame.planes` has them, `middle` of a view is its centre.
+    With 3/2 side rows the tints follow, at every other pixel. All become those of BT.601 by a `matrix` (3, 3), if that
+    is not empty. Of a plane in grey alone the tints are not read.
     """
-    (height, width), side, flat = image.shape, out.shape[1], image.reshape(image.size)
-    across, down, at = np.empty(side, np.int32), np.empty(side, np.int32), np.empty(side, np.int32)
+    side = out.shape[2]
+    half, tinted = side // 2, out.shape[1] > side
+    tints = np.empty((2, half, half), np.uint8)
+    for m in range(len(views)):
+        _warp(lit, views[m], at, middle, 1.0, out[m])
+        if tinted or len(matrix) > 0:
+            _warp(u, views[m], tint_at, 0.5 * middle - 0.25, 2.0, tints[0])
+            _warp(v, views[m], tint_at, 0.5 * middle - 0.25, 2.0, tints[1])
+        if len(matrix) > 0:
+            _mix(out[m], tints, matrix)
+        if tinted:
+            out[m, side:] = tints.reshape(side - half, side)
+
+
+@part
+def _mix(lit, tints, matrix):
+    """Both by another matrix, of so few bits that these sums are exact; as `Planes` has them."""
+    a, b = np.float32(matrix[0, 1]), np.float32(matrix[0, 2])
+    c, d = np.float32(matrix[1, 1]), np.float32(matrix[1, 2])
+    e, f = np.float32(matrix[2, 1]), np.float32(matrix[2, 2])
+    side, most, mid = tints.shape[2], np.float32(255), np.float32(128)
+    more = np.empty(side, np.int32)
+    for i in range(side):
+        for j in range(side):
+            p, q = np.float32(tints[0, i, j]) - mid, np.float32(tints[1, i, j]) - mid
+            more[j] = np.int32(min(max(np.rint(a * p + b * q + mid), _ZERO), most)) - np.int32(128)
+            tints[0, i, j] = np.int32(min(max(np.rint(c * p + d * q + mid), _ZERO), most))
+            tints[1, i, j] = np.int32(min(max(np.rint(e * p + f * q + mid), _ZERO), most))
+        for row in lit[2 * i : 2 * i + 2]:
+            for j in range(2 * side):
+                row[j] = min(max(np.int32(np.int32(row[j]) + more[j >> 1]), np.int32(0)), np.int32(255))
+
+
+@part
+def _warp(image, view, at, middle, step, out):
+    """The first rows `out` (side, side) of a plane at every `step` pixels of a view, as OpenCV 4 has them, bit for bit.
+
+    Places are read to 1/32 pixel. The border's pixels go on.
+    """
+    (height, width), side, flat, (begin, first, factor) = image.shape, out.shape[1], image.reshape(image.size), at
+    a, b, off = step * view[2] / factor, step * view[3] / factor, (factor - 1) / 2
+    u, v = (view[0] - begin - off) / factor - (a - b) * middle, (view[1] - first - off) / factor - (b + a) * middle
+    across, down, where = np.empty(side, np.int32), np.empty(side, np.int32), np.empty(side, np.int32)
     fx, fy, four = np.empty(side, np.float32), np.empty(side, np.float32), np.empty(side, np.uint32)
     if min(width, height) < 2:  # neighbours that are read, and count for nothing
         flat = np.append(flat, np.zeros(width + 1, np.uint8))
     # the last places in 1/32 pixel, and the last pixels that have a neighbour
     none, right, bottom, wide = np.int32(0), np.int32(32 * (width - 1)), np.int32(32 * (height - 1)), np.int32(width)
     before, above, one, below = np.int32(max(width - 2, 0)), np.int32(max(height - 2, 0)), np.uint64(1), np.uint64(wide)
-    for m in range(len(maps)):
-        a, b, u, v = maps[m]
+    for x in range(side):
+        across[x], down[x] = np.int32(np.rint(a * x * 1024.0)), np.int32(np.rint(b * x * 1024.0))
+    for y in range(side):
+        left, top = np.int32(np.rint((-b * y + u) * 1024.0) + 16), np.int32(np.rint((a * y + v) * 1024.0) + 16)
+        for x in range(side):  # what is not cast is int64, which takes half as long again
+            j = min(max(np.int32(np.int32(left + across[x]) >> 5), none), right)
+            i = min(max(np.int32(np.int32(top + down[x]) >> 5), none), bottom)
+            p, q = min(np.int32(j >> 5), before), min(np.int32(i >> 5), above)
+            fx[x] = np.float32(np.int32(j - np.int32(p << 5))) * _FINE
+            fy[x] = np.float32(np.int32(i - np.int32(q << 5))) * _FINE
+            where[x] = np.int32(np.int32(q * wide) + p)
+        # a loop of its own: loads from anywhere do not vectorise, all else does
         for x in range(side):
-            across[x], down[x] = np.int32(np.rint(a * x * 1024.0)), np.int32(np.rint(b * x * 1024.0))
-        for y in range(side):
-            left, top = np.int32(np.rint((-b * y + u) * 1024.0) + 16), np.int32(np.rint((a * y + v) * 1024.0) + 16)
-            for x in range(side):  # what is not cast is int64, which takes half as long again
-                j = min(max(np.int32(np.int32(left + across[x]) >> 5), none), right)
-                i = min(max(np.int32(np.int32(top + down[x]) >> 5), none), bottom)
-                p, q = min(np.int32(j >> 5), before), min(np.int32(i >> 5), above)
-                fx[x] = np.float32(np.int32(j - np.int32(p << 5))) * _FINE
-                fy[x] = np.float32(np.int32(i - np.int32(q << 5))) * _FINE
-                at[x] = np.int32(np.int32(q * wide) + p)
-            # a loop of its own: loads from anywhere do not vectorise, all else does
-            for x in range(side):
-                k = np.uint64(at[x])
-                upper = np.uint32(flat[k]) | np.uint32(flat[k + one]) << _BITS
-                lower = np.uint32(flat[k + below]) | np.uint32(flat[k + below + one]) << _BITS
-                four[x] = upper | lower << (_BITS + _BITS)
-            row = out[m, y]
-            for x in range(side):
-                row[x] = np.int32(between(four[x], _BITS, _BYTE, fx[x], fy[x]) + _HALF)
+            k = np.uint64(where[x])
+            upper = np.uint32(flat[k]) | np.uint32(flat[k + one]) << _BITS
+            lower = np.uint32(flat[k + below]) | np.uint32(flat[k + below + one]) << _BITS
+            four[x] = upper | lower << (_BITS + _BITS)
+        row = out[y]
+        for x in range(side):
+            row[x] = np.int32(between(four[x], _BITS, _BYTE, fx[x], fy[x]) + _HALF)
 
 
 @fast_part

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import cv2
@@ -11,7 +12,7 @@ import numpy as np
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Extent, Frame, Image, Planes
-from facetrack_cli.trackers.face.image_kernels import warp
+from facetrack_cli.trackers.face.image_kernels import see
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
@@ -19,6 +20,7 @@ MIDDLE: Final = (SIDE - 1) / 2
 BOX: Final = (MIDDLE - (FACE - 1) / 2, MIDDLE - (FACE - 1) / 2, FACE, FACE)
 EYES: Final = EYE_DISTANCE * FACE
 EYE_LINE: Final = MIDDLE - 0.112 * FACE  # the row of the eyes
+_NO_MATRIX: Final = np.empty((0, 3))
 
 
 class Similarity(NamedTuple):
@@ -65,58 +67,68 @@ class Similarity(NamedTuple):
 
         Of planes U and V are read at every other pixel, as they are stored.
         """
-        if (planes := self._planes(frame, side)) is not None:
-            still = planes.bgr[:side, :side]
+        factor, extent = self.extent(side)
+        if frame.yuv is None:
+            still = self._warped(*frame.reduced(factor, extent), factor, side)
         else:
-            factor, extent = self.extent(side)
-            still = self._warped(*frame.reduced(factor, extent), factor, side, (side - 1) / 2)
+            joined = read_planes(frame, np.array([self.view]), factor, extent, side, tinted=True)[0]
+            still = np.asarray(cv2.cvtColor(joined, cv2.COLOR_YUV2BGR_I420), np.uint8)[:side, :side]
         return Frame(frame.index, frame.time_s, still)
 
     def read_grey(self, frame: Frame, side: int) -> Image:
         """As `read`, in grey (side, side)."""
-        if frame.yuv is not None and frame.yuv.ours is not None and (planes := self._planes(frame, side)):
-            return planes.grey[:side, :side]  # of so few pixels alone
-        factor, extent = self.extent(side)
-        return self._warped(*frame.grey(factor, extent), factor, side, (side - 1) / 2)
+        return read_grey(frame, np.array([self.view]), *self.extent(side), side)[0]
 
-    def _planes(self, frame: Frame, side: int) -> Planes | None:
-        """As `read`, of planes as they are stored, with an even number of pixels along each side."""
-        factor, extent = self.extent(side)
-        if frame.yuv is None or (planes := frame.planes(factor, extent)) is None:
-            return None
-        even, middle = side + side % 2, (side - 1) / 2
-        y, *tints = (in_one_piece(*plane, extent) for plane in planes)
-        u, v = (self._warped(*tint, even // 2, middle / 2 - 0.25, 2) for tint in tints)
-        return Planes(self._warped(*y, even, middle), u, v, frame.yuv.ours)
+    @property
+    def view(self) -> tuple[float, float, float, float]:
+        """The middle, and a and b of [[a, -b], [b, a]]."""
+        (x, y), turn = self.centre.tolist(), self.turn
+        return x, y, turn.real, turn.imag
 
     def extent(self, side: int) -> tuple[int, Extent]:
         """By which factor the frame is reduced that is read, and where."""
-        factor = 1
-        while 2 * factor <= self.scale and factor < 256:
-            factor *= 2
-        far = 0.5 * side * self.scale * (abs(math.cos(self.angle)) + abs(math.sin(self.angle))) + 4 * factor
-        x, y = self.centre.tolist()
-        return factor, (x - far, y - far, x + far, y + far)
+        return extent_of(self.scale, side, self.view)
 
-    def _warped(self, image: Image, left: int, top: int, factor: int, side: int, half: float, step: int = 1) -> Image:
-        """What `map_of` maps, (side, side)."""
-        a, b, u, v = self.map_of(left, top, factor, half, step)
-        if image.ndim == 2:  # OpenCV takes longer
-            out = np.empty((side, side), np.uint8)
-            warp(image, np.array([[a, b, u, v]]), out[None])
-            return out
+    def _warped(self, image: Image, left: int, top: int, factor: int, side: int) -> Image:
+        """As `read`, of an image of the frame that is reduced by `factor` and begins at (left, top)."""
+        (x, y, a, b), off, half = self.view, (factor - 1) / 2, (side - 1) / 2
+        a, b = a / factor, b / factor
+        u, v = (x - left - off) / factor - (a - b) * half, (y - top - off) / factor - (b + a) * half
         matrix = np.array([[a, -b, u], [b, a, v]])
         return np.asarray(warp_affine(image, matrix, (side, side), cv2.BORDER_REPLICATE, inverse=True), np.uint8)
 
-    def map_of(self, left: int, top: int, factor: int, half: float, step: int = 1) -> tuple[float, float, float, float]:
-        """The map (a x - b y + u, b x + a y + v) to an image of the frame.
 
-        That image is reduced by `factor` and begins at (left, top). It is read at every `step` pixels, of which `half`
-        lie on either side of the middle.
-        """
-        (x, y), off, scale = self.centre.tolist(), (factor - 1) / 2, step * self.scale / factor
-        a, b = scale * math.cos(self.angle), scale * math.sin(self.angle)
-        return a, b, (x - left - off) / factor - (a - b) * half, (y - top - off) / factor - (b + a) * half
+def extent_of(scale: float, side: int, *views: Sequence[float]) -> tuple[int, Extent]:
+    """As `Similarity.extent`, of views of one scale and turn together."""
+    factor = 1
+    while 2 * factor <= scale and factor < 256:
+        factor *= 2
+    x, y, a, b = views[0]
+    u, v, _, _ = views[-1]
+    far = 0.5 * side * (abs(a) + abs(b)) + 4 * factor
+    return factor, (min(x, u) - far, min(y, v) - far, max(x, u) + far, max(y, v) + far)
+
+
+def read_planes(frame: Frame, views: Array, factor: int, extent: Extent, side: int, *, tinted: bool) -> Image:
+    """Y of a frame with planes, (M, side, side), as the views (M, 4) show it; `tinted`: below it, both tints.
+
+    An odd `side` is by 1 larger.
+    """
+    planes, (even, ours) = frame.planes(factor, extent), (side + side % 2, frame.yuv and frame.yuv.ours)
+    (y, *at), (u, *tint_at), (v, *_) = (in_one_piece(*plane, extent) for plane in planes or [])
+    out = np.empty((len(views), even + even // 2 * tinted, even), np.uint8)
+    see(y, u, v, tuple(at), tuple(tint_at), views, (side - 1) / 2, _NO_MATRIX if ours is None else ours, out)
+    return out
+
+
+def read_grey(frame: Frame, views: Array, factor: int, extent: Extent, side: int) -> Image:
+    """Views (M, 4) of any frame in grey, (M, side, side)."""
+    if frame.yuv is not None and frame.yuv.ours is not None:
+        lit = read_planes(frame, views, factor, extent, side, tinted=False)
+        return Planes(flat := lit.reshape(-1, lit.shape[2]), flat, flat).grey.reshape(lit.shape)[:, :side, :side]
+    (grey, *at), out = frame.grey(factor, extent), np.empty((len(views), side, side), np.uint8)
+    see(grey, grey, grey, (*at, factor), (*at, factor), views, (side - 1) / 2, _NO_MATRIX, out)
+    return out
 
 
 def mapped(x: Array, turned: complex, shift: complex) -> Array:
@@ -125,7 +137,7 @@ def mapped(x: Array, turned: complex, shift: complex) -> Array:
 
 
 def in_one_piece(image: Image, left: int, top: int, factor: int, extent: Extent) -> tuple[Image, int, int, int]:
-    """An image of the frame as `map_of` has it, as one piece of memory: all of it, or what lies in the extent."""
+    """An image of the frame as `Frame.planes` has it, as one piece of memory: all of it, or what lies in the extent."""
     if image.flags.c_contiguous:
         return image, left, top, factor
     x0, y0, x1, y1 = (int(at - begin) // factor for at, begin in zip(extent, (left, top, left, top), strict=True))
