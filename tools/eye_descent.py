@@ -42,7 +42,7 @@ from mouth_descent import (
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.trackers.face import eyes
+from facetrack_cli.trackers.face import eyes, image_kernels
 from facetrack_cli.trackers.face.cascaded_regression import (
     CORNER,
     SIDE,
@@ -51,7 +51,7 @@ from facetrack_cli.trackers.face.cascaded_regression import (
     load_regression,
     read,
 )
-from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SIDES, EyeRegression, openings, phi, views
+from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SIDES, EyeRegression, openings, views
 from facetrack_cli.trackers.face.mesh import Iris, Mesh
 from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity
 
@@ -170,7 +170,10 @@ def drawn_of(mouth: CascadedRegression, clip: Clip, clips: Sequence[Clip]) -> tu
 
 def patches(model: EyeRegression, one: Drawn, off: Array) -> NDArray[np.float32]:
     """phi (2, WIDTH) of both eyes, whose corners are found `off` (2,)."""
-    return phi(one.frame, HEAD, (model.corners(one.seen, one.parts) + off).reshape(2, 2, 2).mean(axis=1))
+    middles = (model.corners(one.seen, one.parts) + off).reshape(2, 2, 2).mean(axis=1)
+    out = np.empty((2, eyes.WIDTH), np.float32)
+    image_kernels.read_eyes(eyes.patches(one.frame, HEAD, middles), eyes.OFFSETS, out)
+    return out
 
 
 def train(mouth: CascadedRegression, clips: Sequence[tuple[list[Drawn], list[Drawn]]]) -> EyeRegression:

@@ -4,7 +4,17 @@ import cv2
 import numpy as np
 
 from facetrack_cli.trackers.face import image_kernels
-from facetrack_cli.trackers.face.cascaded_regression import LEFT, TOP, channels, load_regression, read
+from facetrack_cli.trackers.face.cascaded_regression import (
+    CORNER,
+    LEFT,
+    ODDS_SCALE,
+    TOP,
+    channels,
+    face_channels,
+    load_regression,
+    read,
+)
+from facetrack_cli.trackers.face.eyes import load_eyes
 from facetrack_cli.trackers.face.stabilized import EYES, Similarity, change_between
 from tests.support.samples import TrackClip
 from tests.twins import cascaded_regression as naive
@@ -50,6 +60,23 @@ def test_the_channels_and_how_they_are_read_are_what_the_plain_twin_says():
     x = np.array([[12.2, 9.9], [-40.0, 70.0], [30.4, 0.2]])
     for scale in (1.6, 0.8):
         np.testing.assert_allclose(read(seen, x, scale), naive.read(plain, x.tolist(), scale), atol=1e-3)
+
+
+def test_points_and_eyes_are_placed_and_weighed_as_the_equations_say():
+    def descended(x, model):
+        for scale, stage in zip(model.scales, model.stages, strict=True):
+            x = x + (read(seen, x, scale) @ stage).reshape(-1, 2)
+        return x + CORNER
+
+    seen, eyes, model = face_channels(next(faces())[0]), load_eyes(), load_regression()
+    fit = model.placed_from(seen, model.mean + 1.3)
+    np.testing.assert_allclose(fit.at, descended(model.mean + 1.3, model), atol=1e-3)
+    odds = [read(seen, at[None], ODDS_SCALE) @ model.odds[:, k] for k, at in enumerate(fit.at - CORNER)]
+    np.testing.assert_allclose(fit.odds, odds, atol=1e-3)
+    np.testing.assert_array_equal(model.visible(seen, fit.at), fit.odds)
+    follows = np.append(fit.at - CORNER - eyes.rest, 1.0) @ eyes.first
+    found = descended(eyes.mean + follows.reshape(-1, 2), eyes)
+    np.testing.assert_allclose(eyes.corners(seen, fit.at), found, atol=1e-3)
 
 
 def test_it_finds_the_points_of_real_faces_from_the_mean_shape():

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -60,7 +60,7 @@ class PlacedPoints(NamedTuple):
     @property
     def log_odds(self) -> float:
         """Log odds that the face is there: those of all points together, each of them bounded."""
-        return float(np.add.reduce(np.minimum(np.maximum(self.odds, -MAX_LOG_ODDS), MAX_LOG_ODDS)))
+        return float(sum(min(max(odds, -MAX_LOG_ODDS), MAX_LOG_ODDS) for odds in self.odds.tolist()))
 
 
 class CascadedRegression(NamedTuple):
@@ -102,20 +102,23 @@ class CascadedRegression(NamedTuple):
         for middle in around:
             if best.log_odds >= SEEN:
                 break
-            shift = middle - CORNER - self.mean.mean(axis=0)
-            if np.abs(shift).max() >= NEAR:  # from nearer the regression finds its way
+            shift = middle - CORNER - np.add.reduce(self.mean) / len(self.mean)
+            if max(map(abs, shift.tolist())) >= NEAR:  # from nearer the regression finds its way
                 best = max(best, self.placed_from(seen, self.mean + shift), key=lambda fit: fit.log_odds)
         return best
 
     def placed_from(self, seen: NDArray[np.float32], x: Array) -> PlacedPoints:
         """The parts, sought from x (K, 2) on."""
-        at = image_kernels.run_stages(seen, x, AROUND, self.scales, self.stages) + CORNER
-        return PlacedPoints(at, self.visible(seen, at))
+        return self._placed(seen, x, len(self.stages))
 
     def visible(self, seen: NDArray[np.float32], at: Array) -> Array:
         """The log odds (J,) that the first J points are visible at (J, 2), by the channels `seen`."""
-        phi, odds = image_kernels.read(seen, at - CORNER, ODDS_SCALE * AROUND), self.odds[:, : len(at)]
-        return np.asarray(np.einsum("jf,fj->j", phi.reshape(len(at), -1), odds[:-1]) + odds[-1])
+        return self._placed(seen, at - CORNER, 0).odds
+
+    def _placed(self, seen: NDArray[np.float32], x: Array, stages: int) -> PlacedPoints:
+        odds: Any = np.empty(len(x), np.float32)
+        cascade = AROUND, self.scales[:stages], self.stages[:stages]
+        return PlacedPoints(image_kernels.place(seen, x, *cascade, ODDS_SCALE, self.odds, odds) + CORNER, odds)
 
     def save(self, path: Path) -> None:
         """Raises OutputError."""

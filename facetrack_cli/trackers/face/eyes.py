@@ -15,7 +15,6 @@ All matrices are ridge regressions, trained on real faces by `tools/eye_descent.
 from __future__ import annotations
 
 import cmath
-import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -30,7 +29,7 @@ from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.trackers.face import image_kernels
 from facetrack_cli.trackers.face.cascaded_regression import AROUND, CORNER, GRID, PlacedPoints
 from facetrack_cli.trackers.face.image_kernels import DIRECTIONS
-from facetrack_cli.trackers.face.stabilized import EYES, Similarity, extent_of, read_grey, slope
+from facetrack_cli.trackers.face.stabilized import EYES, Similarity, read_grey, slope
 
 KIND = Kind("facetrack-eyes", 1, "eye descent", "python tools/eye_descent.py")
 DEFAULT = "eye_descent.npz"
@@ -48,7 +47,7 @@ CELL: Final = 4  # pixels between the points of its grid
 NARROW: Final = 0.25  # width of an eye in distances between the eyes, below which it is turned away
 SMALL: Final = 16.0  # pixels of the frame between the eyes, below which lids are not seen
 STEEP: Final = 40.0  # log odds of being visible that are lost by a width that is narrower by 1, or a face by its size
-_GRID: Final = np.stack(np.meshgrid(*2 * [np.arange(CELL // 2, SIDE, CELL, dtype=np.float64)]), axis=2).reshape(-1, 2)
+OFFSETS: Final = np.stack(np.meshgrid(*2 * [np.arange(CELL // 2, SIDE, CELL, dtype=np.float64)]), axis=2).reshape(-1, 2)
 WIDTH: Final = (SIDE // CELL) ** 2 * (DIRECTIONS + 1) + 1  # of phi
 
 
@@ -79,19 +78,15 @@ class EyeRegression(NamedTuple):
         """
         corners = self.corners(seen, parts)
         middles = 0.5 * (corners[::2] + corners[1::2])
-        lost, angle = min(STEEP * (head.scale * EYES / SMALL - 1), 0.0), slope(middles)
-        turn, wide = (math.cos(angle) / ZOOM, math.sin(angle) / ZOOM), ZOOM * EYES
-        each, of_eye, at, odds = np.empty((2, 4, 2)), np.empty(2), np.empty((len(POINTS), 2)), np.empty(len(POINTS))
-        both, narrow = patches(frame, head, middles), (NARROW * wide, STEEP / wide, lost)
-        image_kernels.place_eyes(both, _GRID, self.lids, middles, turn, narrow, each, of_eye)
-        at[_BOTH], odds[_BOTH] = each, of_eye[:, None]
+        at, odds, wide = np.empty((len(POINTS), 2)), np.empty(len(POINTS)), ZOOM * EYES
+        narrow = ZOOM, NARROW * wide, STEEP / wide, min(STEEP * (head.scale * EYES / SMALL - 1), 0.0)
+        image_kernels.place_eyes(patches(frame, head, middles), OFFSETS, self.lids, middles, narrow, _BOTH, at, odds)
         return PlacedPoints(at, odds)
 
     def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
         """The corners (4, 2), as the cascade has them."""
-        off = (parts - CORNER - self.rest).ravel()
-        x = self.mean + (off @ self.first[:-1] + self.first[-1]).reshape(-1, 2)
-        return np.asarray(image_kernels.run_stages(seen, x, AROUND, self.scales, self.stages) + CORNER)
+        trained = self.rest, self.mean, self.first, AROUND, self.scales, self.stages
+        return np.asarray(image_kernels.find_corners(seen, parts - CORNER, *trained) + CORNER)
 
     def save(self, path: Path) -> None:
         """Raises OutputError."""
@@ -114,14 +109,7 @@ def views(head: Similarity, middles: Array) -> Array:
 
 def patches(frame: Frame, head: Similarity, middles: Array) -> Image:
     """(2, SIDE, SIDE) of both eyes in grey; `middles` as of `views`."""
-    both = views(head, middles)
-    return read_grey(frame, both, *extent_of(head.scale / ZOOM, SIDE, *both.tolist()), SIDE)
-
-
-def phi(frame: Frame, head: Similarity, middles: Array) -> NDArray[np.float32]:
-    """(2, WIDTH) of the patches around both eyes."""
-    image_kernels.read_eyes(patches(frame, head, middles), _GRID, out := np.empty((2, WIDTH), np.float32))
-    return out
+    return read_grey(frame, views(head, middles), head.scale / ZOOM, SIDE)
 
 
 @lru_cache(maxsize=8)

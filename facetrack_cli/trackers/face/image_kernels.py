@@ -67,15 +67,18 @@ def read_eyes(patches, offsets, out):
         _read_eye(patches[eye], eye == 1, offsets, out[eye])
 
 
-@fast("u1:3 f8:2 f4:2 f8:2 f8x2 f8x3 f8:3 f8:1")
-def place_eyes(patches, offsets, lids, middles, turn, narrow, at, odds):
-    """Corners and lids `at` (2, 4, 2) of eyes with their `middles` (2, 2), and their log odds `odds` (2,).
+@fast("u1:3 f8:2 f4:2 f8:2 f8x4 i8:2 f8:2 f8:1")
+def place_eyes(patches, offsets, lids, middles, narrow, order, at, odds):
+    """Corners and lids `at` (8, 2) of eyes with their `middles` (2, 2), and their log odds `odds` (8,).
 
-    `lids` (G C + 1, 9) multiplies what `read_eyes` reads. `turn` are the cosine and the sine of the patches' turn, over
-    their zoom. Of `narrow` are the width below which an eye loses log odds, those that it loses by a pixel, and those
-    that both lose.
+    `lids` (G C + 1, 9) multiplies what `read_eyes` reads. The patches lie along the line of the eyes. Of `narrow` are
+    their zoom, the width below which an eye loses log odds, those that it loses by a pixel, and those that both lose;
+    `order` (2, 4) are the rows of each eye.
     """
-    read, (a, b), (least, steep, lost) = np.empty(len(lids), np.float32), turn, narrow
+    read, (zoom, least, steep, lost) = np.empty(len(lids), np.float32), narrow
+    across, down = middles[1, 0] - middles[0, 0], middles[1, 1] - middles[0, 1]
+    apart = zoom * max(np.sqrt(across**2 + down**2), 1e-9)
+    a, b = across / apart, down / apart
     for eye in range(len(patches)):
         _read_eye(patches[eye], eye == 1, offsets, read)
         output = np.zeros(lids.shape[1], np.float32)
@@ -84,9 +87,10 @@ def place_eyes(patches, offsets, lids, middles, turn, narrow, at, odds):
                 output[j] += read[f] * lids[f, j]
         for i in range(4):
             x, y = (-output[2 * i] if eye else output[2 * i]), output[2 * i + 1]
-            at[eye, i, 0], at[eye, i, 1] = middles[eye, 0] + a * x - b * y, middles[eye, 1] + b * x + a * y
-        width = np.sqrt((output[0] - output[2]) ** 2 + (output[1] - output[3]) ** 2)
-        odds[eye] = output[8] + min(steep * (width - least), 0.0) + lost
+            k = order[eye, i]
+            at[k, 0], at[k, 1] = middles[eye, 0] + a * x - b * y, middles[eye, 1] + b * x + a * y
+            width = np.sqrt((output[0] - output[2]) ** 2 + (output[1] - output[3]) ** 2)
+            odds[k] = output[8] + min(steep * (width - least), 0.0) + lost
 
 
 @fast_part
@@ -130,20 +134,20 @@ def see(lit, u, v, at, tint_at, views, middle, matrix, out):
 @part
 def _mix(lit, tints, matrix):
     """Both by another matrix, of so few bits that these sums are exact; as `Planes` has them."""
-    a, b = np.float32(matrix[0, 1]), np.float32(matrix[0, 2])
-    c, d = np.float32(matrix[1, 1]), np.float32(matrix[1, 2])
-    e, f = np.float32(matrix[2, 1]), np.float32(matrix[2, 2])
-    side, most, mid = tints.shape[2], np.float32(255), np.float32(128)
-    more = np.empty(side, np.int32)
+    side, more = tints.shape[2], np.empty(tints.shape[2], np.int32)
     for i in range(side):
         for j in range(side):
-            p, q = np.float32(tints[0, i, j]) - mid, np.float32(tints[1, i, j]) - mid
-            more[j] = np.int32(min(max(np.rint(a * p + b * q + mid), _ZERO), most)) - np.int32(128)
-            tints[0, i, j] = np.int32(min(max(np.rint(c * p + d * q + mid), _ZERO), most))
-            tints[1, i, j] = np.int32(min(max(np.rint(e * p + f * q + mid), _ZERO), most))
+            p, q = tints[0, i, j] - 128.0, tints[1, i, j] - 128.0
+            more[j] = _mixed(matrix[0], p, q) - 128
+            tints[0, i, j], tints[1, i, j] = _mixed(matrix[1], p, q), _mixed(matrix[2], p, q)
         for row in lit[2 * i : 2 * i + 2]:
             for j in range(2 * side):
                 row[j] = min(max(np.int32(np.int32(row[j]) + more[j >> 1]), np.int32(0)), np.int32(255))
+
+
+@part
+def _mixed(row, p, q):
+    return np.int32(min(max(np.rint(row[1] * p + row[2] * q + 128.0), 0.0), 255.0))
 
 
 @part
@@ -321,7 +325,7 @@ def _smooth_down(values, out):
             row[_REACH - d], row[width + _REACH - 1 + d] = row[_REACH + d], row[width + _REACH - 1 - d]
 
 
-@fast("f4:3 f8:2 f8:2")
+@fast
 def read(seen, x, offsets):
     """(K, G, C): the channels `seen` at the pixels nearest to the places x (K, 2) and `offsets` (G, 2) beside them."""
     out = np.empty((len(x), len(offsets), len(seen)), np.float32)
@@ -342,9 +346,37 @@ def _read(seen, x, offsets, scale, out):
                 out[k, g, c] = (near + p[0] + p[8]) * _ALL
 
 
-@fast("f4:3 f8:2 f8:2 f8:1 f4:3")
-def run_stages(seen, x, offsets, scales, stages):
-    """x (K, 2) after S stages (S, F + 1, 2 K), which read at `offsets` (G, 2) times the `scales` (S,) around them."""
+@fast("f4:3 f8:2 f8:2 f8:2 f8:2 f8:2 f8:1 f4:3")
+def find_corners(seen, parts, rest, mean, first, offsets, scales, stages):
+    """What `EyeRegression` finds of corners (4, 2), by nose and mouth at `parts` (5, 2)."""
+    x, last = mean.copy(), len(first) - 1
+    for j in range(len(x)):
+        for i in range(2):
+            x[j, i] += first[last, 2 * j + i]
+            for k in range(last):
+                x[j, i] += (parts[k // 2, k % 2] - rest[k // 2, k % 2]) * first[k, 2 * j + i]
+    return _run_stages(seen, x, offsets, scales, stages)
+
+
+@fast("f4:3 f8:2 f8:2 f8:1 f4:3 f8 f4:2 f4:1")
+def place(seen, x, offsets, scales, stages, scale, odds, out):
+    """x (K, 2) after S stages (S, F + 1, 2 K), which read at `offsets` (G, 2) times the `scales` (S,) around them.
+
+    Their log odds `out` (K,) are by `odds` (F / K + 1, J), of what is read there at `scale`.
+    """
+    x, last = _run_stages(seen, x, offsets, scales, stages), len(odds) - 1
+    phi = np.empty((len(x), len(offsets), len(seen)), np.float32)
+    _read(seen, x, offsets, scale, phi)
+    flat = phi.reshape(len(x), last)
+    out[:] = odds[last, : len(x)]
+    for f in range(last):
+        for k in range(len(x)):
+            out[k] += flat[k, f] * odds[f, k]
+    return x
+
+
+@fast_part
+def _run_stages(seen, x, offsets, scales, stages):
     x, move = x.copy(), np.empty(2 * len(x), np.float32)
     phi = np.empty((len(x), len(offsets), len(seen)), np.float32)
     flat = phi.ravel()

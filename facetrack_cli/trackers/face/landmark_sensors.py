@@ -112,8 +112,9 @@ class LandmarkSensors:
             more = mesh[[NAMES[part] for part in self.others]]
             nearest = np.hypot(*(more[:, None] - core).transpose(2, 0, 1)).argmin(axis=1)
             others = PlacedPoints(more, core_odds[nearest])
-        parts = PlacedPoints(np.where(trained[:, None], at[index], np.nan), np.where(trained, odds[index], 0.0))
-        return LandmarkReadings(channels, parts, network, others, eyes)
+        if self.parts != regression.parts:
+            at, odds = np.where(trained[:, None], at[index], np.nan), np.where(trained, odds[index], 0.0)
+        return LandmarkReadings(channels, PlacedPoints(at, odds), network, others, eyes)
 
     @cached_property
     def _trained(self) -> tuple[Whole, Mask]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import cv2
@@ -67,27 +66,24 @@ class Similarity(NamedTuple):
 
         Of planes U and V are read at every other pixel, as they are stored.
         """
-        factor, extent = self.extent(side)
+        views = np.array([self.view])
         if frame.yuv is None:
+            factor, extent = extent_of(views, self.scale, side)
             still = self._warped(*frame.reduced(factor, extent), factor, side)
         else:
-            joined = read_planes(frame, np.array([self.view]), factor, extent, side, tinted=True)[0]
+            joined = read_planes(frame, views, self.scale, side, tinted=True)[0]
             still = np.asarray(cv2.cvtColor(joined, cv2.COLOR_YUV2BGR_I420), np.uint8)[:side, :side]
         return Frame(frame.index, frame.time_s, still)
 
     def read_grey(self, frame: Frame, side: int) -> Image:
         """As `read`, in grey (side, side)."""
-        return read_grey(frame, np.array([self.view]), *self.extent(side), side)[0]
+        return read_grey(frame, np.array([self.view]), self.scale, side).reshape(side, side)
 
     @property
     def view(self) -> tuple[float, float, float, float]:
         """The middle, and a and b of [[a, -b], [b, a]]."""
         (x, y), turn = self.centre.tolist(), self.turn
         return x, y, turn.real, turn.imag
-
-    def extent(self, side: int) -> tuple[int, Extent]:
-        """By which factor the frame is reduced that is read, and where."""
-        return extent_of(self.scale, side, self.view)
 
     def _warped(self, image: Image, left: int, top: int, factor: int, side: int) -> Image:
         """As `read`, of an image of the frame that is reduced by `factor` and begins at (left, top)."""
@@ -98,34 +94,35 @@ class Similarity(NamedTuple):
         return np.asarray(warp_affine(image, matrix, (side, side), cv2.BORDER_REPLICATE, inverse=True), np.uint8)
 
 
-def extent_of(scale: float, side: int, *views: Sequence[float]) -> tuple[int, Extent]:
-    """As `Similarity.extent`, of views of one scale and turn together."""
+def extent_of(views: Array, scale: float, side: int) -> tuple[int, Extent]:
+    """By which factor the frame is reduced that views (M, 4) of one scale and turn read, and where."""
     factor = 1
     while 2 * factor <= scale and factor < 256:
         factor *= 2
-    x, y, a, b = views[0]
-    u, v, _, _ = views[-1]
+    (x, y, a, b), (u, v, _, _) = views[0].tolist(), views[-1].tolist()
     far = 0.5 * side * (abs(a) + abs(b)) + 4 * factor
     return factor, (min(x, u) - far, min(y, v) - far, max(x, u) + far, max(y, v) + far)
 
 
-def read_planes(frame: Frame, views: Array, factor: int, extent: Extent, side: int, *, tinted: bool) -> Image:
+def read_planes(frame: Frame, views: Array, scale: float, side: int, *, tinted: bool) -> Image:
     """Y of a frame with planes, (M, side, side), as the views (M, 4) show it; `tinted`: below it, both tints.
 
     An odd `side` is by 1 larger.
     """
-    planes, (even, ours) = frame.planes(factor, extent), (side + side % 2, frame.yuv and frame.yuv.ours)
+    factor, extent = extent_of(views, scale, side)
+    planes, even, ours = frame.planes(factor, extent), side + side % 2, frame.yuv and frame.yuv.ours
     (y, *at), (u, *tint_at), (v, *_) = (in_one_piece(*plane, extent) for plane in planes or [])
     out = np.empty((len(views), even + even // 2 * tinted, even), np.uint8)
     see(y, u, v, tuple(at), tuple(tint_at), views, (side - 1) / 2, _NO_MATRIX if ours is None else ours, out)
     return out
 
 
-def read_grey(frame: Frame, views: Array, factor: int, extent: Extent, side: int) -> Image:
+def read_grey(frame: Frame, views: Array, scale: float, side: int) -> Image:
     """Views (M, 4) of any frame in grey, (M, side, side)."""
-    if frame.yuv is not None and frame.yuv.ours is not None:
-        lit = read_planes(frame, views, factor, extent, side, tinted=False)
+    if frame.yuv is not None:
+        lit = read_planes(frame, views, scale, side, tinted=False)
         return Planes(flat := lit.reshape(-1, lit.shape[2]), flat, flat).grey.reshape(lit.shape)[:, :side, :side]
+    factor, extent = extent_of(views, scale, side)
     (grey, *at), out = frame.grey(factor, extent), np.empty((len(views), side, side), np.uint8)
     see(grey, grey, grey, (*at, factor), (*at, factor), views, (side - 1) / 2, _NO_MATRIX, out)
     return out
