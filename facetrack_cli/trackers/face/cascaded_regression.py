@@ -117,7 +117,7 @@ class CascadedRegression(NamedTuple):
 
     def _placed(self, seen: NDArray[np.float32], x: Array, stages: int) -> PlacedPoints:
         odds: Any = np.empty(len(x), np.float32)
-        cascade = AROUND, self.scales[:stages], self.stages[:stages]
+        cascade = AROUND, self.scales[:stages], turned(self.stages)[:stages]
         return PlacedPoints(image_kernels.place(seen, x, *cascade, ODDS_SCALE, self.odds, odds) + CORNER, odds)
 
     def save(self, path: Path) -> None:
@@ -134,7 +134,7 @@ def load_regression(path: Path | None = None) -> CascadedRegression:
 
 
 def _made(stored: Stored) -> CascadedRegression:
-    points, stages = stored.texts("points"), stored.reals("stages", 3).astype(np.float32)
+    points, stages = stored.texts("points"), turned(stored.reals("stages", 3)).swapaxes(1, 2)
     mean, scales, std = stored.reals("mean", 2), stored.reals("scales", 1), stored.reals("std", 1)
     odds, k, width = stored.reals("odds", 2).astype(np.float32), len(mean), GRID**2 * (DIRECTIONS + 3)
     if not k or len(set(points)) < len(points) or not len(scales):
@@ -146,6 +146,11 @@ def _made(stored: Stored) -> CascadedRegression:
     if shapes != [(len(scales), k * width + 1, 2 * k), (k, 2), (k,), (width + 1, len(points))] or k > len(points):
         raise ValueError(f"arrays of {shapes} do not fit {len(points)} points")
     return CascadedRegression(points, mean, stages, scales, std, odds)
+
+
+def turned(matrices: NDArray[Any]) -> NDArray[np.float32]:
+    """Matrices (..., F, J) as (..., J, F) in one piece, for sums along F; those of a file are kept so."""
+    return np.ascontiguousarray(matrices.swapaxes(-1, -2), np.float32)
 
 
 def face_channels(still: Image) -> NDArray[np.float32]:

@@ -27,7 +27,7 @@ from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.trackers.face import image_kernels
-from facetrack_cli.trackers.face.cascaded_regression import AROUND, CORNER, GRID, PlacedPoints
+from facetrack_cli.trackers.face.cascaded_regression import AROUND, CORNER, GRID, PlacedPoints, turned
 from facetrack_cli.trackers.face.image_kernels import DIRECTIONS
 from facetrack_cli.trackers.face.stabilized import EYES, Similarity, read_grey, slope
 
@@ -80,12 +80,14 @@ class EyeRegression(NamedTuple):
         middles = 0.5 * (corners[::2] + corners[1::2])
         at, odds, wide = np.empty((len(POINTS), 2)), np.empty(len(POINTS)), ZOOM * EYES
         narrow = ZOOM, NARROW * wide, STEEP / wide, min(STEEP * (head.scale * EYES / SMALL - 1), 0.0)
-        image_kernels.place_eyes(patches(frame, head, middles), OFFSETS, self.lids, middles, narrow, _BOTH, at, odds)
+        image_kernels.place_eyes(
+            patches(frame, head, middles), OFFSETS, turned(self.lids), middles, narrow, _BOTH, at, odds
+        )
         return PlacedPoints(at, odds)
 
     def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
         """The corners (4, 2), as the cascade has them."""
-        trained = self.rest, self.mean, self.first, AROUND, self.scales, self.stages
+        trained = self.rest, self.mean, self.first, AROUND, self.scales, turned(self.stages)
         return np.asarray(image_kernels.find_corners(seen, parts - CORNER, *trained) + CORNER)
 
     def save(self, path: Path) -> None:
@@ -123,7 +125,7 @@ def _made(stored: Stored) -> EyeRegression:
     scales, stages = stored.reals("scales", 1), stored.reals("stages", 3)
     rest, mean, first, lids = (stored.reals(name, 2) for name in ("rest", "mean", "first", "lids"))
     std = stored.reals("std", 1)
-    eyes = EyeRegression(rest, mean, first, scales, std, stages.astype(np.float32), lids.astype(np.float32))
+    eyes = EyeRegression(rest, mean, first, scales, std, turned(stages).swapaxes(1, 2), turned(lids).T)
     shapes = [array.shape for array in eyes]
     if shapes != [(5, 2), (4, 2), (11, width), (len(scales),), (4,), (len(scales), wide, width), (WIDTH, 9)]:
         raise ValueError(f"arrays of {shapes} are no regressions of eyes")

@@ -71,20 +71,18 @@ def read_eyes(patches, offsets, out):
 def place_eyes(patches, offsets, lids, middles, narrow, order, at, odds):
     """Corners and lids `at` (8, 2) of eyes with their `middles` (2, 2), and their log odds `odds` (8,).
 
-    `lids` (G C + 1, 9) multiplies what `read_eyes` reads. The patches lie along the line of the eyes. Of `narrow` are
+    `lids` (9, G C + 1) multiplies what `read_eyes` reads. The patches lie along the line of the eyes. Of `narrow` are
     their zoom, the width below which an eye loses log odds, those that it loses by a pixel, and those that both lose;
     `order` (2, 4) are the rows of each eye.
     """
-    read, (zoom, least, steep, lost) = np.empty(len(lids), np.float32), narrow
+    read, output = np.empty(lids.shape[1], np.float32), np.empty(len(lids), np.float32)
+    zoom, least, steep, lost = narrow
     across, down = middles[1, 0] - middles[0, 0], middles[1, 1] - middles[0, 1]
     apart = zoom * max(np.sqrt(across**2 + down**2), 1e-9)
     a, b = across / apart, down / apart
     for eye in range(len(patches)):
         _read_eye(patches[eye], eye == 1, offsets, read)
-        output = np.zeros(lids.shape[1], np.float32)
-        for f in range(len(read)):
-            for j in range(len(output)):
-                output[j] += read[f] * lids[f, j]
+        _multiply(lids, read[:-1], output)
         for i in range(4):
             x, y = (-output[2 * i] if eye else output[2 * i]), output[2 * i + 1]
             k = order[eye, i]
@@ -360,7 +358,7 @@ def find_corners(seen, parts, rest, mean, first, offsets, scales, stages):
 
 @fast("f4:3 f8:2 f8:2 f8:1 f4:3 f8 f4:2 f4:1")
 def place(seen, x, offsets, scales, stages, scale, odds, out):
-    """x (K, 2) after S stages (S, F + 1, 2 K), which read at `offsets` (G, 2) times the `scales` (S,) around them.
+    """x (K, 2) after S stages (S, 2 K, F + 1), which read at `offsets` (G, 2) times the `scales` (S,) around them.
 
     Their log odds `out` (K,) are by `odds` (F / K + 1, J), of what is read there at `scale`.
     """
@@ -376,17 +374,23 @@ def place(seen, x, offsets, scales, stages, scale, odds, out):
 
 
 @fast_part
+def _multiply(matrix, values, out):
+    """out (J,) of a matrix (J, F + 1), the last column of which counts as it is, and values (F,)."""
+    for j in range(len(out)):
+        row, total = matrix[j], matrix[j, len(values)]
+        for f in range(len(values)):
+            total += row[f] * values[f]
+        out[j] = total
+
+
+@fast_part
 def _run_stages(seen, x, offsets, scales, stages):
     x, move = x.copy(), np.empty(2 * len(x), np.float32)
     phi = np.empty((len(x), len(offsets), len(seen)), np.float32)
     flat = phi.ravel()
     for s in range(len(stages)):
         _read(seen, x, offsets, scales[s], phi)
-        move[:] = stages[s, len(flat)]
-        for f in range(len(flat)):
-            value, row = flat[f], stages[s, f]
-            for j in range(len(move)):
-                move[j] += value * row[j]
+        _multiply(stages[s], flat, move)
         for k in range(len(x)):
             x[k, 0] += move[2 * k]
             x[k, 1] += move[2 * k + 1]
