@@ -26,7 +26,7 @@ KERNELS: Mapping[str, str] = {
         ("trackers.regions.region_kernels", "nearest_edges", "contour"),
         ("trackers.appearance.appearance_kernels", "gain errors differences mapped", "velocity"),
         ("trackers.box.box_kernels", "gradients_of_scales gradients descend chroma colours project", _CELLS),
-        ("trackers.face.image_kernels", "_channels place_eyes place find_corners looks", "head"),
+        ("trackers.face.image_kernels", "_channels place_eyes place find_corners looks shrink", "head"),
         ("trackers.face.image_kernels", "see", f"head {_CELLS}"),
         ("trackers.face.window_kernels", "greatest matched", "likelihood=window_ncc"),
         ("trackers.face.landmark_kernels", "step learn follow relay read show median_shift", "head"),

@@ -32,7 +32,7 @@ SAME_SCENE: Final = 0.7  # correlation of two images between which there is no d
 _AFTER: Final = 4  # frames after which a cut of a clip that passes is decided
 _LATE: Final = 12  # frames from one look for a dissolve to the next; it has ended half as many ago, at least
 _KEPT: Final = SPANS[-1] + 2 * _LATE  # images that are kept of a clip that passes
-_READ: Final = 5  # pixels a row and column that a pixel of a small image is the mean of; of colours one row
+READ: Final = 5  # pixels a row and column that a pixel of a small image is the mean of; of colours one row
 _MARGIN: Final = 2 * SPANS[-1]  # frames on either side that a decision rests on
 _BLOCK: Final = 1000  # frames that are decided at a time
 
@@ -79,9 +79,9 @@ class Passing(NamedTuple):
     waits: int = 0
     step: float = 0.0
 
-    def after(self, frame: Frame) -> tuple[Passing, Event]:
-        """With the next frame, and what is known with it."""
-        images = (*self.images[-_KEPT:], small(frame))
+    def after(self, image: Image) -> tuple[Passing, Event]:
+        """With the small image of the next frame, and what is known with it."""
+        images = (*self.images[-_KEPT:], image)
         step = cv2.norm(images[-1], images[-2], cv2.NORM_L1) / images[-1].size
         passing = Passing(images, self.frames + 1, max(self.waits - 1, 0), step)
         if step >= MIN_STEP and self.step <= BESIDE * step and _alike(*_flat(images[-2:])) < SAME_STRUCTURE:
@@ -102,7 +102,7 @@ def passing_shots(frames: Iterable[Frame]) -> Iterator[tuple[int, Frame]]:
     """Each frame of a clip that passes with the number of its shot, as late as a cut is known; dissolves come later."""
     passing, waiting, shot = Passing(()), deque[Frame](), 0
     for frame in frames:
-        passing, event = passing.after(frame) if passing.images else (Passing((small(frame),)), "")
+        passing, event = passing.after(small(frame)) if passing.images else (Passing((small(frame),)), "")
         shot += event == "cut"  # which the first that waits begins
         waiting.append(frame)
         if len(waiting) == _AFTER:
@@ -153,9 +153,9 @@ def _flat(images: Sequence[Image]) -> NDArray[np.float32]:
     return np.asarray(images, np.float32).reshape(len(images), -1)
 
 
-def _shrunk(image: Image, rows: int = _READ) -> Image:
+def _shrunk(image: Image, rows: int = READ) -> Image:
     """(18, 32, ...): means of so many rows and of five columns; what costs are rows that the processor has to fetch."""
-    few = SIDE[0] * _READ, SIDE[1] * rows
+    few = SIDE[0] * READ, SIDE[1] * rows
     if image.shape[1] > few[0] and image.shape[0] > few[1]:
         # whole rows are fetched in half the time of their pixels
         image = image[_nearest(len(image), few[1])]

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.core.types import Frame
+from facetrack_cli.core.types import Frame, Planes
+from facetrack_cli.trackers.face import image_kernels
 from facetrack_cli.video import shots
 from facetrack_cli.video.shots import Cut, Passing, find_cuts, shots_of, small
 
@@ -105,9 +106,20 @@ def passing(pictures):
     frames = [Frame(i, i / 25, np.clip(one, 0, 255).astype(np.uint8)) for i, one in enumerate(pictures)]
     passed, events = Passing((small(frames[0]),)), []
     for frame in frames[1:]:
-        passed, event = passed.after(frame)
+        passed, event = passed.after(small(frame))
         events += [(frame.index, event)] if event else []
     return events
+
+
+@pytest.mark.parametrize("size", [(480, 480), (322, 92), (1278, 718), (320, 180), (350, 90)])
+@pytest.mark.parametrize("beside", [0, 32])
+def test_one_kernel_shrinks_planes_as_opencv_does(size, beside):
+    def plane(w, h):
+        return np.random.default_rng(w).integers(0, 256, h * (w + beside), np.uint8).reshape(h, -1)[:, :w]
+
+    half = size[0] // 2, size[1] // 2
+    frame = Frame(0, 0.0, Planes(plane(*size), plane(*half), plane(*half)))
+    np.testing.assert_array_equal(image_kernels.shrunk(frame), small(frame))
 
 
 def test_cuts_are_found_as_they_come_and_confirmed_by_the_frames_after_them():

@@ -37,6 +37,7 @@ from facetrack_cli.trackers.face import evidence, stabilized
 from facetrack_cli.trackers.face import landmark_filters as filters
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import AGAIN, KNOWN, STAYS, Sighting
+from facetrack_cli.trackers.face.image_kernels import shrunk
 from facetrack_cli.trackers.face.landmark_filters import Facing, LandmarkFilter
 from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK, relay
 from facetrack_cli.trackers.face.motion import MeasuredWalk, SensorReading, modes
@@ -45,7 +46,7 @@ from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, he
 from facetrack_cli.trackers.face.window_ncc import WindowNcc, doubted
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.trajectory import TargetResult
-from facetrack_cli.video.shots import Passing, small
+from facetrack_cli.video.shots import Passing
 
 COMPANY: Final = 2  # searches that saw several faces, from which the clip has shown somebody else
 LOOK: Final = (3, 15)  # frames between two looks of the head's filter while it is new, and later, where points are seen
@@ -113,7 +114,7 @@ class FaceTarget(FaceParts):
         detection, similarity = self.sensors.detected(image), self.map_to_frame(head.estimated.state, pose)
         biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, features.estimated.state)
         known = head, features, self.features.begun, biases, Facing(), pose, np.zeros(4), others, eyes
-        return FaceState(*known, (), self._laid_out(similarity, detection), Passing((small(frame),))), detection
+        return FaceState(*known, (), self._laid_out(similarity, detection), Passing((shrunk(frame),))), detection
 
     # --- a frame -------------------------------------------------------------------------------------------------
 
@@ -130,7 +131,7 @@ class FaceTarget(FaceParts):
         frames = state.frames + 1
         if not self.alone or self.sensors.detector is None:
             return self._step(rng, state._replace(frames=frames), frame, footprints)
-        shots, event = state.shots.after(frame)
+        shots, event = state.shots.after(shrunk(frame))
         cut_time = {"": state.cut_time, "none": None}.get(event, frame.time_s)
         state = state._replace(frames=frames, shots=shots, cut_time=cut_time)
         stranger = state.stranger_time is not None
