@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # The more often the head is lost, the taller is the person, and all that is scaled by it.
 #
-# Found: Pose2Sim 0.10.49 measures how tall somebody is in each frame (compute_height), and takes a mean without the extreme half of the values:
-# by its documentation the lowest and the highest quarter (trimmed_mean). It sorts them, and frames in which a point is lost come last
-# as nan, so that they are taken for the highest. Of a head that is lost in 4 of 10 frames no high value is cut and the lowest 4 of 10
-# are; in 7 of 10, only the highest sixth of the heights is left. Noise of 5 cm makes a person of 1.70 m 1.73 and 1.78 m. More lost
-# frames, and the result is nan. Sports2D turns pixels into metres by this height, and leg lengths and segments that scale OpenSim's
-# model are taken in the same way. Nothing is said, but of the last. Drop rows with a lost point before.
+# Found: Pose2Sim 0.10.49 measures how tall somebody is in each frame (compute_height), and takes a mean without the extreme
+# half of the values: by its documentation the lowest and the highest quarter (trimmed_mean). It sorts them, and frames in which
+# a point is lost come last as nan, so that they are taken for the highest. Of a head that is lost in 4 of 10 frames no high
+# value is cut and the lowest 4 of 10 are; in 7 of 10, only the highest sixth of the heights is left. Noise of 5 cm makes a
+# person of 1.70 m 1.73 and 1.78 m. More lost frames, and the result is nan. Sports2D turns pixels into metres by this height,
+# and leg lengths and segments that scale OpenSim's model are taken in the same way. Nothing is said, but of the last. Drop rows
+# with a lost point before.
 # Packages: pose2sim 0.10.49 without what finds people, pandas 2.3.3, numpy 2.4.6, scipy 1.17.1.
 # Data: 2,000 frames of somebody who stands, whose head has noise of 5 cm, and is lost by chance in a part of the frames, made here.
 # Output seen:

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # The second look at the same gaze, with other settings, sees wider blinks and smoother eyes than the first.
 #
-# Found: REMoDNaV 1.1.2 finds fixations and saccades in two steps: preproc(data) smooths the gaze and returns a new table, and calling the
-# classifier on that gives events. preproc works on the table that it is given: spikes are taken out of it, blinks are widened in it,
-# and it is smoothed. Who tries three settings on one table, or compares raw and smoothed gaze, has each on what the ones before left:
-# every pass adds 18 lost samples to a blink and takes fixations away, and noise of 2.7 pixels is 0.35 after one. Only the
-# filter of spikes says "in-place", in a function beneath. The order in which settings were tried decides the result. Nothing is said.
-# Give preproc a copy.
+# Found: REMoDNaV 1.1.2 finds fixations and saccades in two steps: preproc(data) smooths the gaze and returns a new table, and
+# calling the classifier on that gives events. preproc works on the table that it is given: spikes are taken out of it, blinks
+# are widened in it, and it is smoothed. Who tries three settings on one table, or compares raw and smoothed gaze, has each on
+# what the ones before left: every pass adds 18 lost samples to a blink and takes fixations away, and noise of 2.7 pixels is
+# 0.35 after one. Only the filter of spikes says "in-place", in a function beneath. The order in which settings were tried
+# decides the result. Nothing is said. Give preproc a copy.
 # Packages: remodnav 1.1.2, numpy 1.26.4, scipy 1.15.3, statsmodels 0.14.6, matplotlib 3.10.8.
 # Data: made-up gaze of 12 fixations at 500 Hz with noise, and three blinks of 120 ms, made here.
 # Output seen:

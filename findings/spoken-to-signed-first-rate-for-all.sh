@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # A sign filmed at 50 frames/s takes twice as long, if the sign before it was filmed at 25.
 #
-# Found: spoken-to-signed 0.4.0 joins signs of a lexicon, .pose files, to a sentence (concatenate_poses). The frames of all signs are laid one
-# after another, and the sentence has the rate of its first sign. So where the lexicon has clips of several rates, as those
-# of several sources have, a sign of 50 frames/s after one of 25 is signed at half its speed, one of 60 slower still, and one of 25
-# after one of 50 twice as fast. The limit of .8 s for each sign, which is there since citation forms are too slow, is kept at
-# the sign's own rate, before, and so does not help: with it two signs take 1.4, 2.1 or .9 s. Speed is part of what a sign says. Nothing is
-# said. Interpolate all poses to one rate before.
+# Found: spoken-to-signed 0.4.0 joins signs of a lexicon, .pose files, to a sentence (concatenate_poses). The frames of all
+# signs are laid one after another, and the sentence has the rate of its first sign. So where the lexicon has clips of several
+# rates, as those of several sources have, a sign of 50 frames/s after one of 25 is signed at half its speed, one of 60 slower
+# still, and one of 25 after one of 50 twice as fast. The limit of .8 s for each sign, which is there since citation forms are
+# too slow, is kept at the sign's own rate, before, and so does not help: with it two signs take 1.4, 2.1 or .9 s. Speed is part
+# of what a sign says. Nothing is said. Interpolate all poses to one rate before.
 # Packages: spoken-to-signed 0.4.0, pose-format 0.15.0, pose-anonymization 0.0.1 for its mean person, numpy 2.4.6, scipy 1.17.1.
 # Data: two signs of 2 s of a person who waves, at two rates, made here.
 # Output seen:
