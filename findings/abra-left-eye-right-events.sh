@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # Asked for the left eye, the samples are the left eye's, and the fixations and blinks the right eye's.
 #
-# Found: abra 1.4.2 reads EyeLink's .asc files. Of files with two eyes, eyes_recorded="left" or "right" chooses one, "which eye data to
-# extract" by its documentation. Gaze and pupil follow that. Fixations, blinks and saccades do not: whichever is asked for, those of
-# the right eye are kept and those of the left are dropped (the source compares with "R" in both branches). So of a left eye that blinks
-# alone no blink is left, its fixations are where the other eye looks, and a trial's fixations, which are filed under left and
-# right, are all under right. Besides, remove_eye_blinks cuts gaze at a blink and a buffer at
-# both sides, but nothing where the blink is within the first samples, as many as the buffer has. Nothing is said. Read events yourself.
+# Found: abra 1.4.2 reads EyeLink's .asc files. Of files with two eyes, eyes_recorded="left" or "right" chooses one, "which eye
+# data to extract" by its documentation. Gaze and pupil follow that. Fixations, blinks and saccades do not: whichever is asked
+# for, those of the right eye are kept and those of the left are dropped (the source compares with "R" in both branches). So of
+# a left eye that blinks alone no blink is left, its fixations are where the other eye looks, and a trial's fixations, which are
+# filed under left and right, are all under right. Besides, remove_eye_blinks cuts gaze at a blink and a buffer at both sides,
+# but nothing where the blink is within the first samples, as many as the buffer has. Nothing is said. Read events yourself.
 # Packages: abra 1.4.2, numpy 2.4.6, scipy 1.17.1, matplotlib 3.11.2.
 # Data: two made-up trials at 500 Hz; the left eye is at x = 500 and blinks, the right eye is at 600 and does not, made here.
 # Output seen:

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # A saccade's average velocity is the mean of its peak velocity and of how long it took.
 #
-# Found: asc2csv 1.4.1 makes a table of EyeLink's .asc files. "Average Velocity" of a saccade is (peak velocity + duration) / 2, degrees per
-# second plus milliseconds: the longer of two equal movements is the faster. Samples are taken only if their time has a point, as
-# at 2,000 Hz; of all files at 250, 500 and 1,000 Hz not a single sample is in the table, and its gaze columns are empty. At 2,000 Hz
-# samples of a blink, which have no gaze, are at (0, 0), the corner of the screen, and so is what an event lacks; the documented
-# helper says so, the table does not. The text promises gaze samples, and speaks of "missing data" without it. Nothing is said. Take
-# another reader.
+# Found: asc2csv 1.4.1 makes a table of EyeLink's .asc files. "Average Velocity" of a saccade is (peak velocity + duration) / 2,
+# degrees per second plus milliseconds: the longer of two equal movements is the faster. Samples are taken only if their time
+# has a point, as at 2,000 Hz; of all files at 250, 500 and 1,000 Hz not a single sample is in the table, and its gaze columns
+# are empty. At 2,000 Hz samples of a blink, which have no gaze, are at (0, 0), the corner of the screen, and so is what an
+# event lacks; the documented helper says so, the table does not. The text promises gaze samples, and speaks of "missing data"
+# without it. Nothing is said. Take another reader.
 # Packages: asc2csv 1.4.1, pandas 2.3.3, numpy 2.4.6.
 # Data: a made-up trial of .1 s with a blink of 20 ms, and two saccades of 10 degrees in 40 and 80 ms, made here.
 # Output seen:

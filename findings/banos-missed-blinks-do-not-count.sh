@@ -2,11 +2,11 @@
 # A recogniser that finds no blink at its place has an F1 of 1, and its blinks are perfectly continuous.
 #
 # Found: banos 1.0.0 measures coded behaviour against a person's, event by event. By its text a measure is nan where the person
-# coded no event. It is the other way round: there it is 1 or 0, and nan where the person did and the recogniser hit none of them:
-# F1, overlap (so) and precision in time (tp) of what was missed altogether are nan, and the means over behaviours and clips
-# leave nan out. So all blinks missed, or all at wrong times, cost nothing, and finding one of three costs a lot. Continuity (ic) of an
-# event that was never seen is 1, since it never flickers. Only the recall shows it. The text says "excluded from NaN-averaging
-# correctly". Take F1 = 0 where it is nan, and no continuity of missed events, before you average.
+# coded no event. It is the other way round: there it is 1 or 0, and nan where the person did and the recogniser hit none of
+# them: F1, overlap (so) and precision in time (tp) of what was missed altogether are nan, and the means over behaviours and
+# clips leave nan out. So all blinks missed, or all at wrong times, cost nothing, and finding one of three costs a lot.
+# Continuity (ic) of an event that was never seen is 1, since it never flickers. Only the recall shows it. The text says
+# "excluded from NaN-averaging correctly". Take F1 = 0 where it is nan, and no continuity of missed events, before you average.
 # Packages: banos 1.0.0, pandas 2.3.3, numpy 2.4.6, scipy 1.17.1.
 # Data: a clip of 300 frames with two nods, a smile and three blinks, and four recognisers that are right but for blinks, made here.
 # Numbers are means of the clip.

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # The head nods by 10 degrees, and is read as nodding by 3,641.
 #
-# Found: load_edf of biosppy 2.2.4 reads EDF+, by its documentation as signals "into physical units". It scales all signals but the last, which
-# it takes for that of the annotations. A file without annotations, plain EDF or EDF+ with none, has no such signal, and its last
-# signal keeps the numbers of the file: here up to 3,641 for 10 degrees. Rates are cut to whole numbers: 29.97 frames/s are 29,
-# 23.976 are 23, so that time by the rate runs 3 or 4 % slow, a minute is 2 s longer. Onsets of annotations are text as "0:00:02". Nothing is
-# said. Read by edfio or MNE, or write an annotation.
+# Found: load_edf of biosppy 2.2.4 reads EDF+, by its documentation as signals "into physical units". It scales all signals but
+# the last, which it takes for that of the annotations. A file without annotations, plain EDF or EDF+ with none, has no such
+# signal, and its last signal keeps the numbers of the file: here up to 3,641 for 10 degrees. Rates are cut to whole numbers:
+# 29.97 frames/s are 29, 23.976 are 23, so that time by the rate runs 3 or 4 % slow, a minute is 2 s longer. Onsets of
+# annotations are text as "0:00:02". Nothing is said. Read by edfio or MNE, or write an annotation.
 # Packages: biosppy 2.2.4, PeakUtils 1.3.5, which it needs and does not name, edfio 0.4.18, numpy 2.4.6.
 # Data: 2,997 frames of a head that turns from -20 to 20 and nods from -10 to 10 degrees, at 29.97 frames/s, written here by edfio.
 # Output seen:

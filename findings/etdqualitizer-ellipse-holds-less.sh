@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
 # The ellipse that should hold 68 % of the gaze holds 43 %, and a lost sample changes its area tenfold.
 #
-# Found: ETDQualitizer 1.2.0 measures how precise an eye tracker is. bcea() (precision_BCEA) returns the area of the ellipse that holds a
-# share P of the samples, its orientation, and the lengths of its axes. The area is right. An ellipse with these half axes has half
-# of that area, and holds 1 - sqrt(1 - P) of the samples: 43 % for 68, 78 % for 95. Taken for whole axes it holds 13 and 31 %.
-# The example in its text has the same contradiction: area 7.4, axes of 1.19 and .99.
-# Horizontal and vertical samples that are nan are taken out each from its own list, so that after a sample that has lost one of the
-# two the others are paired with their neighbours: of gaze along a diagonal the area is ten times as large, if one horizontal
-# and, later, one vertical number is lost. (With two lost in one list and one in the other it raises.) Nothing is said. Multiply
-# the axes by sqrt(2), and drop samples with a nan in either.
+# Found: ETDQualitizer 1.2.0 measures how precise an eye tracker is. bcea() (precision_BCEA) returns the area of the ellipse
+# that holds a share P of the samples, its orientation, and the lengths of its axes. The area is right. An ellipse with these
+# half axes has half of that area, and holds 1 - sqrt(1 - P) of the samples: 43 % for 68, 78 % for 95. Taken for whole axes it
+# holds 13 and 31 %. The example in its text has the same contradiction: area 7.4, axes of 1.19 and .99. Horizontal and vertical
+# samples that are nan are taken out each from its own list, so that after a sample that has lost one of the two the others are
+# paired with their neighbours: of gaze along a diagonal the area is ten times as large, if one horizontal and, later, one
+# vertical number is lost. (With two lost in one list and one in the other it raises.) Nothing is said. Multiply the axes by
+# sqrt(2), and drop samples with a nan in either.
 # Packages: ETDQualitizer 1.2.0, numpy 2.4.6, pandas 2.3.3.
 # Data: made-up gaze, normal around a point, made here.
 # Output seen:

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # A blink .3 s after the film began is at 1,235 s, while the fixation before it is at .1 s.
 #
-# Found: eyelinkparser 0.17.5 reads EyeLink's .asc files by phases of a trial. Times of a phase count from its begin: those of samples (ttrace_)
-# and of fixations (fixstlist_, fixetlist_). Those of blinks (blinkstlist_, blinketlist_) should, too, since they are on the same list
-# in the source, and a slip in their names there leaves them as the tracker's clock says, in the same table. No blink is so among
-# samples and fixations, and none is ever found "in the first second". Besides, of files with two eyes, whose samples have both, the
-# left is taken alone, while fixations and blinks of both eyes are in one list, with nothing that says whose: a blink with both eyes
-# is two. Nothing is said. Take the column t_onset_ off blinks.
+# Found: eyelinkparser 0.17.5 reads EyeLink's .asc files by phases of a trial. Times of a phase count from its begin: those of
+# samples (ttrace_) and of fixations (fixstlist_, fixetlist_). Those of blinks (blinkstlist_, blinketlist_) should, too, since
+# they are on the same list in the source, and a slip in their names there leaves them as the tracker's clock says, in the same
+# table. No blink is so among samples and fixations, and none is ever found "in the first second". Besides, of files with two
+# eyes, whose samples have both, the left is taken alone, while fixations and blinks of both eyes are in one list, with nothing
+# that says whose: a blink with both eyes is two. Nothing is said. Take the column t_onset_ off blinks.
 # Packages: eyelinkparser 0.17.5, datamatrix 1.0.20, fastnumbers 5.2.0, numpy 2.4.6.
 # Data: two made-up .asc files of a second at 1,000 Hz, with a fixation from 100 to 299 ms and a blink from 300 to 399 ms, made here.
 # Output seen:

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # A face is labelled in frames 0, 10 and 20, and Lightning Pose learns these points on the pictures of frames 0, 5 and 10.
 #
-# Found: the converter of lightning-pose 2.4.3 makes a project of a SLEAP package (.pkg.slp), in which pictures are embedded. Each labelled frame
-# has its number there; the converter does not use it. It takes the embedded pictures in their order, and the labelled frames in
-# theirs, and pairs them. A package whose suggestions are embedded, too, as SLEAP offers, has pictures without labels between, and
-# pictures are in the order of the clip, while labels are in the order in which they were made. So points go to the pictures of other
-# frames, and a network learns them there. Besides, points that are visible and not marked "complete" are left out, as all are
-# that were not set by hand in SLEAP: a file written by sleap-io has no points at all. Nothing is said. Export without suggestions,
-# sort labels by frame, and mark points complete.
+# Found: the converter of lightning-pose 2.4.3 makes a project of a SLEAP package (.pkg.slp), in which pictures are embedded.
+# Each labelled frame has its number there; the converter does not use it. It takes the embedded pictures in their order, and
+# the labelled frames in theirs, and pairs them. A package whose suggestions are embedded, too, as SLEAP offers, has pictures
+# without labels between, and pictures are in the order of the clip, while labels are in the order in which they were made. So
+# points go to the pictures of other frames, and a network learns them there. Besides, points that are visible and not marked
+# "complete" are left out, as all are that were not set by hand in SLEAP: a file written by sleap-io has no points at all.
+# Nothing is said. Export without suggestions, sort labels by frame, and mark points complete.
 # Packages: lightning-pose 2.4.3 without what it needs for training, sleap-io 0.9.5, omegaconf 2.3.0, h5py 3.16.0, pandas 2.3.3,
 #   numpy 2.4.6, pillow 12.0.0, imageio 2.37.0, opencv-python-headless 4.14.0.94.
 # Data: 30 grey pictures and labels whose nose is at x = the frame's number, made here. Shown is each picture, and x of its nose.

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # A tracker for a clip at 30 frames/s takes another clip's 5 frames/s, and its head is another head nine times or never.
 #
-# Found: motpy 0.0.10 tracks boxes by Kalman filters. MultiObjectTracker(dt=...) is given the time between two frames, and writes it
-# into the one default model that all its trackers share. So the last tracker that was made says what dt is for every track that
-# any of them begins from then on: two clips of two rates, two cameras, or a second pass are followed at one rate. A head that
-# sways at 30 frames/s is lost and found as nine heads, 26 pixels off, by a tracker that is alone, and is one head, 1 pixel off, once
-# another tracker was made with dt=1/5; after one with dt=1/240 it is as bad as alone. A dict or a preset's name as model_spec is
-# shared, too, and the dict is changed. Nothing is said. Give each tracker a dict of its own.
+# Found: motpy 0.0.10 tracks boxes by Kalman filters. MultiObjectTracker(dt=...) is given the time between two frames, and
+# writes it into the one default model that all its trackers share. So the last tracker that was made says what dt is for every
+# track that any of them begins from then on: two clips of two rates, two cameras, or a second pass are followed at one rate. A
+# head that sways at 30 frames/s is lost and found as nine heads, 26 pixels off, by a tracker that is alone, and is one head, 1
+# pixel off, once another tracker was made with dt=1/5; after one with dt=1/240 it is as bad as alone. A dict or a preset's name
+# as model_spec is shared, too, and the dict is changed. Nothing is said. Give each tracker a dict of its own.
 # Packages: motpy 0.0.10, filterpy 2.0.0, numpy 2.4.6, scipy 1.17.1.
 # Data: a made-up box that sways by 60 pixels to either side in 2 s, for 8 s, with 1 pixel of noise, made here.
 # Output seen:

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # The second part of a recording has the gaze of 100 ms later, since the first part lacks 20 samples.
 #
-# Found: pupil-labs-neon-recording 2.1.6 reads the folders of the Neon eye tracker. A recording that was interrupted has parts, ps1, ps2, ...,
-# each with a file of times and a file of values. Where the two are not equally long, as after the app was stopped, the reader
-# takes as many as the shorter has. But it joins the parts first: the times of all, and the values of all. So the values of the second
-# part move to the times of the first that have no value, those of the rest are early by as many samples, and it is the end of the
-# last part that goes. At 200 Hz, with 20 values less, gaze from after a break of 10 s is shown before it, and all later gaze is
-# 100 ms early. More values than times move it the other way. So do blinks, fixations and the open lids. Nothing is said. Read
-# part by part, each in a folder of its own.
+# Found: pupil-labs-neon-recording 2.1.6 reads the folders of the Neon eye tracker. A recording that was interrupted has parts,
+# ps1, ps2, ..., each with a file of times and a file of values. Where the two are not equally long, as after the app was
+# stopped, the reader takes as many as the shorter has. But it joins the parts first: the times of all, and the values of all.
+# So the values of the second part move to the times of the first that have no value, those of the rest are early by as many
+# samples, and it is the end of the last part that goes. At 200 Hz, with 20 values less, gaze from after a break of 10 s is
+# shown before it, and all later gaze is 100 ms early. More values than times move it the other way. So do blinks, fixations and
+# the open lids. Nothing is said. Read part by part, each in a folder of its own.
 # Packages: pupil-labs-neon-recording 2.1.6, pupil-labs-video 1.0.14, numpy 2.4.6, pandas 2.3.3.
 # Data: a folder with two parts of a second at 200 Hz, 10 s apart; the gaze is where the second it was measured in says, made here.
 # Numbers are how late the gaze is, in ms, that is shown at a time.

@@ -1,15 +1,15 @@
 #!/usr/bin/env bash
 # A signer whose face is not seen in the first frame is not made anonymous: the file has the own face, as small as a pixel.
 #
-# Found: pose-anonymization 0.0.1 makes the signer of a .pose file look like an average person (remove_appearance) or like somebody else
-# (transfer_appearance): it takes what differs in the first frame off all frames. A point that is missing in that frame has no difference,
-# and is masked in all other frames, so that there is no face at all, while its confidence stays 1. A file keeps no masks, but hides
-# what has confidence 0. So in a file that is written and read again the face is seen in every frame but the first, at its places of
-# before: with the signer's own shape, which was to be hidden, and in units of the shoulders' width, a pixel wide in the corner of the
-# picture. Clips are often cut such that the signer looks up after a frame or two. A face missing in any other frame is missing
-# there alone. Nothing is said. Begin clips where all is seen.
+# Found: pose-anonymization 0.0.1 makes the signer of a .pose file look like an average person (remove_appearance) or like
+# somebody else (transfer_appearance): it takes what differs in the first frame off all frames. A point that is missing in that
+# frame has no difference, and is masked in all other frames, so that there is no face at all, while its confidence stays 1. A
+# file keeps no masks, but hides what has confidence 0. So in a file that is written and read again the face is seen in every
+# frame but the first, at its places of before: with the signer's own shape, which was to be hidden, and in units of the
+# shoulders' width, a pixel wide in the corner of the picture. Clips are often cut such that the signer looks up after a frame
+# or two. A face missing in any other frame is missing there alone. Nothing is said. Begin clips where all is seen.
 # Packages: pose-anonymization 0.0.1, pose-format 0.15.0, numpy 2.4.6.
-# Data: the package's mean person with a face that is 1.5 times as wide, swaying for 50 frames; it is not seen in one of them, made here.
+# Data: the mean person with a face 1.5 times as wide, swaying for 50 frames; the face is not seen in one of them, made here.
 # Output seen:
 #   width by height of the signer's own face 1.24, of the mean face 0.83
 #   face seen in all frames: 50 frames with a face; in the file 50, 95.3 pixels wide, width by height 0.83

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # Less its baseline, the smile is the frown's.
 #
-# Found: py-feat 2.1.5 takes a baseline off each session of a table (a clip, or a face of several): Fex.baseline. It goes through the
-# sessions by the alphabet, and puts their rows one after another. The labels of the sessions and the features of the rows stay as
-# they were. So where clips do not come in the order of their names, and where two faces take turns from row to row, each row
-# is labelled by another's name: the smile's numbers are the frown's, and half of a face's rows are the other's. Rows are numbered
-# anew, so nothing in the table leads back. Every mean by session is then wrong, and none is 0, as it should be. normalize="db" is no
-# decibel: it is 10 log10(x - baseline) / baseline, and nan wherever the face is below its baseline. clean() keeps the order, and so
-# do means. Nothing is said. Sort the table by session first.
+# Found: py-feat 2.1.5 takes a baseline off each session of a table (a clip, or a face of several): Fex.baseline. It goes
+# through the sessions by the alphabet, and puts their rows one after another. The labels of the sessions and the features of
+# the rows stay as they were. So where clips do not come in the order of their names, and where two faces take turns from row to
+# row, each row is labelled by another's name: the smile's numbers are the frown's, and half of a face's rows are the other's.
+# Rows are numbered anew, so nothing in the table leads back. Every mean by session is then wrong, and none is 0, as it should
+# be. normalize="db" is no decibel: it is 10 log10(x - baseline) / baseline, and nan wherever the face is below its baseline.
+# clean() keeps the order, and so do means. Nothing is said. Sort the table by session first.
 # Packages: py-feat 2.1.5 without what finds faces, pandas 2.3.3, numpy 2.4.6, scipy 1.17.1, scikit-learn 1.9.1.
 # Data: made-up courses of AU12 of two clips, or of two faces of one clip, made here.
 # Output seen:

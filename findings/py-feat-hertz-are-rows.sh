@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # Ten seconds of a face at 10 Hz last three, since the 10 were rows, and at 1 Hz nothing was done.
 #
-# Found: py-feat 2.1.5 keeps what a face does as a table of rows and a rate (Fex). downsample(target) takes, by its documentation, the "target
-# sampling frequency in Hz". It averages so many rows instead: of 30 frames/s 10 make 3 rows/s, 15 make 2, 5 make 6 and 1 leaves all
-# 30. The table then says that its rate is the target, so that 10 s are 3, 0.7, 12 or 300 s long to what follows, and every
-# frequency, filter and speed is wrong by as much. The function beneath (feat.utils.stats) says "samples" and has "hz" as an option, which
-# downsample(10, target_type="hz") reaches, and which is right. upsample takes hertz, but with samples or seconds it writes
-# those as the rate. Nothing is said. Always give target_type="hz".
+# Found: py-feat 2.1.5 keeps what a face does as a table of rows and a rate (Fex). downsample(target) takes, by its
+# documentation, the "target sampling frequency in Hz". It averages so many rows instead: of 30 frames/s 10 make 3 rows/s, 15
+# make 2, 5 make 6 and 1 leaves all 30. The table then says that its rate is the target, so that 10 s are 3, 0.7, 12 or 300 s
+# long to what follows, and every frequency, filter and speed is wrong by as much. The function beneath (feat.utils.stats) says
+# "samples" and has "hz" as an option, which downsample(10, target_type="hz") reaches, and which is right. upsample takes hertz,
+# but with samples or seconds it writes those as the rate. Nothing is said. Always give target_type="hz".
 # Packages: py-feat 2.1.5 without what finds faces, pandas 2.3.3, numpy 2.4.6, scipy 1.17.1, scikit-learn 1.9.1.
 # Data: a made-up course of AU12 for 10 s at 30 frames/s, made here.
 # Output seen:

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # From the 258th region on nobody ever looks at anything.
 #
-# Found: sideeye 1.0.0a13 measures how long somebody looks at each region (a word, a part of a picture), whose numbers count from 0. It asks
-# whether a fixation's region "is" the region that was asked for, and not whether it equals it. Python keeps the whole numbers up to
-# 256 once and makes all others anew: of regions from 257 on every time is 0 or None, as if they had been skipped, in a text of 400
-# words those of the last 143. First pass, total, go-past and second pass alike, and the table of all measures too. The text
-# has no limit. Nothing is said. Cut the text in trials of 257 regions at most.
+# Found: sideeye 1.0.0a13 measures how long somebody looks at each region (a word, a part of a picture), whose numbers count
+# from 0. It asks whether a fixation's region "is" the region that was asked for, and not whether it equals it. Python keeps the
+# whole numbers up to 256 once and makes all others anew: of regions from 257 on every time is 0 or None, as if they had been
+# skipped, in a text of 400 words those of the last 143. First pass, total, go-past and second pass alike, and the table of all
+# measures too. The text has no limit. Nothing is said. Cut the text in trials of 257 regions at most.
 # Packages: sideeye 1.0.0a13.
 # Data: a made-up reader who looks at each of 400 words for 200 ms, in their order, and at the first and last again, made here.
 # Output seen:

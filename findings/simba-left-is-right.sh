@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # Heads that look 15 degrees to the left look 15 degrees to the right, and two that turn against each other turn together.
 #
-# Found: SimBA 5.6.1 (simba-uw-tf-dev) has statistics of angles in degrees, 0 to 360. circular_mean returns the size of what arctan2 gives,
-# -180 to 180, without its sign: angles between 180 and 360 degrees have the mirrored mean, so that of 340 and 350 it is 15, while
-# the same mean in sliding windows, sliding_circular_mean, is 345. circular_correlation "ranges from -1 to 1: -1 indicates perfect
-# negative correlation" by its documentation, and returns the size alone, never below 0, in windows too. instantaneous_angular_velocity
-# cuts fractions of a degree off, though its example shows decimals: at 30 frames/s a head that turns by 29 degrees a second
-# stands still, and by 59 it turns at half of that. Nothing is said. Take sliding windows of the whole length, and scipy.
+# Found: SimBA 5.6.1 (simba-uw-tf-dev) has statistics of angles in degrees, 0 to 360. circular_mean returns the size of what
+# arctan2 gives, -180 to 180, without its sign: angles between 180 and 360 degrees have the mirrored mean, so that of 340 and
+# 350 it is 15, while the same mean in sliding windows, sliding_circular_mean, is 345. circular_correlation "ranges from -1 to
+# 1: -1 indicates perfect negative correlation" by its documentation, and returns the size alone, never below 0, in windows too.
+# instantaneous_angular_velocity cuts fractions of a degree off, though its example shows decimals: at 30 frames/s a head that
+# turns by 29 degrees a second stands still, and by 59 it turns at half of that. Nothing is said. Take sliding windows of the
+# whole length, and scipy.
 # Packages: simba-uw-tf-dev 5.6.1 without its windows, numba 0.68.1, numpy 2.4.6.
 # Data: made-up directions of heads in degrees, made here.
 # Output seen:
@@ -50,7 +51,8 @@ for angles in ((10, 20), (340, 350), (190, 200)):
 sway = 20 * np.sin(np.arange(300) / 20)
 one, with_it, against = (degrees(*(180 + side * sway)) for side in (1, 1, -1))
 window = Circular.sliding_circular_correlation(one, against, np.array([10.0]), 30)[-1, 0]
-correlations = [round(float(number), 2) for number in (Circular.circular_correlation(one, with_it), Circular.circular_correlation(one, against), window)]
+whole = [Circular.circular_correlation(one, other) for other in (with_it, against)]
+correlations = [round(float(number), 2) for number in (*whole, window)]
 print("two heads that turn together: correlation {:.2f}".format(correlations[0]))
 print("two heads that turn against each other: correlation {:.2f}, in a window {:.2f}".format(*correlations[1:]))
 for speed in (29, 59):

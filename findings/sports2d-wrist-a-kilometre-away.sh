@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # The right hand of everybody who is seen from behind is a kilometre away.
 #
-# Found: Sports2D 0.8.34 measures people in a video in metres. How near each joint is to the camera it takes from a table, by which side
-# of a person is seen. For the right wrist, seen from behind, the table says -1076.0002 m, where the left one has -0.1076. So z of that
-# wrist is -1,076 m in the TRC, and since x and y are corrected for the distance, it is 61 m to the side and 25 m up where it should
-# be .3 and 1.4 m. All other joints and sides are right, and so are pixels. Nothing is said. Put -0.1076 into marker_Z_positions, or
-# say visible_side = "none" of people who are seen from behind.
+# Found: Sports2D 0.8.34 measures people in a video in metres. How near each joint is to the camera it takes from a table, by
+# which side of a person is seen. For the right wrist, seen from behind, the table says -1076.0002 m, where the left one has
+# -0.1076. So z of that wrist is -1,076 m in the TRC, and since x and y are corrected for the distance, it is 61 m to the side
+# and 25 m up where it should be .3 and 1.4 m. All other joints and sides are right, and so are pixels. Nothing is said. Put
+# -0.1076 into marker_Z_positions, or say visible_side = "none" of people who are seen from behind.
 # Packages: Sports2D 0.8.34 without what finds people, pandas 2.3.3, numpy 2.4.6.
 # Data: wrists of somebody of 1.7 m and 600 pixels, 5 m from a camera of 1920x1080, made here.
 # Output seen:
