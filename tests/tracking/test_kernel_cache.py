@@ -15,6 +15,7 @@ import pytest
 from facetrack_cli.engine.kernels import cache as kernel_cache
 from facetrack_cli.engine.kernels import compiled as compiled_kernels
 from facetrack_cli.start import precompile
+from tests.support import media
 
 CLIPS = Path(__file__).parents[2] / "sample_videos"
 # these recipes together call all declared kernels
@@ -28,8 +29,8 @@ import json, sys
 from facetrack_cli.__main__ import main
 from facetrack_cli.start import precompile as kernels
 kernels._load = lambda name: True  # a kernel is loaded by its call alone
-for recipe, clip in json.loads(sys.argv[1]).items():
-    done = ["-o", f"{sys.argv[2]}/{recipe}", "--no-video", "--stop", "5", "--threads", "1", "-q"]
+for recipe, clip in json.loads(sys.argv[1]):
+    done = ["-o", f"{sys.argv[2]}/{recipe}", "--overwrite", "--no-video", "--stop", "5", "--threads", "1", "-q"]
     assert main(["run", clip, "--config", recipe, *done]) == 0
 print(json.dumps({name: [list(map(str, one)) for one in kernels.kernel(name).signatures] for name in kernels.KERNELS}))
 """
@@ -159,7 +160,10 @@ def test_a_kernel_from_the_cache_is_compiled_into_one_that_calls_it(forked, tmp_
 
 
 def test_recipes_call_what_is_declared_with_one_signature_each(tmp_path):
-    given = json.dumps({recipe: str(CLIPS / f"{clip}.mp4") for recipe, clip in RECIPES.items()})
+    clips = [(recipe, str(CLIPS / f"{clip}.mp4")) for recipe, clip in RECIPES.items()]
+    large = "-vf", "scale=640:480", "-frames:v", "6"  # so that the check for cuts skips pixels
+    media.ffmpeg("-i", CLIPS / "expressions.mp4", *large, path := tmp_path / "large.mp4")
+    given = json.dumps([*clips, ("face", str(path))])
     found = json.loads(python(_RUN, given, str(tmp_path)).stdout)
     assert found == {name: [list(map(str, precompile.kernel(name).takes))] for name in precompile.KERNELS}
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame, Planes
-from facetrack_cli.trackers.face import image_kernels
+from facetrack_cli.trackers.face import stabilized
 from facetrack_cli.video import shots
 from facetrack_cli.video.shots import Cut, Passing, find_cuts, shots_of, small
 
@@ -119,7 +119,7 @@ def test_one_kernel_shrinks_planes_as_opencv_does(size, beside):
 
     half = size[0] // 2, size[1] // 2
     frame = Frame(0, 0.0, Planes(plane(*size), plane(*half), plane(*half)))
-    np.testing.assert_array_equal(image_kernels.shrunk(frame), small(frame))
+    np.testing.assert_array_equal(stabilized.shrunk(frame), small(frame))
 
 
 def test_cuts_are_found_as_they_come_and_confirmed_by_the_frames_after_them():

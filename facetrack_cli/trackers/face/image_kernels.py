@@ -10,9 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Frame
 from facetrack_cli.engine.kernels.compiled import between, exact, fast, fast_part, part
-from facetrack_cli.video.shots import READ, SIDE, small
 
 Single: TypeAlias = NDArray[np.float32]
 Image: TypeAlias = NDArray[np.uint8]
@@ -109,35 +107,21 @@ def _read_eye(patch, mirrored, offsets, out):
     out[-1] = _ONE
 
 
-def shrunk(frame: Frame) -> Image:
-    """`video.shots.small` of a frame; of planes in one call."""
-    if frame.yuv is None or frame.size[0] // 2 <= SIDE[0] * READ or frame.size[1] <= SIDE[1] * READ:
-        return small(frame)
-    (lit, wide), (u, half), (v, _) = map(_rows_of, frame.yuv[:3])
-    shrink(lit, u, v, wide, half, frame.size, out := np.empty((SIDE[1], SIDE[0], 3), np.uint8))
-    return out
+@exact("u1:1 u1:1 u1:1 i8 i8 i8x2 i8 u1:3")
+def shrink(lit, u, v, wide, half, size, read, out):
+    """The means `out` (H, W, 3) of planes of `size` pixels with rows of `wide` and `half` bytes, as OpenCV has them.
 
-
-def _rows_of(plane: Image) -> tuple[Image, int]:
-    """All bytes of a plane, and how many a row has, with those beside the picture."""
-    kept, wide = plane.base, plane.strides[0]
-    if kept is None or plane.flags.c_contiguous or kept.shape != (len(plane) * wide,):
-        return plane.ravel(), plane.shape[1]
-    return kept, wide
-
-
-@exact("u1:1 u1:1 u1:1 i8 i8 i8x2 u1:3")
-def shrink(lit, u, v, wide, half, size, out):
-    """The means `out` (18, 32, 3) of planes of `size` pixels with rows of `wide` and `half` bytes, as OpenCV has them."""
-    _shrink(lit, wide, size[0], size[1], READ, out[:, :, 0])
-    _shrink(u, half, size[0] // 2, size[1] // 2, 1, out[:, :, 1])
-    _shrink(v, half, size[0] // 2, size[1] // 2, 1, out[:, :, 2])
+    Each is of `read` pixels of a row, and of as many rows of `lit`.
+    """
+    _shrink(lit, wide, size[0], size[1], read, read, out[:, :, 0])
+    _shrink(u, half, size[0] // 2, size[1] // 2, read, 1, out[:, :, 1])
+    _shrink(v, half, size[0] // 2, size[1] // 2, read, 1, out[:, :, 2])
 
 
 @part
-def _shrink(flat, wide, width, height, rows, out):
-    (down, across), share = out.shape, np.float32(1.0) / np.float32(rows * READ)
-    columns = np.empty(across * READ, np.int64)
+def _shrink(flat, wide, width, height, read, rows, out):
+    (down, across), share = out.shape, np.float32(1.0) / np.float32(rows * read)
+    columns = np.empty(across * read, np.int64)
     for x in range(len(columns)):
         columns[x] = int(x * (1.0 / (len(columns) / width)))
     for i in range(down):
@@ -145,7 +129,7 @@ def _shrink(flat, wide, width, height, rows, out):
         for r in range(i * rows, (i + 1) * rows):
             row = flat[int(r * (1.0 / (down * rows / height))) * wide :]
             for j in range(across):
-                for x in range(j * READ, (j + 1) * READ):
+                for x in range(j * read, (j + 1) * read):
                     sums[j] += row[columns[x]]
         for j in range(across):
             out[i, j] = np.rint(np.float32(sums[j]) * share)

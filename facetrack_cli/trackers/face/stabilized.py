@@ -11,7 +11,8 @@ import numpy as np
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Extent, Frame, Image, Planes
-from facetrack_cli.trackers.face.image_kernels import see
+from facetrack_cli.trackers.face.image_kernels import see, shrink
+from facetrack_cli.video import shots
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
@@ -166,3 +167,24 @@ def slope(pair: Array | tuple[Any, ...]) -> float:
     """The angle of the line from one place to another, in radians."""
     (x, y), (u, v) = pair.tolist() if isinstance(pair, np.ndarray) else pair
     return math.atan2(v - y, u - x)
+
+
+def shrunk(frame: Frame) -> Image:
+    """`video.shots.small` of a frame; of planes in one call."""
+    if (
+        frame.yuv is None
+        or frame.size[0] // 2 <= shots.SIDE[0] * shots.READ
+        or frame.size[1] <= shots.SIDE[1] * shots.READ
+    ):
+        return shots.small(frame)
+    (lit, wide), (u, half), (v, _) = map(_rows_of, frame.yuv[:3])
+    shrink(lit, u, v, wide, half, frame.size, shots.READ, out := np.empty((shots.SIDE[1], shots.SIDE[0], 3), np.uint8))
+    return out
+
+
+def _rows_of(plane: Image) -> tuple[Image, int]:
+    """All bytes of a plane, and how many a row has, with those beside the picture."""
+    kept, wide = plane.base, plane.strides[0]
+    if kept is None or plane.flags.c_contiguous or kept.shape != (len(plane) * wide,):
+        return plane.ravel(), plane.shape[1]
+    return kept, wide

@@ -37,11 +37,10 @@ from facetrack_cli.trackers.face import evidence, stabilized
 from facetrack_cli.trackers.face import landmark_filters as filters
 from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import AGAIN, KNOWN, STAYS, Sighting
-from facetrack_cli.trackers.face.image_kernels import shrunk
 from facetrack_cli.trackers.face.landmark_filters import Facing, LandmarkFilter
 from facetrack_cli.trackers.face.landmark_kernels import BY_NETWORK, relay
 from facetrack_cli.trackers.face.motion import MeasuredWalk, SensorReading, modes
-from facetrack_cli.trackers.face.stabilized import FACE, Similarity, mapped
+from facetrack_cli.trackers.face.stabilized import FACE, Similarity, mapped, shrunk
 from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, moved
 from facetrack_cli.trackers.face.window_ncc import WindowNcc, doubted
 from facetrack_cli.trackers.people.descriptor import Picture
