@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import partial
 from typing import ClassVar
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -23,18 +22,13 @@ from facetrack_cli.trackers.appearance.appearance import OUTLIER_RANGE, AffineSp
 from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
 from tests.support.images import grey as frame
+from tests.support.images import smooth
 from tests.support.parts import adaptive, affine_walk, appearance, changed, components, predicted
 from tests.support.results import parts_of
 from tests.twins import appearance as twin
 from tests.twins import guide as naive
 
 SIZE, SHAPE = (26.0, 30.0), (30, 26)
-
-
-def smooth(seed, height=120, width=160, sigma=3.0):
-    noise = np.random.default_rng(seed).normal(size=(height, width))
-    values = cv2.GaussianBlur(noise, (0, 0), sigma)
-    return np.clip(128 + 45 * values / values.std(), 0, 255).astype(np.uint8)
 
 
 def state(cx, cy, a1=1.0, a2=0.0, a3=0.0, a4=1.0):

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from facetrack_cli.trackers.appearance.appearance import RANK, Patches, eta
 from facetrack_cli.trackers.appearance.appearance_kernels import differences, gain, mapped
 from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
+from tests.support.images import smooth
 from tests.support.parts import affine_walk, appearance, changed, predicted
-from tests.tracking.test_affine import frame, smooth, state
+from tests.tracking.test_affine import frame, state
 from tests.twins import guide as naive
 
 SIZE = (50.0, 56.0)

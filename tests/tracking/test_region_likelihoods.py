@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from facetrack_cli.trackers.regions import likelihoods
 from facetrack_cli.trackers.regions import region_kernels as kernel
 from facetrack_cli.trackers.regions.likelihoods import OUTSIDE, ellipse
-from tests.support.images import frame, grey, states
+from tests.support.images import frame, grey, smooth, states
 from tests.support.parts import contour, correlation, histogram
 from tests.twins import regions as naive
 
@@ -159,12 +159,6 @@ DISTANCES = ["l2", "saturated_l1"]
 SIZE = (40.0, 48.0)
 
 
-def texture(seed=0, width=WIDTH, height=HEIGHT, blur=2.5):
-    noise = np.random.default_rng(seed).normal(0, 1, (height, width)).astype(np.float32)
-    smooth = cv2.GaussianBlur(noise, (0, 0), blur)
-    return 128 + smooth * (40 / smooth.std())
-
-
 place = st.floats(-60, 220, width=32)
 scale = st.one_of(st.floats(0.0, 3.0, width=32), st.sampled_from([1e-6, 1e3, -0.7]))
 
@@ -210,7 +204,7 @@ def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size,
 
 @pytest.mark.parametrize("kind", DISTANCES)
 def test_likelihood_is_the_formula_of_the_paper(kind):
-    before, now = grey(texture(0)), grey(texture(0) * 0.9 + 20)
+    before, now = grey(smooth(0)), grey(smooth(0) * 0.9 + 20)
     likelihood = correlation(SIZE, grid=(5, 4), sigma=60.0, saturation=15.0 if kind == "saturated_l1" else None)
     x, parent = [[70.3, 50.2, 1.1], [20.0, 30.0, 0.5], [150.0, 60.0, 1.0]], [71.0, 49.0, 1.05]
     factor = 8
