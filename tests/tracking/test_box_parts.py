@@ -1,4 +1,4 @@
-"""The parts of the correlation filter: kernels, its equations on a tiny grid, scale, colours, and how high peaks are."""
+"""The parts of the correlation filter: kernels, equations on a tiny grid, scale, colours, and the height of peaks."""
 
 import math
 import os

@@ -23,7 +23,7 @@ from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import one_part
 from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.trajectory.writers import WRITERS, RunSummary
-from tests.evaluation.test_points import rows, statuses
+from tests.evaluation.test_match import rows, statuses
 from tests.support import results
 from tests.support.sinks import Alone
 

@@ -1,4 +1,4 @@
-"""The regression that places eyes: a real face in many poses, lids that shut, covers, small faces, and its file."""
+"""The regressions that place eyes, nose and mouth: real faces, lids that shut, covers, channels, and their files."""
 
 import cv2
 import numpy as np
@@ -7,13 +7,14 @@ import pytest
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Frame
 from facetrack_cli.trackers.face import image_kernels
-from facetrack_cli.trackers.face.cascaded_regression import face_channels, load_regression
+from facetrack_cli.trackers.face.cascaded_regression import LEFT, TOP, channels, face_channels, load_regression, read
 from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SMALL, load_eyes, openings
 from facetrack_cli.trackers.face.mesh import Iris
-from facetrack_cli.trackers.face.stabilized import EYES
+from facetrack_cli.trackers.face.stabilized import EYES, Similarity, change_between
 from tests.support import moving_face as moving
 from tests.support.fake_mesh import _AT, IN_CLIP, head_of
 from tests.support.moving_face import Pose
+from tests.support.samples import TrackClip
 from tests.twins import cascaded_regression as naive
 
 TRUE = np.array([_AT[point] for point in POINTS], float)  # in the stabilized image
@@ -114,3 +115,73 @@ def test_the_network_for_an_eye_places_lids_and_iris(iris_model):
         assert (np.hypot(*(irises - middles).T) / EYES).max() < 0.15
     _, frame = found(IN_CLIP, squeezed)
     assert np.all(openings(iris.measure(frame, head_of(IN_CLIP), TRUE[CORNERS])[0]) < 0.7 * openings(TRUE))
+
+
+# --- nose and mouth
+
+PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
+CLIPS = {name: TrackClip(name, 50) for name in ("expressions", "occlusion")}  # in which all parts are visible
+
+
+def rest_shape():
+    """The mean shape (K, 2) in the stabilized image."""
+    return load_regression().mean + np.array([LEFT, TOP])
+
+
+def laid(at, rng):
+    """The stabilized image whose parts are at `at` (K, 2) in the frame, as far off as a head is."""
+    rest = rest_shape()
+    a, b = at - at.mean(axis=0), rest - rest.mean(axis=0)
+    scale, turn = np.sqrt((a**2).sum() / (b**2).sum()), change_between(at, rest)[0]
+    lies = Similarity(np.zeros(2), scale * np.exp(rng.normal(0, 0.07)), turn + rng.normal(0, 0.05))
+    off = rng.normal(0, 0.07 * EYES * scale, 2)
+    return lies._replace(centre=at.mean(axis=0) + off - lies.to_frame(rest.mean(axis=0)))
+
+
+def faces(seed=0, every=7):
+    """Stabilized images (160, 160, 3) of real people, and the true places of their parts."""
+    rng = np.random.default_rng(seed)
+    for clip in CLIPS.values():
+        for frame in clip.frames[::every]:
+            at = np.array([(row.x, row.y) for row in (clip.truth[frame.index, part] for part in PARTS)])
+            lies = laid(at, rng)
+            yield lies.read(frame).bgr, lies.to_stabilized(at)
+
+
+def test_the_channels_and_how_they_are_read_are_what_the_plain_twin_says():
+    rng = np.random.default_rng(3)
+    noise = rng.integers(0, 256, (7, 8, 3)).astype(np.uint8)
+    image = cv2.resize(noise, (31, 26), interpolation=cv2.INTER_CUBIC)
+    image[4:9, 20:27] = 0  # flat, and as dark as can be
+    seen, plain = channels(image), naive.channels(image.tolist())
+    everywhere = np.moveaxis(np.mgrid[:26, :31][::-1], 0, 2).reshape(-1, 2).astype(float)
+    found = image_kernels.read(seen, everywhere, np.zeros((1, 2))).reshape(26, 31, -1)
+    np.testing.assert_allclose(found, np.moveaxis(plain, 0, 2), atol=1e-3)
+    x = np.array([[12.2, 9.9], [-40.0, 70.0], [30.4, 0.2]])
+    for scale in (1.6, 0.8):
+        np.testing.assert_allclose(read(seen, x, scale), naive.read(plain, x.tolist(), scale), atol=1e-3)
+
+
+def test_it_finds_the_points_of_real_faces_from_the_mean_shape():
+    model = load_regression()
+    assert model.parts == PARTS
+    off, before = [], []
+    for still, true in faces():
+        off.append(np.hypot(*(model.fit(still).at - true).T))
+        before.append(np.hypot(*(rest_shape() - true).T))
+    off, before = np.array(off) / EYES, np.array(before) / EYES
+    assert off.mean() < 0.08 and off.max() < 0.25
+    assert off.mean() < 0.6 * before.mean()
+
+
+def test_what_is_free_is_likely_visible_and_what_a_board_covers_is_not():
+    rng, model, free, covered = np.random.default_rng(2), load_regression(), [], []
+    for still, true in faces(every=3):
+        free.append(model.fit(still).odds)
+        x, y = np.round(true[1:].mean(axis=0)).astype(int)  # the middle of the mouth
+        still = still.copy()
+        board = rng.integers(20, 230, (4, 6, 3)).astype(np.uint8)
+        still[y - 18 : y + 32, x - 40 : x + 40] = cv2.resize(board, (80, 50), interpolation=cv2.INTER_NEAREST)
+        covered.append(model.fit(still).odds[1:])
+    assert np.mean(np.array(free) > 0) > 0.9 and np.median(free) > 1.5
+    assert np.mean(np.array(covered) < 0) > 0.9 and np.median(covered) < -2

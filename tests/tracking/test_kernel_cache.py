@@ -20,7 +20,7 @@ CLIPS = Path(__file__).parents[2] / "sample_videos"
 # these recipes together call all declared kernels
 RECIPES = {
     "face": "expressions", "factorized": "expressions", "adaptive": "expressions",
-    "contour_histogram_correlation": "expressions", "skin_ncc": "expressions", "head_hands": "signing",
+    "contour_histogram_correlation": "expressions", "skin_ncc": "expressions",
     "signer": "signing",
 }  # fmt: skip
 _RUN = """
@@ -29,7 +29,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.start import precompile as kernels
 kernels._load = lambda name: True  # a kernel is loaded by its call alone
 for recipe, clip in json.loads(sys.argv[1]).items():
-    done = ["-o", f"{sys.argv[2]}/{recipe}", "--no-video", "--stop", "5", "--threads", "1", "-q"]
+    done = ["-o", f"{sys.argv[2]}/{recipe}", "--no-video", "--stop", "3", "--threads", "1", "-q"]
     assert main(["run", clip, "--config", recipe, *done]) == 0
 print(json.dumps({name: [list(map(str, one)) for one in kernels.kernel(name).signatures] for name in kernels.KERNELS}))
 """
@@ -198,7 +198,7 @@ def test_nothing_is_compiled_that_the_settings_do_not_call_nor_after_a_stop(comp
 
 
 def test_the_second_process_leaves_kernels_for_the_first(forked, tmp_path):
-    names = [f"trackers.regions.region_kernels.{one}" for one in ("match_boxes", "nearest_edges")]
+    names = [f"engine.kernels.compiled.{one}" for one in ("invert_cdf", "moments")]
     order = json.dumps([sys.path, names[:1]])
     done = python(precompile._SECOND.format(precompile.__name__), order, NUMBA_CACHE_DIR=str(tmp_path))
     assert (done.stdout, done.stderr) == ("", "")
