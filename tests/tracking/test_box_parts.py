@@ -112,11 +112,11 @@ def test_project_is_what_its_plain_twin_says(seed, count, features, places):
     places=st.lists(st.tuples(st.floats(-4, 12), st.floats(-4, 12)), min_size=1, max_size=8),
 )
 def test_read_cubic_is_what_its_plain_twin_says(seed, shape, places):
-    values = np.random.default_rng(seed).standard_normal(shape)
+    values = singles(np.random.default_rng(seed), *shape)
     x, y = (np.array(column) for column in zip(*places, strict=True))
     out = np.full(len(x), np.nan)
     cells.read_cubic(values, x, y, out)
-    np.testing.assert_allclose(out, [naive.read_cubic(values, *at) for at in places], atol=1e-9)
+    np.testing.assert_allclose(out, [naive.read_cubic(values.astype(float), *at) for at in places], atol=1e-9)
 
 
 def test_the_threads_of_blas_change_no_component():
@@ -134,7 +134,7 @@ sys.stdout.buffer.write(Features.learn(Frame(0, 0.0, image), np.array([60.0, 60.
             stdout=subprocess.PIPE,
             check=True,
         ).stdout
-        for threads in ("1", "2", "3")
+        for threads in ("1", "3")
     }
     assert len(components) == 1 and len(components.pop()) == 4 * 8 * 34
 

@@ -58,7 +58,7 @@ def path(count=30, x=60.0, y=55.0):
 
 
 def start(place, size=(24, 28), name="thing"):
-    w, h = size
+    w, h = map(float, size)
     return Start(0, {name: TargetStart(box=(place[0] - (w - 1) / 2, place[1] - (h - 1) / 2, w, h))}, "clip.init.yaml")
 
 

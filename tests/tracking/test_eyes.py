@@ -154,7 +154,7 @@ def test_the_channels_and_how_they_are_read_are_what_the_plain_twin_says():
     image = cv2.resize(noise, (31, 26), interpolation=cv2.INTER_CUBIC)
     image[4:9, 20:27] = 0  # flat, and as dark as can be
     seen, plain = channels(image), naive.channels(image.tolist())
-    everywhere = np.moveaxis(np.mgrid[:26, :31][::-1], 0, 2).reshape(-1, 2).astype(float)
+    everywhere = np.stack(np.mgrid[:26, :31][::-1], axis=-1, dtype=float).reshape(-1, 2)
     found = image_kernels.read(seen, everywhere, np.zeros((1, 2))).reshape(26, 31, -1)
     np.testing.assert_allclose(found, np.moveaxis(plain, 0, 2), atol=1e-3)
     x = np.array([[12.2, 9.9], [-40.0, 70.0], [30.4, 0.2]])

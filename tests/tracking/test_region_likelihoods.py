@@ -38,8 +38,8 @@ def test_the_kernel_is_what_its_plain_twin_says(seed, cx, cy, s, factor, reach, 
     image = np.clip(1150 + 1080 * cv2.GaussianBlur(noise, (0, 0), 1.0), 0, 2295).astype(np.uint16)
     points, normals = ellipse((23.0, 31.0), 10)
     x = np.array([[cx, cy, s]])
-    ours = kernel.nearest_edges(image, x, 5.0, -3.0, factor, points, normals, reach, threshold)
-    theirs = naive.nearest_edges(image, x, (5.0, -3.0), factor, points, normals, reach, threshold)
+    ours = kernel.nearest_edges(image, x, 5, -3, factor, points, normals, reach, threshold)
+    theirs = naive.nearest_edges(image, x, (5, -3), factor, points, normals, reach, threshold)
     np.testing.assert_allclose(ours, theirs, atol=2e-3)  # float32, and a parabola may be nearly flat
 
 
@@ -64,7 +64,7 @@ def test_edges_by_hand(row, at, nearest, turned):
     image = np.ascontiguousarray(image.T) if turned else image
     normals = np.array([[0.0, 1.0], [0.0, -1.0]] if turned else [[1.0, 0.0], [-1.0, 0.0]])
     x = np.array([[3.0, at, 1.0] if turned else [at, 3.0, 1.0]])
-    found = kernel.nearest_edges(image, x, 0.0, 0.0, 1, np.zeros((2, 2)), normals, 4.0, 5.0)
+    found = kernel.nearest_edges(image, x, 0, 0, 1, np.zeros((2, 2)), normals, 4.0, 5.0)
     np.testing.assert_allclose(found, [[nearest, nearest]], atol=1e-6)
 
 
