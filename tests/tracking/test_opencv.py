@@ -48,12 +48,12 @@ def test_mil_gives_the_same_track_for_the_same_seed_also_beside_another():
     def places(results):
         return [(one.rows.x[0], one.rows.y[0]) for one in results]
 
-    pictures = list(frames(8, step=(4.0, 2.0)))
-    alone = [places(run("mil", pictures, seed=seed)) for seed in (1, 2, 1)]
-    assert alone[0] == alone[2] != alone[1]
+    pictures = list(frames(6, step=(4.0, 2.0)))
+    alone = [places(run("mil", pictures, seed=seed)) for seed in (1, 2)]
+    assert alone[0] != alone[1]
     tracker = build_tracker(load_recipe("mil"), Start(0, {"face": TargetStart(box=(30.0, 40.0, 32.0, 32.0))}, "x"))
     both = zip(*(track(tracker, iter(pictures), seed) for seed in (1, 2)), strict=True)
-    assert [places(each) for each in zip(*both, strict=True)] == alone[:2]
+    assert [places(each) for each in zip(*both, strict=True)] == alone
 
 
 class _Stub:
