@@ -33,6 +33,7 @@ from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.trajectory.writers import WRITERS, RunSummary
 from tests.evaluation.test_match import rows, statuses
 from tests.support import results
+from tests.support.samples import FOLDER
 from tests.support.sinks import Alone
 
 BOX = "frame: 0\nbox: [1, 2, 3, 4]\n"

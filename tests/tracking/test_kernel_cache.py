@@ -15,8 +15,8 @@ import pytest
 from facetrack_cli.engine.kernels import cache as kernel_cache
 from facetrack_cli.engine.kernels import compiled as compiled_kernels
 from facetrack_cli.start import precompile
+from tests.support.samples import FOLDER
 
-CLIPS = Path(__file__).parents[2] / "sample_videos"
 # these recipes together call all declared kernels
 RECIPES = {
     "face": "expressions", "factorized": "expressions", "adaptive": "expressions",
@@ -159,7 +159,7 @@ def test_a_kernel_from_the_cache_is_compiled_into_one_that_calls_it(forked, tmp_
 
 
 def test_recipes_call_what_is_declared_with_one_signature_each(tmp_path):
-    given = json.dumps({recipe: str(CLIPS / f"{clip}.mp4") for recipe, clip in RECIPES.items()})
+    given = json.dumps({recipe: str(FOLDER / f"{clip}.mp4") for recipe, clip in RECIPES.items()})
     found = json.loads(python(_RUN, given, str(tmp_path)).stdout)
     assert found == {name: [list(map(str, precompile.kernel(name).takes))] for name in precompile.KERNELS}
 
@@ -198,7 +198,7 @@ def test_nothing_is_compiled_that_the_settings_do_not_call_nor_after_a_stop(comp
 
 
 def test_the_second_process_leaves_kernels_for_the_first(forked, tmp_path):
-    names = [f"engine.kernels.compiled.{one}" for one in ("invert_cdf", "moments")]
+    names = [f"trackers.skin.skin_kernels.{one}" for one in ("box_sums", "bilinear")]
     order = json.dumps([sys.path, names[:1]])
     done = python(precompile._SECOND.format(precompile.__name__), order, NUMBA_CACHE_DIR=str(tmp_path))
     assert (done.stdout, done.stderr) == ("", "")

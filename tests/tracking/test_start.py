@@ -1,7 +1,5 @@
 """Where a track starts: a search, boxes and points, the targets that a recipe names, and hands nobody placed."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from facetrack_cli.start.search import box_start, search_start
 from facetrack_cli.trackers.face.detectors import PARTS, Detection, Haar, mean_eyes
 from facetrack_cli.video.overlay import draw_start
 from facetrack_cli.video.source import open_source
-from tests.support.samples import TrackClip
+from tests.support.samples import FOLDER, TrackClip
 from tests.tracking.test_skin import HEAD, LEFT, RIGHT, box, picture
 
 
@@ -209,7 +207,6 @@ def test_init_without_a_face_writes_nothing_and_a_preview_never_becomes_a_frame(
     assert not list(clip.parent.glob("*.init.*"))
 
 
-SAMPLES = Path(__file__).parents[2] / "sample_videos"
 ALL = ("head", "left_hand", "right_hand")
 FRAME = Frame(0, 0.0, picture(HEAD, LEFT, RIGHT))
 
@@ -270,7 +267,7 @@ def test_targets_that_the_recipe_does_not_know_and_starts_without_a_head_are_ref
 
 
 def test_in_a_clip_head_and_hands_are_found_where_the_truth_has_them():
-    path = SAMPLES / "signing.mp4"
+    path = FOLDER / "signing.mp4"
     true = read_init(path.with_suffix(".init.yaml")).targets
     with open_source(path) as source:
         found = search_start(source, (), complete=lambda frame, start: name_targets(start, ALL, frame))
@@ -289,6 +286,6 @@ def test_a_grey_clip_is_refused_at_its_first_face_and_not_searched_to_its_end():
             level = frame.bgr.mean(axis=2, keepdims=True).astype(np.uint8)
             yield Frame(frame.index, frame.time_s, np.ascontiguousarray(level.repeat(3, axis=2)))
 
-    with open_source(SAMPLES / "signing.mp4") as source, pytest.raises(InputError, match="have a colour"):
+    with open_source(FOLDER / "signing.mp4") as source, pytest.raises(InputError, match="have a colour"):
         search_start(grey(source), (), complete=lambda frame, start: name_targets(start, ALL, frame))
     assert looked == [0]
