@@ -231,16 +231,16 @@ def test_a_run_that_fails_says_so_in_one_line_and_the_queue_lives_on(app, clips,
 OFTEN = """
 import time
 from facetrack_cli.runs import progress, record
-record.EVERY_FRAMES, progress.EVERY_JSON_S = 10, 0.05
+record.EVERY_FRAMES, progress.EVERY_JSON_S = 5, 0.05
 write = record.Recorder.write
 
 def wait_and_write(*given):  # so that a short clip takes long enough to be stopped
-    time.sleep(0.015)
+    time.sleep(0.04)
     write(*given)
 
 record.Recorder.write = wait_and_write
 """
-FRAMES, FEW = 140, 20
+FRAMES, FEW = 60, 10
 
 
 def running(one):

@@ -20,8 +20,8 @@ from facetrack_cli.recipe.model import ParticleRecipe
 from facetrack_cli.runs.seeds import SeedPlan
 from facetrack_cli.trackers.points.colour_ratio import ColourRatio
 from facetrack_cli.trajectory.trajectory import joined, one_part
+from tests.support.samples import FOLDER
 
-SAMPLES = Path(__file__).parents[2] / "sample_videos"
 START = Start(0, {"face": TargetStart((1.0, 2.0, 30.5, 40.0), {"nose": (10.25, 20.0)}, {"nose": (9.0, 7.0)})}, "x")
 
 
@@ -145,7 +145,7 @@ def test_every_recipe_has_a_golden_of_each_clip_that_it_is_made_for():
         elif isinstance(recipe, ParticleRecipe) and recipe.target.type == "affine":
             clips = ("zoom", "lamp")
         wanted |= {f"{clip}.{recipe.name}.json" for clip in (*clips, *(["signing"] if recipe.followed else []))}
-    assert len(wanted) > 50 and wanted <= {path.name for path in SAMPLES.glob("goldens/*.json")}
+    assert len(wanted) > 50 and wanted <= {path.name for path in FOLDER.glob("goldens/*.json")}
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +153,7 @@ def recorded(tmp_path_factory):
     """A folder with the start of a clip and a golden of it."""
     folder = tmp_path_factory.mktemp("clips")
     for name in ("occlusion.mp4", "occlusion.init.yaml", "occlusion.truth.csv"):
-        shutil.copy(SAMPLES / name, folder)
+        shutil.copy(FOLDER / name, folder)
     assert main(["regress", str(folder), "--config", "factorized", "--update", "--stop", "26", "-q"]) == 0
     return folder
 
@@ -266,7 +266,7 @@ def test_a_recipe_without_golden_and_a_broken_golden_are_refused(facetrack, clip
 
 def test_a_recipe_of_the_user_is_found_from_the_folder_of_clips(facetrack, clips):
     shutil.rmtree(clips / "goldens")
-    text = (SAMPLES.parent / "configs" / "factorized.yaml").read_text(encoding="utf-8")
+    text = (FOLDER.parent / "configs" / "factorized.yaml").read_text(encoding="utf-8")
     (clips / "mine.yaml").write_text(text.replace("particles: 100", "particles: 30"), encoding="utf-8")
     code, out, _ = facetrack("regress", clips, "--config", clips / "mine.yaml", "--update", "--stop", 12)
     assert code == 0 and out == f"occlusion.mp4 mine: wrote {golden_of(clips)} (10 seeds)\n"
@@ -318,6 +318,6 @@ def test_an_interrupt_leaves_the_goldens_as_they_were(update, facetrack, clips, 
 def test_a_sigma_that_is_off_by_30_percent_fails(stem, change, monkeypatch):
     """Of a shipped golden, as if its versions were others."""
     monkeypatch.setattr(goldens, "versions", lambda: {"numpy": "1.0"})
-    asked = [one for one in goldens.tasks(SAMPLES, {}) if one.path.stem == stem]
-    (found,) = goldens.regress(SAMPLES, asked, overrides=[change] if change else [])
+    asked = [one for one in goldens.tasks(FOLDER, {}) if one.path.stem == stem]
+    (found,) = goldens.regress(FOLDER, asked, overrides=[change] if change else [])
     assert found.failed is bool(change)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.cli.options import FIGURES
+from facetrack_cli.cli.commands.finished import FIGURES
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report.figures import compare, page

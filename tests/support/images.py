@@ -22,6 +22,7 @@ def states(places):
     return np.concatenate([places[:, :2], s, np.full((len(places), 3), 1e6)], axis=1)[:, None]
 
 
-def smooth(seed, height, width, sigma=2.0):
+def smooth(seed, height=120, width=160, sigma=2.0):
+    """(height, width) of random blobs around 128."""
     noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(0, 1, (height, width)), (0, 0), sigma)
     return 128 + noise * (45 / noise.std())

@@ -41,14 +41,19 @@ def matrix(pose):
     return turn
 
 
-def paste(picture, pose, source=0):
-    """`picture` with the face of a frame of the sample clip on it."""
+@cache
+def oval():
+    """(H, W): 1 on the face of the sample clip, with a soft border."""
     height, width = SOURCE.frames[0].bgr.shape[:2]
     y, x = np.mgrid[:height, :width]
-    oval = np.hypot((x - _X - _SIDE / 2) / 0.56, (y - _Y - 0.52 * _SIDE) / 0.72) / _SIDE
-    alpha = np.clip((1 - oval) * 10, 0, 1).astype(np.float32)
+    r = np.hypot((x - _X - _SIDE / 2) / 0.56, (y - _Y - 0.52 * _SIDE) / 0.72) / _SIDE
+    return np.clip((1 - r) * 10, 0, 1).astype(np.float32)
+
+
+def paste(picture, pose, source=0):
+    """`picture` with the face of a frame of the sample clip on it."""
     to = matrix(pose)
-    share = warp_affine(alpha, to, SIZE)[..., None]
+    share = warp_affine(oval(), to, SIZE)[..., None]
     return picture * (1 - share) + share * warp_affine(SOURCE.frames[source].bgr.astype(np.float32), to, SIZE)
 
 

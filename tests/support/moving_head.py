@@ -1,5 +1,7 @@
 """Frames of a head of two colours that moves and grows before a plain ground; its box is known."""
 
+from functools import cache
+
 import cv2
 import numpy as np
 
@@ -30,6 +32,7 @@ def path(n):
     return 119.5 + 45 * np.sin(n / 9), 85.5 + 20 * (1 - np.cos(n / 7)), 1 + 0.2 * np.sin(n / 15)
 
 
+@cache
 def clip(count=45, **options):
     return [Frame(n, n / 25, scene(*path(n), **options)) for n in range(count)]
 

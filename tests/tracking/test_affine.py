@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import partial
 from typing import ClassVar
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -23,18 +22,13 @@ from facetrack_cli.trackers.appearance.appearance import OUTLIER_RANGE, AffineSp
 from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
 from tests.support.images import grey as frame
+from tests.support.images import smooth
 from tests.support.parts import adaptive, affine_walk, appearance, changed, components, predicted
 from tests.support.results import parts_of
 from tests.twins import appearance as twin
 from tests.twins import guide as naive
 
 SIZE, SHAPE = (26.0, 30.0), (30, 26)
-
-
-def smooth(seed, height=120, width=160, sigma=3.0):
-    noise = np.random.default_rng(seed).normal(size=(height, width))
-    values = cv2.GaussianBlur(noise, (0, 0), sigma)
-    return np.clip(128 + 45 * values / values.std(), 0, 255).astype(np.uint8)
 
 
 def state(cx, cy, a1=1.0, a2=0.0, a3=0.0, a4=1.0):
@@ -263,6 +257,12 @@ TRUTH = state(80, 60)
 W, S, F = 0, 1, 2
 
 
+def read_only(values):
+    """As patches are, so that no kernel is compiled for others."""
+    values.flags.writeable = False
+    return values
+
+
 def mixture(rng, d, off=(), laplace=False, outlier=0.0):
     """Any mixture of d pixels, without the components `off`."""
     m = rng.uniform(0.05, 1, (3, d))
@@ -287,7 +287,7 @@ def test_densities_equal_the_plain_twin(off, laplace, outlier, seed, d, spread):
     rng = np.random.default_rng(seed)
     learned = mixture(rng, d, off, laplace, outlier)
     # around one of the components: far from all of them the twin's densities would be 0
-    y = (learned.mu[F] + spread * rng.normal(size=(3, d)) * learned.sigma[F]).astype(np.float32)
+    y = read_only((learned.mu[F] + spread * rng.normal(size=(3, d)) * learned.sigma[F]).astype(np.float32))
     expected = [twin.log_density(v, learned.m, learned.mu, learned.sigma, laplace, outlier, OUTLIER_RANGE)
                 for v in y.astype(np.float64)]  # fmt: skip
     found = kernel.log_densities(y, learned.mu, *learned.terms, outlier / OUTLIER_RANGE, laplace)
@@ -295,7 +295,7 @@ def test_densities_equal_the_plain_twin(off, laplace, outlier, seed, d, spread):
     assert MODEL.error(learned, y) == pytest.approx(
         [twin.error(v, learned.m, learned.mu, learned.sigma) for v in y.astype(np.float64)], rel=1e-4
     )
-    centred = y - y.mean(axis=1, keepdims=True)
+    centred = read_only(y - y.mean(axis=1, keepdims=True))
     matches = [max(twin.match(v, learned.mu[i].tolist()) for i in (S, F)) for v in centred.astype(np.float64)]
     assert kernel.best_matches(centred, learned.mu[1:]) == pytest.approx(matches, abs=1e-4)
 
@@ -312,7 +312,7 @@ def test_learning_equals_the_plain_twin(off, laplace, outlier, seed, alpha, leas
         y = rng.normal(size=d).astype(np.float32)
         y[rng.random(d) < 0.2] = 0
         m, mu, sigma, moments = kernel.update(
-            y, learned.m, learned.mu, learned.sigma, learned.moments, *learned.terms,
+            read_only(y), learned.m, learned.mu, learned.sigma, learned.moments, *learned.terms,
             outlier / OUTLIER_RANGE, laplace, alpha, 0.3, least_mixing,
         )  # fmt: skip
         learned = replace(learned, m=m, mu=mu, sigma=sigma, moments=moments)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.core.types import Frame
+from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.trackers.face import evidence
 from facetrack_cli.trackers.face.detectors import Detection, yunet_model
@@ -298,7 +298,7 @@ def test_a_face_of_the_stabilized_image_is_laid_out_in_the_frame():
 
 
 @pytest.mark.skipif(yunet_model() is None, reason="needs the extra detect")
-@pytest.mark.parametrize("init", ["yunet", PASSERBY.with_suffix(".init.yaml")])
+@pytest.mark.parametrize("init", ["yunet", Start(48, {"face": TargetStart((90.7, 72.0, 58.7, 58.7))}, "x")])
 def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch, init):
     whose, taken = {}, Picture.of
 
@@ -313,7 +313,7 @@ def test_a_face_that_walks_by_before_the_target_is_not_followed(monkeypatch, ini
     by_walk = {}
     for model in (None, Path("a model")):
         monkeypatch.setattr(evidence, "embedding_model", lambda model=model: model)
-        box = track_video(PASSERBY, "face", init=init, stop=112).find("face", "box")
+        box = track_video(PASSERBY, "face", init=init, start=48, stop=112).find("face", "box")
         rows = [box.row(frame) for frame in range(83, 95)]  # in which somebody else stands before the face
         by_walk[model is None] = np.isin(box.status[rows], UNSEEN).mean()
         back = box.row(108)

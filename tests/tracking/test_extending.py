@@ -70,11 +70,11 @@ def executed(part, names=None):
     return names
 
 
-def followed(recipe, clip="occlusion", stop=25):
+def followed(recipe, stop=25):
     """Mean distance in pixels of the estimates from the ground truth, and the rows of all frames, joined."""
-    start = read_init(FOLDER / f"{clip}.init.yaml")
-    truth = {(row["frame"], row["part"]): (float(row["x"]), float(row["y"])) for row in read_rows(clip)}
-    with open_source(FOLDER / f"{clip}.mp4", stop=stop) as source:
+    start = read_init(FOLDER / "occlusion.init.yaml")
+    truth = {(row["frame"], row["part"]): (float(row["x"]), float(row["y"])) for row in read_rows("occlusion")}
+    with open_source(FOLDER / "occlusion.mp4", stop=stop) as source:
         results = list(track(build_tracker(recipe, start), source, 3))
     parts = [part for one in results for part in rows_of(one.rows)]
     off = [np.hypot(*np.subtract(truth[str(part.frame), part.part], (part.x, part.y))) for part in parts]
@@ -94,7 +94,7 @@ def refused(*overrides, config="sir"):
 def test_the_likelihood_follows_a_clip(plugged):
     recipe = plugged["recipe"]
     assert recipe.likelihood == plugged["GreyDifference"](type="grey_difference", sigma=8.0)
-    off, parts = followed(recipe)
+    off, parts = followed(recipe, stop=12)
     assert off < 1.5
     assert {part.status for part in parts} == {"tracked"} and np.mean([part.confidence for part in parts]) > 0.6
 

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from facetrack_cli.trackers.appearance.appearance import RANK, Patches, eta
 from facetrack_cli.trackers.appearance.appearance_kernels import differences, gain, mapped
 from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
+from tests.support.images import smooth
 from tests.support.parts import affine_walk, appearance, changed, predicted
-from tests.tracking.test_affine import frame, smooth, state
+from tests.tracking.test_affine import frame, read_only, state
 from tests.twins import guide as naive
 
 SIZE = (50.0, 56.0)
@@ -77,7 +78,7 @@ def test_b_equals_the_plain_twin(seed, count, d, components, decay):
     y = (rng.normal(size=(count + 3, d)) * 10 ** (-decay * np.arange(d) / d)).astype(np.float32)
     x, patch, wanted = rng.normal(size=(count, 6)), *rng.normal(size=(2, d)).astype(np.float32)
     chosen = rng.permutation(count + 3)[:count]
-    rows, squares = differences(y, chosen, patch)
+    rows, squares = differences(read_only(y), chosen, read_only(patch))
     np.testing.assert_array_equal(rows, y[chosen] - patch)
     np.testing.assert_allclose(squares, np.reshape(naive.products(rows), (count, count)), rtol=1e-4, atol=1e-4)
     np.testing.assert_array_equal(squares, squares.T)

@@ -16,12 +16,12 @@ from facetrack_cli.engine.kernels import cache as kernel_cache
 from facetrack_cli.engine.kernels import compiled as compiled_kernels
 from facetrack_cli.start import precompile
 from tests.support import media
+from tests.support.samples import FOLDER
 
-CLIPS = Path(__file__).parents[2] / "sample_videos"
 # these recipes together call all declared kernels
 RECIPES = {
     "face": "expressions", "factorized": "expressions", "adaptive": "expressions",
-    "contour_histogram_correlation": "expressions", "skin_ncc": "expressions", "head_hands": "signing",
+    "contour_histogram_correlation": "expressions", "skin_ncc": "expressions",
     "signer": "signing",
 }  # fmt: skip
 _RUN = """
@@ -30,7 +30,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.start import precompile as kernels
 kernels._load = lambda name: True  # a kernel is loaded by its call alone
 for recipe, clip in json.loads(sys.argv[1]):
-    done = ["-o", f"{sys.argv[2]}/{recipe}", "--overwrite", "--no-video", "--stop", "5", "--threads", "1", "-q"]
+    done = ["-o", f"{sys.argv[2]}/{recipe}", "--overwrite", "--no-video", "--stop", "3", "--threads", "1", "-q"]
     assert main(["run", clip, "--config", recipe, *done]) == 0
 print(json.dumps({name: [list(map(str, one)) for one in kernels.kernel(name).signatures] for name in kernels.KERNELS}))
 """
@@ -160,9 +160,9 @@ def test_a_kernel_from_the_cache_is_compiled_into_one_that_calls_it(forked, tmp_
 
 
 def test_recipes_call_what_is_declared_with_one_signature_each(tmp_path):
-    clips = [(recipe, str(CLIPS / f"{clip}.mp4")) for recipe, clip in RECIPES.items()]
+    clips = [(recipe, str(FOLDER / f"{clip}.mp4")) for recipe, clip in RECIPES.items()]
     large = "-vf", "scale=640:480", "-frames:v", "6"  # so that the check for cuts skips pixels
-    media.ffmpeg("-i", CLIPS / "expressions.mp4", *large, path := tmp_path / "large.mp4")
+    media.ffmpeg("-i", FOLDER / "expressions.mp4", *large, path := tmp_path / "large.mp4")
     given = json.dumps([*clips, ("face", str(path))])
     found = json.loads(python(_RUN, given, str(tmp_path)).stdout)
     assert found == {name: [list(map(str, precompile.kernel(name).takes))] for name in precompile.KERNELS}
@@ -202,7 +202,7 @@ def test_nothing_is_compiled_that_the_settings_do_not_call_nor_after_a_stop(comp
 
 
 def test_the_second_process_leaves_kernels_for_the_first(forked, tmp_path):
-    names = [f"trackers.regions.region_kernels.{one}" for one in ("match_boxes", "nearest_edges")]
+    names = [f"trackers.skin.skin_kernels.{one}" for one in ("box_sums", "bilinear")]
     order = json.dumps([sys.path, names[:1]])
     done = python(precompile._SECOND.format(precompile.__name__), order, NUMBA_CACHE_DIR=str(tmp_path))
     assert (done.stdout, done.stderr) == ("", "")

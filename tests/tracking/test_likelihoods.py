@@ -159,9 +159,7 @@ def test_scores_are_finite_in_any_frame_and_at_any_place(name, place, scale, lev
 def test_equal_input_gives_equal_scores_and_no_argument_changes(name):
     target, learned = built(name)
     now, x = fresh(frames()[1]), around(target, GRID[::7])
-    shown, before = now.bgr.copy(), pickle.dumps(plain(learned))
-    for array in (now.bgr, x):
-        array.flags.writeable = False
+    shown, before, places = now.bgr.copy(), pickle.dumps(plain(learned)), x.copy()
     one, two = scored(target, learned, now, x), scored(target, learned, fresh(frames()[1]), x.copy())
     assert one.tobytes() == two.tobytes()
     particles = Particles(x, uniform(len(x)))
@@ -170,6 +168,7 @@ def test_equal_input_gives_equal_scores_and_no_argument_changes(name):
     a, b = (scored(target, one, fresh(frames()[0]), x) for one in later)
     np.testing.assert_allclose(a, b, rtol=1e-4)  # a part of a frame that was read before may be larger
     np.testing.assert_array_equal(now.bgr, shown)
+    np.testing.assert_array_equal(x, places)
     assert pickle.dumps(plain(learned)) == before
 
 

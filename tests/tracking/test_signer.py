@@ -1,6 +1,7 @@
 """The recipe `signer`: two hands in one posterior, absent until they appear, on drawn clips whose truth is known."""
 
 import math
+from functools import cache
 
 import cv2
 import numpy as np
@@ -31,10 +32,9 @@ COV, DOUBT = np.eye(2)[None], np.zeros(1, bool)
 STAY = Linear(COV, np.zeros((1, 2)), COV)
 
 
-def drawn(index, hands=(), *, grey=False):
-    """A person before a wall with a shelf of the colour of skin; `hands` are the middles of discs, or
-    of ellipses with the angle of their long axis in degrees.
-    """
+@cache
+def person():
+    """Somebody before a wall with a shelf of the colour of skin."""
     rng = np.random.default_rng(3)
     image = np.full((240, 320, 3), (150, 140, 130), np.uint8)
     image[..., :] = np.clip(image + rng.integers(-6, 7, image.shape), 0, 255).astype(np.uint8)
@@ -44,6 +44,12 @@ def drawn(index, hands=(), *, grey=False):
     for x in (153, 167):
         cv2.circle(image, (x, 55), 2, (40, 40, 40), -1)
     cv2.ellipse(image, (160, 70), (5, 2), 0, 0, 360, (80, 80, 150), -1)
+    return image
+
+
+def drawn(index, hands=(), *, grey=False):
+    """`hands` are the middles of discs, or of ellipses with the angle of their long axis in degrees."""
+    image = person().copy()
     for x, y, *angle in hands:
         half = (22, 8) if angle else (14, 14)
         cv2.ellipse(image, (round(x), round(y)), half, angle[0] if angle else 0, 0, 360, HAND, -1)
@@ -259,7 +265,7 @@ def test_one_step_has_the_posterior_of_a_grid():
     rng = np.random.default_rng(5)
     cloud = joint.begin(rng, settings, face, given)
     _, belief = joint.step(rng, settings, cloud, evidence.Seen(e, 0 * e), scale, face)
-    rows, columns = np.mgrid[0:96:0.5, 0:128:0.5]
+    rows, columns = np.mgrid[0:96, 0:128]
     places = np.stack([columns, rows], axis=-1).reshape(-1, 2)
     off = np.sum((places / scale - given[0]) ** 2, axis=1)
     prior = np.zeros(len(places))

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import temporary_path
@@ -215,6 +215,7 @@ OWN = (
 
 
 @pytest.mark.parametrize("form", FORMATS)
+@settings(max_examples=settings().max_examples // 2)
 @given(given_rows=trajectories.trajectories((*KNOWN.values(), *OWN)))
 def test_what_is_written_is_read_back(tmp_path_factory, monkeypatch, form, given_rows):
     monkeypatch.setattr(reader, "_BLOCK", 2)

@@ -409,7 +409,7 @@ def _view(template: Template, frame: Frame, x: Array) -> tuple[Image, Array, Mas
     (x0, y0), (x1, y1) = corner.tolist(), far.tolist()
     boxes[:2] -= corner[:, None]
     image = np.ascontiguousarray(cropped(frame.grey, factor, x0, y0, x1, y1))  # one signature, one compilation
-    return image, boxes, seen
+    return image, np.ascontiguousarray(boxes), seen
 
 
 def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
