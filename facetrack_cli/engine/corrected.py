@@ -142,15 +142,13 @@ class CorrectedTarget:
 
 def restored(tracker: Tracker, states: Sequence[Any], frame: Callable[[int], Frame]) -> list[Any]:
     """The stored states of a tracker, with what corrected targets learned; `frame` gives a frame of the clip."""
-
-    def complete(corrected: CorrectedTarget, state: State) -> State:
-        if state.learned is None:
-            return replace(state, target=corrected.target)
-        index, start = state.learned
-        return replace(state, target=corrected.build(frame(index), start))
-
-    both = zip(tracker, states, strict=True) if states else ()
-    return [complete(target, state) if isinstance(target, CorrectedTarget) else state for target, state in both]
+    complete = list(states)
+    for i, (target, state) in enumerate(zip(tracker, states, strict=True) if states else ()):
+        if isinstance(target, CorrectedTarget):
+            learned = state.learned
+            built = target.target if learned is None else target.build(frame(learned[0]), learned[1])
+            complete[i] = replace(state, target=built)
+    return complete
 
 
 def with_confirmed(rows: Trajectory, corrections: Iterable[Correction]) -> Trajectory:

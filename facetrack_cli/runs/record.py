@@ -123,8 +123,9 @@ class Recorder:
     batch it notes that its clip failed.
 
     A checkpoint is the whole state of a run, from which the same run goes on: its rows are byte for byte those of a run
-    that was never ended; its video is drawn from them at the end. Trackers of OpenCV do not give their state away, and
-    with a lag rows wait in memory: those runs begin from their first frame.
+    that was never ended; its video is drawn from them at the end. Trackers of OpenCV do not give their state away,
+    that of a section from outside may be of any class, and with a lag rows wait in memory: those runs begin from their
+    first frame.
     """
 
     def __init__(self, plan: Plan, stop: Stop | None = None, looked: Report = silent) -> None:
@@ -134,6 +135,7 @@ class Recorder:
         self.state = RunState(0, Outcome(source=job.clip, streamed=job.out is None))
         self._checkpoint, self._key = Path(), ""  # the last state, which the key tells from those of other runs
         self._kept_s, self._kept_frames, self._marked = time.monotonic(), 0, dict[str, Any]()
+        self._unkept = ""  # why there are no checkpoints
         self.total: int | None = None  # the number of frames that the clip says it has, if it does
         # adds to the outcome how the results ended, and whether nothing ended them early; InputError to keep nothing
         self.ended: Callable[[Outcome, bool], None] = silent
@@ -218,7 +220,10 @@ class Recorder:
         if frames - self._kept_frames >= EVERY_FRAMES or now - self._kept_s >= EVERY_S:
             self._kept_s, self._kept_frames = now, frames
             self.state.sinks = tuple(sink.mark() for sink in self.sinks)
-            self._marked = {"key": np.array(self._key), **flatten("run", self.state)}
+            try:
+                self._marked = {"key": np.array(self._key), **flatten("run", self.state)}
+            except TypeError as e:  # a class of a section from outside
+                self._key, self._unkept = "", f"no checkpoint: {e}; the same command begins at the first frame"
 
     def record(self, clip: ClipFacts, start: Start, more: Header, results: Results, report: Report = silent) -> Outcome:
         """Write the results until they end, also because the run is to stop, or by an error. They raise StoppedError
@@ -263,6 +268,8 @@ class Recorder:
             except StoppedError:
                 done.stopped = self._stop.reason
             done.clip = replace(done.clip, sha256=done.source_sha256)
+        if self._unkept and done.stopped is not None:  # or the bytes of a whole run depended on its time
+            done.warnings += (self._unkept,)
         done.complete = done.complete and done.stopped is None
         errors: list[Exception] = []
         steps: list[Callable[[Outcome], None]] = [sink.end for sink in reversed(self.sinks)]

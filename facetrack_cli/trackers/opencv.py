@@ -5,6 +5,7 @@ A tracker that reports its target as lost makes the part `lost`, and the box sta
 
 import ctypes
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final, TypeAlias
 
@@ -50,7 +51,9 @@ class OpenCvTarget:
     def begin(self, rng: Generator, frame: Frame) -> tuple[State, TargetResult]:
         """Raises InputError for a box too small, or too large, for this tracker."""
         box = self._whole(frame)
-        _seed(int(rng.integers(1, 2**31)))
+        cv2.setRNGSeed(seed := int(rng.integers(1, 2**31)))
+        with suppress(TypeError, OSError, AttributeError):  # on Windows there is no one C library, which MIL draws from
+            ctypes.CDLL(None).srand(seed)
         tracker = find(self.tracker)()
         try:
             tracker.init(frame.bgr, box)
@@ -91,12 +94,3 @@ class OpenCvTarget:
         place = {"x": [x], "y": [y], "w": [box[2]], "h": [box[3]]}
         rows = one_part(self.name, BOX, [frame.index], time_s=[frame.time_s], status=[status], **place)
         return TargetResult(rows, np.zeros((0, 1, 2)))
-
-
-def _seed(seed: int) -> None:
-    """Seed what MIL draws its features from: the C library's generator, where one can reach it, and OpenCV's own."""
-    cv2.setRNGSeed(seed)
-    try:
-        ctypes.CDLL(None).srand(seed)
-    except (TypeError, OSError, AttributeError):  # on Windows there is no one C library to ask
-        return

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import metadata
 from typing import ClassVar, Literal
 
@@ -12,13 +13,16 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from facetrack_cli.core.errors import RecipeError
+from facetrack_cli.core.errors import ExitCode, RecipeError
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.protocols import Motion
 from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import completed, json_schema, register, to_dict
 from facetrack_cli.recipe.sections import FilterSettings, LikelihoodSettings, Refusal, Section
+from facetrack_cli.runs import clip, record
+from facetrack_cli.runs.plan import Job
+from facetrack_cli.runs.signals import Stop
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.smoothed import lagged
@@ -139,6 +143,21 @@ def test_rows_by_the_motion_are_smoothed(registry):
     without = type("Rough", (Motion,), {"propagate": module.Steps.propagate, "expect": module.Steps.expect})()
     with pytest.raises(TypeError, match="Rough has no linear form, which --smooth and --lag take"):
         without.linear(np.zeros((5, 2)))
+
+
+def test_a_state_that_cannot_be_stored_costs_the_checkpoint_alone(plugged, tmp_path, monkeypatch):
+    monkeypatch.setattr(record, "EVERY_FRAMES", 2)
+    job, stop = Job(FOLDER / "occlusion.mp4", plugged["recipe"], tmp_path / "whole", stop=9, video=False), Stop()
+    done = clip.run(job, Stop())
+    assert done.failure is None and done.frames == 9 and done.warnings == ()
+
+    def report(frames, total):
+        stop.code = ExitCode.INTERRUPTED if frames == 6 else stop.code
+
+    done = clip.run(replace(job, out=tmp_path / "part"), stop, report)
+    assert done.failure is None and done.frames == 6 and done.warnings == (
+        "no checkpoint: grey_difference.Learned cannot be stored; the same command begins at the first frame",
+    )  # fmt: skip
 
 
 # --- messages, schema and tables know of it

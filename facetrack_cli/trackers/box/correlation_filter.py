@@ -32,8 +32,6 @@ is a mode as well.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -187,34 +185,19 @@ class CorrelationState(NamedTuple):
     seen: Seen | None = None
 
 
-@dataclass(frozen=True, eq=False)
 class CorrelationFilter(Likelihood):
     """A box by the response of a filter to the window around it."""
 
-    settings: CorrelationFilterSettings
-    context: Context
-
-    @cached_property
-    def _unit(self) -> float:
-        """The mean side of the box at the start, in pixels."""
-        return math.sqrt(math.prod(self.context.placed.size))
-
-    @cached_property
-    def _trainer(self) -> models.Trainer:
-        one, (w, h) = self.settings, self.context.placed.size
-        per_pixel = one.cells / (one.window * self._unit)
-        box = max(w * per_pixel, 1.0), max(h * per_pixel, 1.0)
-        return models.Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3))
-
-    @cached_property
-    def _scale_trainer(self) -> models.ScaleTrainer:
-        return models.ScaleTrainer(self.context.placed.size, self.settings.scales.count, self.settings.scales.step)
-
-    @cached_property
-    def _colour_model(self) -> models.ColourModel:
-        side = self.settings.window * self._unit
-        w, h = self.context.placed.size
-        return models.ColourModel((w / side, h / side))
+    def __init__(self, settings: CorrelationFilterSettings, context: Context) -> None:
+        self.settings, self.context = settings, context
+        w, h = context.placed.size
+        self._unit = math.sqrt(w * h)  # the mean side of the box at the start, in pixels
+        side = settings.window * self._unit
+        box = max(w * (settings.cells / side), 1.0), max(h * (settings.cells / side), 1.0)
+        sigma = max(settings.peak * settings.cells / settings.window, 0.3)
+        self._trainer = models.Trainer(settings.cells, box, sigma)
+        self._scale_trainer = models.ScaleTrainer((w, h), settings.scales.count, settings.scales.step)
+        self._colour_model = models.ColourModel((w / side, h / side))
 
     def _side(self, scale: float) -> float:
         """Side of the window in pixels."""

@@ -39,8 +39,7 @@ carried on: a window x of weight a makes the residual r = (1 - a) r - a g + a x 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
 import cv2
@@ -160,20 +159,17 @@ class Colours(NamedTuple):
     tells: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
 class ColourModel:
     """`box`: width and height of the target as shares of the window's side."""
 
-    box: tuple[float, float]
-
-    @cached_property
-    def _parts(self) -> tuple[Whole, Whole]:
-        """The pixels of the target, and those around it."""
+    def __init__(self, box: tuple[float, float]) -> None:
+        self.box = box
         half = np.abs(np.arange(_SIDE) - (_SIDE - 1) / 2) / _SIDE
-        w, h = (max(side, 2.5 / _SIDE) for side in self.box)
+        w, h = (max(side, 2.5 / _SIDE) for side in box)
         inside = np.outer(half <= 0.4 * h, half <= 0.4 * w)
         outside = ~np.outer(half <= 0.55 * h, half <= 0.55 * w)
-        return np.flatnonzero(inside), np.flatnonzero(outside if outside.any() else ~outside)
+        # the pixels of the target, and those around it
+        self._parts = np.flatnonzero(inside), np.flatnonzero(outside if outside.any() else ~outside)
 
     def learn(self, known: Colours | None, window: Image, rate: float) -> Colours:
         """From a shrunk window in whose middle the target is; `rate` 1 as Staple learns, 0 not at all."""
@@ -219,43 +215,22 @@ class TrainedScale(NamedTuple):
     denominator: Single
 
 
-@dataclass(frozen=True, eq=False)
 class ScaleTrainer:
     """`size`: width and height of the target at scale 1, in pixels; `area`: pixels of a resampled window."""
 
-    size: tuple[float, float]
-    scales: int
-    step: float
-    area: float = 512.0
-
-    @cached_property
-    def log_scales(self) -> Array:
-        return np.asarray((np.arange(self.scales) - (self.scales - 1) / 2) * math.log(self.step), np.float64)
-
-    @cached_property
-    def _y(self) -> Single:
-        sigma = self.scales / 16
-        y = np.exp(-0.5 * (np.fft.fftfreq(self.scales, 1 / self.scales) / sigma) ** 2)
-        return np.fft.rfft(y).real.astype(np.float32)[:, None]
-
-    @cached_property
-    def _transform(self) -> Single:
-        """(S + 1, S): what makes the spectrum of a signal, tapered: real parts, then imaginary ones."""
-        taper, s = np.hanning(self.scales + 2)[1:-1], np.arange(self.scales) - self.scales // 2
-        turns = taper * np.exp(-2j * np.pi * np.arange(self.scales // 2 + 1)[:, None] * s / self.scales)
-        return np.concatenate([turns.real, turns.imag]).astype(np.float32)
-
-    @cached_property
-    def _back(self) -> NDArray[np.complex128]:
-        """(S, S / 2 + 1): of a spectrum the real part of this times it is the signal."""
-        k, s = np.arange(self.scales // 2 + 1), np.arange(self.scales)[:, None] - self.scales // 2
-        return np.asarray(np.exp(2j * np.pi * k * s / self.scales) * np.where(k, 2, 1) / self.scales)
-
-    @cached_property
-    def _shape(self) -> tuple[int, int]:
-        k = math.sqrt(self.area / (self.size[0] * self.size[1]))
-        w, h = (min(max(round(side * k / CELL), 2), 64) * CELL for side in self.size)
-        return w, h
+    def __init__(self, size: tuple[float, float], scales: int, step: float, area: float = 512.0) -> None:
+        self.size, self.scales, self.step = size, scales, step
+        self.log_scales: Array = np.asarray((np.arange(scales) - (scales - 1) / 2) * math.log(step), np.float64)
+        y = np.exp(-0.5 * (np.fft.fftfreq(scales, 1 / scales) / (scales / 16)) ** 2)
+        self._y: Single = np.fft.rfft(y).real.astype(np.float32)[:, None]
+        k, s = np.arange(scales // 2 + 1), np.arange(scales) - scales // 2
+        turns = np.hanning(scales + 2)[1:-1] * np.exp(-2j * np.pi * k[:, None] * s / scales)
+        # (S + 1, S): what makes the spectrum of a signal, tapered: real parts, then imaginary ones
+        self._transform: Single = np.concatenate([turns.real, turns.imag]).astype(np.float32)
+        # (S, S / 2 + 1): of a spectrum the real part of this times it is the signal
+        self._back = np.exp(2j * np.pi * k * s[:, None] / scales) * np.where(k, 2, 1) / scales
+        by = math.sqrt(area / (size[0] * size[1]))
+        self._shape = tuple(min(max(round(side * by / CELL), 2), 64) * CELL for side in size)
 
     def read(self, frame: Frame, centre: Array, scale: float) -> NDArray[np.complex64]:
         """The spectrum (S / 2 + 1, D) of the target around `centre` at `scale` times each of the scales."""
@@ -306,35 +281,24 @@ class Trained(NamedTuple):
     walled: Single
 
 
-@dataclass(frozen=True, eq=False)
 class Trainer:
     """`box`: the target's width and height in cells; `sigma`: sigma_y in cells; `steps` of conjugate gradients."""
 
-    cells: int
-    box: tuple[float, float]
-    sigma: float
-    steps: int = 2
-    y: Single = field(init=False)
-    wall: Single = field(init=False)  # w^2 of each cell
-    _middle: Single = field(init=False)
-    _counts: Single = field(init=False)  # of how many frequencies of the whole transform each stands for
-
-    def __post_init__(self) -> None:
-        g = self.cells
-        d = np.fft.fftfreq(g, 1 / g)
-        y = np.exp(-0.5 * (d[:, None] ** 2 + d[None] ** 2) / self.sigma**2)
-        half = np.abs(np.arange(g) - (g - 1) / 2)
+    def __init__(self, cells: int, box: tuple[float, float], sigma: float, steps: int = 2) -> None:
+        self.cells, self.sigma, self.steps = cells, sigma, steps
+        d, half = np.fft.fftfreq(cells, 1 / cells), np.abs(np.arange(cells) - (cells - 1) / 2)
+        y = np.exp(-0.5 * (d[:, None] ** 2 + d[None] ** 2) / sigma**2)
+        self.y: Single = np.fft.rfft2(y).real.ravel().astype(np.float32)  # y is even
         # 1 on the border of the box
-        out = np.maximum((half / (self.box[1] / 2))[:, None], (half / (self.box[0] / 2))[None])
+        out = np.maximum((half / (box[1] / 2))[:, None], (half / (box[0] / 2))[None])
         rise = np.clip(out - 1, 0, 1) ** 2
+        self.wall: Single = (_INSIDE + (_OUTSIDE - _INSIDE) * rise).astype(np.float32)  # w^2 of each cell
         # what moves place 0 into the middle
-        signs = (-1.0) ** (np.arange(g)[:, None] + np.arange(g // 2 + 1))
-        object.__setattr__(self, "_middle", (UPSAMPLED**2 * signs).astype(np.float32))
-        counts = np.full((g, g // 2 + 1), 2, np.float32)
+        signs = (-1.0) ** (np.arange(cells)[:, None] + np.arange(cells // 2 + 1))
+        self._middle: Single = (UPSAMPLED**2 * signs).astype(np.float32)
+        counts = np.full((cells, cells // 2 + 1), 2, np.float32)
         counts[:, [0, -1]] = 1
-        object.__setattr__(self, "_counts", counts.ravel())
-        object.__setattr__(self, "y", np.fft.rfft2(y).real.ravel().astype(np.float32))  # y is even
-        object.__setattr__(self, "wall", (_INSIDE + (_OUTSIDE - _INSIDE) * rise).astype(np.float32))
+        self._counts: Single = counts.ravel()  # of how many frequencies of the whole transform each stands for
 
     def begin(self, x: Single) -> Trained:
         """From the first window's spectrum x (2, C, F)."""

@@ -40,7 +40,7 @@ import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -239,10 +239,7 @@ class HandTarget:
     settings: HandsSettings
     head: Box
     start_boxes: tuple[Box | None, Box | None]
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        return (BOX,)
+    parts: ClassVar = (BOX,)
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:

@@ -187,7 +187,7 @@ def fit_prior(
     lost or without a position do not count. Raises UsageError or InputError.
     """
     tables = [read_trajectory(path) for path in paths]
-    names = tuple(parts) if parts is not None else _parts_of(tables[0])
+    names = tuple(dict.fromkeys(part for _, part in tables[0].names) if parts is None else parts)
     if problem := _names_problem(names, stable, scale):
         raise UsageError(f"{problem}; name others with --parts, --stable or --scale")
     read = [_shapes_of(path, table, names, stable, scale) for path, table in zip(paths, tables, strict=True)]
@@ -203,15 +203,11 @@ def suggested_sigma(prior: ShapePrior) -> float:
     return max(float(np.sqrt(nearest).mean()), MIN_SIGMA) if nearest else MIN_SIGMA
 
 
-def _parts_of(trajectory: Trajectory) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(part for _, part in trajectory.names))
-
-
 def _shapes_of(
     path: Path, trajectory: Trajectory, names: tuple[str, ...], stable: str, scale: tuple[str, str]
 ) -> tuple[int, Array]:
     """The frames of a file, and its shapes (M, K, 2)."""
-    if missing := ", ".join(name for name in names if name not in _parts_of(trajectory)):
+    if missing := ", ".join(name for name in names if name not in {part for _, part in trajectory.names}):
         raise InputError(f"{path}: there is no part {missing}; annotate it, or name the parts to learn with --parts")
     every, total = [np.empty((0, len(names), 2))], 0
     left, right = (names.index(name) for name in scale)

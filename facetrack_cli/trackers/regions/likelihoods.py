@@ -56,7 +56,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -82,24 +81,18 @@ from facetrack_cli.trackers.regions.settings import (
 _MAX_PIXELS = 1e9  # pixels; no frame is as large
 
 
-@dataclass(frozen=True)
 class Contour:
     """`size`: (w, h) of the box at scale 1; `sigma` and `search` as in the settings, all in pixels."""
 
-    settings: ContourSettings
-    size: tuple[float, float]
-    sigma: float
-    search: float
+    def __init__(self, settings: ContourSettings, size: tuple[float, float], sigma: float, search: float) -> None:
+        self.settings, self.size, self.sigma, self.search = settings, size, sigma, search
+        # by what frames are reduced; points of the ellipse at scale 1, and its normals
+        self._outline = factor_for(max(size), settings.max_size), *ellipse(size, settings.normals)
 
     @classmethod
     def build(cls, settings: ContourSettings, context: Context) -> Contour:
         unit = context.placed.unit
         return cls(settings, context.placed.size, settings.sigma.pixels(unit), settings.search.pixels(unit))
-
-    @cached_property
-    def _outline(self) -> tuple[int, Array, Array]:
-        """By what frames are reduced; points of the ellipse at scale 1, and its normals, as `ellipse` gives them."""
-        return factor_for(max(self.size), self.settings.max_size), *ellipse(self.size, self.settings.normals)
 
     def init(self, frame: Frame, x0: Array) -> Share:
         """Of the first frame and x0 (1, 6) nothing is learned but how independent the normals are."""
@@ -129,7 +122,7 @@ class Contour:
 
     def _nearest(self, frame: Frame, x: Array, reach: float) -> Array:
         """How far the nearest edge lies on each normal, (N, L), in pixels; inf without one within `reach`."""
-        factor, points, normals = self._outline
+        factor = self._outline[0]
         boxes = np.clip(np.nan_to_num(x[:, 0, :3]), -_MAX_PIXELS, _MAX_PIXELS)
         # an edge at the very end of a normal is seen by two values beyond it, and each value by a pixel around it
         around = np.maximum(boxes[:, 2:], 0.0) * np.array(self.size) / 2 + (reach + 5.0 * factor)
@@ -137,8 +130,8 @@ class Contour:
         grey, left, top = frame.grey(factor, (*low, *high))
         # sums, which are whole numbers: their ninths are the means
         nine = cv2.boxFilter(grey, cv2.CV_16U, (3, 3), normalize=False)
-        outline = factor, points, normals
-        return np.asarray(kernel.nearest_edges(nine, boxes, left, top, *outline, reach, 9.0 * self.settings.threshold))
+        threshold = 9.0 * self.settings.threshold
+        return np.asarray(kernel.nearest_edges(nine, boxes, left, top, *self._outline, reach, threshold))
 
 
 def ellipse(size: tuple[float, float], count: int) -> tuple[Array, Array]:
@@ -284,28 +277,18 @@ class Previous(NamedTuple):
     share: Share = Share()
 
 
-@dataclass(frozen=True)
 class Correlation:
     """`size`: width and height of the compared region at scale 1, in pixels: `region` times the box."""
 
-    settings: CorrelationSettings
-    size: tuple[float, float]
+    def __init__(self, settings: CorrelationSettings, size: tuple[float, float]) -> None:
+        self.settings, self.size = settings, size
+        self._step = min(side / count for side, count in zip(size, settings.grid, strict=True))  # pixels at scale 1
+        self.factor = int(2 ** math.floor(math.log2(max(self._step, 1.0))))  # by which frames are reduced
 
     @classmethod
     def build(cls, settings: CorrelationSettings, context: Context) -> Correlation:
         w, h = context.placed.size
         return cls(settings, (w * settings.region, h * settings.region))
-
-    @cached_property
-    def _step(self) -> float:
-        """The lesser step of the grid at scale 1, in pixels."""
-        columns, rows = self.settings.grid
-        return min(self.size[0] / columns, self.size[1] / rows)
-
-    @cached_property
-    def factor(self) -> int:
-        """By what frames are reduced."""
-        return int(2 ** math.floor(math.log2(max(self._step, 1.0))))
 
     def init(self, frame: Frame, x0: Array) -> Previous:
         """What the first frame after this one is compared with."""
