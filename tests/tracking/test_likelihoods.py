@@ -2,7 +2,7 @@
 
 import copy
 import pickle
-from functools import cache
+from functools import cache, partial
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trackers.skin.likelihoods import CloudSpace
 from tests.support.moving_head import START, H, W, path, scene
-from tests.support.parts import changed, contour, correlation
+from tests.support.parts import contour, correlation
 from tests.support.samples import FOLDER
 
 MOVED = np.array([3.0, -2.0])  # pixels, from the first frame to the second
@@ -216,18 +216,18 @@ def test_estimated_the_likelihood_is_flatter_and_has_the_same_order(kind):
     noise = np.random.default_rng(2).integers(0, 255, (120, 160, 3), np.uint8)
     picture = cv2.GaussianBlur(noise, (0, 0), 2.0)
     first, second = Frame(0, 0.0, picture), Frame(1, 0.04, np.roll(picture, 1, axis=1))
-    model = {
-        "contour": lambda: contour((40.0, 48.0), 2.0, 8.0, normals=32, threshold=2.0, outlier=0.05),
-        "correlation": lambda: correlation((40.0, 48.0), grid=(16, 16)),
-        "saturated": lambda: correlation((40.0, 48.0), saturation=20.0, grid=(16, 16)),
-    }[kind]()
+    make = {
+        "contour": partial(contour, (40.0, 48.0), 2.0, 8.0, normals=32, threshold=2.0, outlier=0.05),
+        "correlation": partial(correlation, (40.0, 48.0), grid=(16, 16)),
+        "saturated": partial(correlation, (40.0, 48.0), saturation=20.0, grid=(16, 16)),
+    }[kind]
     x = np.repeat(BOX[None], 40, axis=0)
     x[..., :2] += np.random.default_rng(3).normal(0, 2, (40, 1, 2))
     scores = []
-    for one in (model, changed(model, independent="estimated")):
+    for one in (make(), make(independent="estimated")):
         learned = one.learn(one.init(first, BOX), second, BOX, None)
         share = learned if kind == "contour" else learned.share
         scores.append(one.score(learned, first, x, x))
-        assert one is not model or share.mean == 1.0
+        assert one.settings.independent == "estimated" or share.mean == 1.0
     assert share.frames == 2 and 0 < share.mean < (1.001 if kind == "contour" else 0.6)
     np.testing.assert_allclose(scores[1], scores[0] * share.mean, rtol=1e-9)
