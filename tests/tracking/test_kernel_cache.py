@@ -160,11 +160,10 @@ def test_a_kernel_from_the_cache_is_compiled_into_one_that_calls_it(forked, tmp_
 
 
 def test_recipes_call_what_is_declared_with_one_signature_each(tmp_path):
-    clips = [(recipe, str(FOLDER / f"{clip}.mp4")) for recipe, clip in RECIPES.items()]
-    large = "-vf", "scale=640:480", "-frames:v", "6"  # so that the check for cuts skips pixels
-    media.ffmpeg("-i", FOLDER / "expressions.mp4", *large, path := tmp_path / "large.mp4")
-    given = json.dumps([*clips, ("face", str(path))])
-    found = json.loads(python(_RUN, given, str(tmp_path)).stdout)
+    # so large that the check for cuts skips pixels
+    media.ffmpeg("-i", FOLDER / "expressions.mp4", "-vf", "scale=640:480", "-frames:v", "6", path := tmp_path / "a.mp4")
+    given = [(recipe, str(FOLDER / f"{clip}.mp4")) for recipe, clip in RECIPES.items()] + [("face", str(path))]
+    found = json.loads(python(_RUN, json.dumps(given), str(tmp_path)).stdout)
     assert found == {name: [list(map(str, precompile.kernel(name).takes))] for name in precompile.KERNELS}
 
 

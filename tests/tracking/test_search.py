@@ -240,11 +240,14 @@ def test_a_face_that_was_lost_is_looked_for_as_it_was():
 
 
 @pytest.mark.parametrize("roll", [0, 45, 180])
-def test_a_face_that_was_turned_before_it_was_lost_is_seen_where_it_is_upright(roll):
+def test_a_face_that_was_turned_before_it_was_lost_is_seen_where_it_is_upright(roll, monkeypatch):
     """The roll of a head that turns away is that of the last points that were seen."""
+    find, sizes = Haar.find, []
+    monkeypatch.setattr(Haar, "find", lambda self, frame: sizes.append(max(frame.size)) or find(self, frame))
     upright, pose = moving.clip([POSE] * 1)[0], Similarity(np.array([90.0, 60.0]), 80 / FACE, np.radians(roll))
     [face] = again(Haar(), upright, pose)
     assert not face.turn and off(named(face.placed(upright)), POSE) < 0.25
+    assert max(sizes) == 320, "views are no larger than the frame"
 
 
 def test_in_a_crowd_a_face_that_lies_as_the_lost_one_comes_first():

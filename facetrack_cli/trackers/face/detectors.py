@@ -411,10 +411,11 @@ def _certain(
 
 
 def _tiles(size: tuple[int, int], factor: int, turn: int = 0) -> Iterator[tuple[Similarity, int]]:
-    """Squares that cover a frame reduced by `factor`, seen after eighths of a turn."""
-    tile, shared = factor * MAX_SEARCHED_PX, factor * SHARED_PX
-    counts = (max(math.ceil((length - shared) / (tile - shared)), 1) for length in size)
+    """Squares that cover a frame reduced by `factor`, seen after eighths of a turn; no larger than a frame that is."""
+    side = min(math.ceil(max(size) / factor), MAX_SEARCHED_PX)
+    tile, shared = factor * side, factor * SHARED_PX
+    counts = (1 if length <= tile else math.ceil((length - shared) / (tile - shared)) for length in size)
     starts = (np.linspace(0, max(length - tile, 0), count) for length, count in zip(size, counts, strict=True))
     for x, y in product(*starts):
-        middle = np.array([x, y]) + factor * (MAX_SEARCHED_PX - 1) / 2
-        yield Similarity(middle, SKEW[turn % 2] * factor, turn * math.pi / 4), MAX_SEARCHED_PX
+        middle = np.array([x, y]) + factor * (side - 1) / 2
+        yield Similarity(middle, SKEW[turn % 2] * factor, turn * math.pi / 4), side
