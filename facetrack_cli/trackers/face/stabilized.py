@@ -113,8 +113,10 @@ def read_planes(frame: Frame, views: Array, scale: float, side: int, *, tinted: 
     An odd `side` is by 1 larger.
     """
     factor, extent = extent_of(views, scale, side)
-    planes, even, ours = frame.planes(factor, extent), side + side % 2, frame.yuv and frame.yuv.ours
-    (y, *at), (u, *tint_at), (v, *_) = (in_one_piece(*plane, extent) for plane in planes or [])
+    planes, even, ours = frame.planes(factor, extent) or [], side + side % 2, frame.yuv and frame.yuv.ours
+    read = planes if tinted or ours is not None else planes[:1]  # of a strided plane what is read is copied
+    (y, *at), *tints = (in_one_piece(*plane, extent) for plane in read)
+    (u, *tint_at), (v, *_) = tints or 2 * [(y, *at)]
     out = np.empty((len(views), even + even // 2 * tinted, even), np.uint8)
     see(y, u, v, tuple(at), tuple(tint_at), views, (side - 1) / 2, _NO_MATRIX if ours is None else ours, out)
     return out
